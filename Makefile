@@ -1,0 +1,24 @@
+# make study   the whole chain on the default head -> out/study/index.html
+# make test    every test        make check   ruff, mypy, import-linter
+# Each does first all set-up that is missing (tools/set-up), and starts at once when nothing is.
+.PHONY: study test check setup clean
+PYTHON := .venv/bin/python
+
+study: setup
+	.venv/bin/softdeca study
+
+test: setup
+	$(PYTHON) -m pytest
+
+check: setup
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	rm -rf build/typecheck && $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --target build/typecheck .
+	cd build/typecheck && ../../.venv/bin/mypy --config-file ../../pyproject.toml --namespace-packages --explicit-package-bases softdeca
+	.venv/bin/lint-imports
+
+setup:
+	@tools/set-up
+
+clean:
+	rm -rf .venv build out *.egg-info

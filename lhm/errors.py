@@ -1,0 +1,25 @@
+"""Errors that a user can act on: each message names the thing and what was expected of it."""
+
+
+class SoftdecaError(ValueError):
+    """Base of every error that softdeca raises on purpose; the command prints it as one line."""
+
+
+class MeshError(SoftdecaError):
+    """A mesh is not what it has to be (shape, index range, orientation, manifoldness)."""
+
+
+class FitError(SoftdecaError):
+    """A layered head could not be made from a skin; the message names the gate that failed."""
+
+
+class InputError(SoftdecaError):
+    """A file, name or value from outside is wrong."""
+
+
+class SceneError(SoftdecaError):
+    """A scene, or what a solver is asked to do with it, is inconsistent."""
+
+
+class MissingDependencyError(SoftdecaError):
+    """An optional package is not installed; the message says what to install."""

@@ -1,0 +1,82 @@
+"""LayeredHead: skin, three wraps of one triangulation, and the tets between them (SoftDECA 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from .errors import MeshError
+from .layers import prism_tets
+from .mesh import Floats, Ints, Surface, TetMesh
+
+FREE, CRANIUM, MANDIBLE = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredHead:
+    """One person's neutral head.
+
+    `skin` is the surface that expressions move; `skin_wrap`, `muscle_wrap`, `skull_wrap` share their triangles, with
+    n vertices each; `soft` and `muscle` are the tets between them, over the stacked vertices (skin, muscle, skull wrap
+    in this order). `bone` says per skull-wrap vertex whether it is FREE (0), of the CRANIUM (1) or the MANDIBLE (2).
+    `wrap_from_skin` (n, skin vertices) and `skin_from_wrap` (skin vertices, n) are sparse weights, rows summing to one,
+    that carry displacements from one surface to the other. `regions` are named masks over the wrap's vertices.
+    Raises MeshError for wraps of different triangles, and for inverted tets by index.
+    """
+
+    skin: Surface
+    skin_wrap: Surface
+    muscle_wrap: Surface
+    skull_wrap: Surface
+    bone: Ints
+    wrap_from_skin: csr_matrix
+    skin_from_wrap: csr_matrix
+    regions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    soft: TetMesh = field(init=False, repr=False)
+    muscle: TetMesh = field(init=False, repr=False)
+
+    def __post_init__(self):
+        triangles, n = self.skin_wrap.triangles, len(self.skin_wrap.vertices)
+        for name in ("muscle_wrap", "skull_wrap"):
+            wrap = getattr(self, name)
+            if len(wrap.vertices) != n or not np.array_equal(wrap.triangles, triangles):
+                raise MeshError(f"{name}: its triangulation differs from the skin wrap's")
+        if self.bone.shape != (n,) or not np.isin(self.bone, (FREE, CRANIUM, MANDIBLE)).all():
+            raise MeshError(f"bone: expected shape ({n},) of 0, 1 or 2")
+        for name, shape in (
+            ("wrap_from_skin", (n, len(self.skin.vertices))),
+            ("skin_from_wrap", (len(self.skin.vertices), n)),
+        ):
+            if getattr(self, name).shape != shape:
+                raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
+        vertices = np.vstack([self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices])
+        for name, outer in (("soft", 0), ("muscle", n)):
+            try:
+                mesh = TetMesh(vertices, prism_tets(triangles, outer, outer + n))
+            except MeshError as error:
+                raise MeshError(f"{name} {error}") from None
+            object.__setattr__(self, name, mesh)
+
+    @property
+    def vertices(self) -> Floats:
+        """The stacked wrap vertices [mm], shape (3 n, 3)."""
+        return self.soft.vertices
+
+    @property
+    def tets(self) -> Ints:
+        """Soft tissue's tets, then muscle's, shape (6 m, 4)."""
+        return np.vstack([self.soft.tets, self.muscle.tets])
+
+    def wrap_targets(self, expression: Floats) -> Floats:
+        """Where a skin expression [mm], shape (skin vertices, 3), takes the skin wrap's vertices, shape (n, 3)."""
+        return self.skin_wrap.vertices + self.wrap_from_skin @ (expression - self.skin.vertices)
+
+    def skin_after(self, expression: Floats, wrap: Floats) -> Floats:
+        """The skin [mm] that an expression becomes when the skin wrap ends at `wrap`, shape (n, 3).
+
+        The wrap's deviation from its target is added to the expression, so detail finer than the wrap is kept.
+        """
+        return expression + self.skin_from_wrap @ (wrap - self.wrap_targets(expression))

@@ -1,0 +1,130 @@
+"""Surface and TetMesh: frozen arrays, checked when made. Millimetres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import MeshError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def as_points(name: str, values, *, columns: int = 3) -> Floats:
+    """Return a read-only float64 copy of shape (n, columns); MeshError names the first bad row."""
+    try:
+        points = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MeshError(f"{name}: expected numbers of shape (n, {columns})") from None
+    if points.ndim != 2 or points.shape[1] != columns:
+        raise MeshError(f"{name}: expected shape (n, {columns}), got {points.shape}")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise MeshError(f"{name}: {bad.size} rows are not finite (NaN or infinite), the first is {bad[0]}")
+    points.flags.writeable = False
+    return points
+
+
+def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
+    """Return a read-only int64 copy of shape (m, corners) whose indices lie in [0, n_vertices)."""
+    raw = np.asarray(values)
+    if raw.ndim != 2 or raw.shape[1] != corners:
+        raise MeshError(f"{name}: expected shape (m, {corners}), got {raw.shape}")
+    if raw.size and not np.issubdtype(raw.dtype, np.integer):
+        raise MeshError(f"{name}: expected integers, got {raw.dtype}")
+    elements = raw.astype(np.int64)
+    bad = np.flatnonzero(((elements < 0) | (elements >= n_vertices)).any(axis=1))
+    if bad.size:
+        first = bad[0]
+        raise MeshError(
+            f"{name}: {bad.size} refer to vertices outside 0..{n_vertices - 1}, "
+            f"the first is number {first}: {elements[first].tolist()}"
+        )
+    elements.flags.writeable = False
+    return elements
+
+
+def tet_volumes(vertices: Floats, tets: Ints) -> Floats:
+    """Signed volumes [mm³], shape (m,)."""
+    a, b, c, d = (vertices[tets[:, k]] for k in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangle mesh: vertices [mm], shape (n, 3), and triangles, shape (m, 3).
+
+    Raises MeshError for values that are not finite, indices out of range and triangles that repeat a vertex.
+    """
+
+    vertices: Floats
+    triangles: Ints
+
+    def __post_init__(self):
+        object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
+        object.__setattr__(self, "triangles", as_elements("triangles", self.triangles, 3, len(self.vertices)))
+        i, j, k = self.triangles.T
+        bad = np.flatnonzero((i == j) | (j == k) | (k == i))
+        if bad.size:
+            raise MeshError(f"triangles: {bad.size} repeat a vertex, the first is number {bad[0]}")
+
+    def with_vertices(self, vertices) -> Surface:
+        """The same triangles over other vertices [mm], shape (n, 3)."""
+        if np.shape(vertices) != self.vertices.shape:
+            raise MeshError(f"vertices: expected shape {self.vertices.shape}, got {np.shape(vertices)}")
+        return Surface(vertices, self.triangles)
+
+    @property
+    def face_normals(self) -> Floats:
+        """Normals scaled by twice the area [mm²], shape (m, 3)."""
+        a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
+        return np.cross(b - a, c - a)
+
+    @property
+    def areas(self) -> Floats:
+        """Triangle areas [mm²], shape (m,)."""
+        return 0.5 * np.linalg.norm(self.face_normals, axis=1)
+
+    @property
+    def vertex_areas(self) -> Floats:
+        """A third of the incident areas [mm²], shape (n,)."""
+        return np.bincount(self.triangles.ravel(), np.repeat(self.areas / 3.0, 3), minlength=len(self.vertices))
+
+    @property
+    def vertex_normals(self) -> Floats:
+        """Area-weighted unit normals, shape (n, 3); zero where no triangle is."""
+        normals = np.zeros_like(self.vertices)
+        np.add.at(normals, self.triangles.ravel(), np.repeat(self.face_normals, 3, axis=0))
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class TetMesh:
+    """A tetrahedral mesh: vertices [mm], shape (n, 3), and positively oriented tets, shape (m, 4).
+
+    Raises MeshError for values that are not finite, indices out of range, and tets that are inverted or flat (by index).
+    """
+
+    vertices: Floats
+    tets: Ints
+    volumes: Floats = field(init=False, repr=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
+        object.__setattr__(self, "tets", as_elements("tets", self.tets, 4, len(self.vertices)))
+        volumes = tet_volumes(self.vertices, self.tets)
+        corners = self.vertices[self.tets]
+        size = np.ptp(corners, axis=1).max(axis=1) if len(corners) else np.zeros(0)
+        bad = np.flatnonzero(volumes <= 1e-15 * size**3)
+        if bad.size:
+            first = bad[0]
+            raise MeshError(
+                f"tets: {bad.size} are inverted or flat, the first is number {first} "
+                f"(vertices {self.tets[first].tolist()}, volume {volumes[first]:.3g} mm³; it must be positive)"
+            )
+        volumes.flags.writeable = False
+        object.__setattr__(self, "volumes", volumes)

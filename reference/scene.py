@@ -1,0 +1,161 @@
+"""What to model: vertices, tets and a list of terms. Every solver takes the same scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..lhm.errors import MeshError, SceneError
+from ..lhm.mesh import Floats, Ints, TetMesh
+from .terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Term, Traction, Volume
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Rest vertices [mm], shape (n, 3), tets (m, 4) and terms; checked when made.
+
+    Raises SceneError for a tet that is inverted or flat (by index), and for a term that names vertices, tets or
+    triangles that are not there, or that is no term.
+    """
+
+    vertices: Floats
+    tets: Ints
+    terms: tuple[Term, ...]
+    volumes: Floats = field(init=False, repr=False)
+
+    def __post_init__(self):
+        try:
+            mesh = TetMesh(self.vertices, self.tets)
+        except MeshError as error:
+            raise SceneError(f"scene: {error}") from None
+        object.__setattr__(self, "vertices", mesh.vertices)
+        object.__setattr__(self, "tets", mesh.tets)
+        object.__setattr__(self, "volumes", mesh.volumes)
+        object.__setattr__(self, "terms", tuple(self.terms))
+        for position, term in enumerate(self.terms):
+            self._check(position, term)
+        self.dirichlet()
+
+    def _check(self, position: int, term: Term):
+        if not isinstance(term, Term):
+            raise SceneError(f"term {position}: {type(term).__name__} is no term; see softdeca.reference.terms")
+        for what, count in (("vertices", len(self.vertices)), ("tets", len(self.tets)), ("triangles", len(self.vertices))):
+            ids = getattr(term, what, None)
+            if ids is None or ids.size == 0:
+                continue
+            if ids.min() < 0 or ids.max() >= count:
+                bad = ids.max() if ids.max() >= count else ids.min()
+                kind = "vertex" if what == "triangles" else {"vertices": "vertex", "tets": "tet"}[what]
+                raise SceneError(f"term {position} ({term.name}): {kind} {bad} is outside 0..{count - 1}")
+        if isinstance(term, (Strain, Volume, Gravity)) and term.tets is None:
+            for key in ("stiffness", "limit", "target", "density"):
+                value = getattr(term, key, None)
+                if value is not None and value.ndim == 1 and len(value) != len(self.tets):
+                    raise SceneError(
+                        f"term {position} ({term.name}): {key} has {len(value)} values for {len(self.tets)} tets"
+                    )
+        if isinstance(term, (SurfaceStrain, Traction)) and term.triangles.size:
+            a, b, c = (self.vertices[term.triangles[:, k]] for k in range(3))
+            flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
+            if flat.size:
+                raise SceneError(f"term {position} ({term.name}): triangle {flat[0]} has no area")
+
+    def of(self, kind: type[Term]) -> list:
+        """The terms of one class, in order."""
+        return [term for term in self.terms if isinstance(term, kind)]
+
+    def tets_of(self, term) -> Ints:
+        """The indices of the tets that a term acts on, shape (k,)."""
+        return np.arange(len(self.tets)) if term.tets is None else term.tets
+
+    def dirichlet(self) -> tuple[np.ndarray, Floats]:
+        """Mask (n, 3) of held components, and positions (n, 3) [mm] that are the held values there, rest elsewhere.
+
+        Raises SceneError where two Fixed terms hold one component at different values.
+        """
+        held = np.zeros(self.vertices.shape, dtype=bool)
+        positions = np.array(self.vertices)
+        for term in self.of(Fixed):
+            values = self.vertices[term.vertices] if term.values is None else term.values
+            for c in term.components:
+                clash = held[term.vertices, c] & (positions[term.vertices, c] != values[:, c])
+                if clash.any():
+                    raise SceneError(f"Fixed: vertex {term.vertices[clash][0]} is held at two places in component {c}")
+                held[term.vertices, c] = True
+                positions[term.vertices, c] = values[:, c]
+        return held, positions
+
+    def loads(self) -> Floats:
+        """Dead nodal forces [mN] of Gravity and Traction, lumped exactly for linear shape functions, shape (n, 3)."""
+        forces = np.zeros(self.vertices.shape)
+        for term in self.of(Gravity):
+            tets = self.tets_of(term)
+            weight = np.broadcast_to(term.density, tets.shape) * self.volumes[tets] / 4.0
+            lumped = np.bincount(self.tets[tets].ravel(), np.repeat(weight, 4), minlength=len(forces))
+            forces += lumped[:, None] * term.acceleration
+        for term in self.of(Traction):
+            a, b, c = (self.vertices[term.triangles[:, k]] for k in range(3))
+            area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+            lumped = np.bincount(term.triangles.ravel(), np.repeat(area / 3.0, 3), minlength=len(forces))
+            forces += lumped[:, None] * term.vector
+        return forces
+
+    def force_scale(self) -> float:
+        """A force [mN] that unit strain would cause, the scale below which a gradient is rounding."""
+        total = 0.0
+        for term in self.terms:
+            if isinstance(term, (Strain, Volume)):
+                total += float(np.sum(term.stiffness * self.volumes[self.tets_of(term)] ** (2 / 3)))
+            elif isinstance(term, Hyperelastic):
+                modulus = 2 * term.material.mu + abs(term.material.lmbda)
+                total += float(np.sum(modulus * self.volumes[self.tets_of(term)] ** (2 / 3)))
+            elif isinstance(term, SurfaceStrain):
+                a, b = (self.vertices[term.triangles[:, k]] for k in range(2))
+                total += float(np.sum(term.stiffness * np.linalg.norm(b - a, axis=1)))
+            elif isinstance(term, Target):
+                total += float(np.sum(term.stiffness))
+        return total / max(len(self.vertices), 1)
+
+    def with_targets(self, positions) -> Scene:
+        """The same scene with other positions [mm], shape (k, 3), in its one Target term."""
+        return self._with_one(Target, positions=positions)
+
+    def with_fixed(self, values) -> Scene:
+        """The same scene with other values [mm], shape (k, 3), in its one Fixed term."""
+        return self._with_one(Fixed, values=values)
+
+    def _with_one(self, kind, **changes) -> Scene:
+        found = self.of(kind)
+        if len(found) != 1:
+            raise SceneError(f"the scene has {len(found)} {kind.__name__} terms; replace them in Scene.terms by hand")
+        return replace(self, terms=[replace(t, **changes) if t is found[0] else t for t in self.terms])
+
+    def check_prepared_for(self, other: Scene, *, varying: dict[type[Term], tuple[str, ...]]):
+        """Raise SceneError if `other` differs from this scene in more than the `varying` fields of its terms."""
+        if other is self:
+            return
+        if other.vertices is not self.vertices and not np.array_equal(other.vertices, self.vertices):
+            raise SceneError("the scene's rest vertices differ from the prepared ones: prepare it anew")
+        if other.tets is not self.tets and not np.array_equal(other.tets, self.tets):
+            raise SceneError("the scene's tets differ from the prepared ones: prepare it anew")
+        if [type(t) for t in other.terms] != [type(t) for t in self.terms]:
+            raise SceneError("the scene's terms differ from the prepared ones: prepare it anew")
+        for mine, its in zip(self.terms, other.terms, strict=True):
+            for key in mine.__dataclass_fields__:  # type: ignore[attr-defined]
+                if key in varying.get(type(mine), ()):
+                    continue
+                a, b = getattr(mine, key), getattr(its, key)
+                same = a is b or (np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b)
+                if not np.all(same):
+                    raise SceneError(f"{mine.name}.{key} differs from the prepared scene's: prepare it anew")
+
+
+def refuse_unknown(scene: Scene, solver: str, known: tuple[type[Term], ...]):
+    """Raise SceneError that names the first term a solver cannot model."""
+    for term in scene.terms:
+        if not isinstance(term, known):
+            names = ", ".join(kind.__name__ for kind in known)
+            raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
+
+

@@ -1,0 +1,98 @@
+"""What a solver returns: positions, why it stopped, and how it got there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from ..lhm.mesh import Floats, tet_volumes
+from .scene import Scene
+
+
+class Reason(str, Enum):
+    """Why a solver stopped; each value says what to change."""
+
+    CONVERGED = "converged: the gradient norm fell below tolerance times its start"
+    MAX_ITERATIONS = "iteration limit: raise max_iterations, loosen tolerance, or start nearer to the answer"
+    STAGNATED = "stagnated: no step lowers the energy further; the tolerance is below what rounding allows"
+    LINE_SEARCH = "line search failed: apply the load or the motion in smaller steps"
+    LINEAR_SOLVER = "the linear solver failed: use a direct one, or look for a part that nothing holds"
+    NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
+    INTERRUPTED = "interrupted by the caller"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Per iteration, the start first: time [s] since solve began (without callbacks), energy [µJ], gradient norm [mN]."""
+
+    time: Floats
+    energy: Floats
+    gradient_norm: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solver's answer.
+
+    positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made; energy [µJ],
+    with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail` holds counts that only one
+    solver has, such as linear iterations.
+    """
+
+    positions: Floats
+    reason: Reason
+    iterations: int
+    energy: float
+    history: History
+    volume_ratio: Floats
+    detail: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the tolerance was reached."""
+        return self.reason is Reason.CONVERGED
+
+
+OnIteration = Callable[[int, Floats, float, float], "bool | None"]
+"""Called with iteration, positions, energy and gradient norm; returning True stops the solve."""
+
+
+class Recorder:
+    """Collects the history of one solve; time spent in the callback does not count."""
+
+    def __init__(self, on_iteration: OnIteration | None = None):
+        self._callback = on_iteration
+        self._begin = time.perf_counter()
+        self._rows: list[tuple[float, float, float]] = []
+
+    def record(self, positions: Floats, energy: float, gradient_norm: float) -> bool:
+        """Add an iteration; return whether the callback asks to stop."""
+        now = time.perf_counter()
+        self._rows.append((now - self._begin, energy, gradient_norm))
+        if self._callback is None:
+            return False
+        stop = bool(self._callback(len(self._rows) - 1, positions, energy, gradient_norm))
+        self._begin += time.perf_counter() - now
+        return stop
+
+    def history(self) -> History:
+        """What was recorded so far."""
+        rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
+        return History(rows[:, 0], rows[:, 1], rows[:, 2])
+
+
+def volume_ratio(scene: Scene, positions: Floats) -> Floats:
+    """J = det F per tet, shape (m,)."""
+    return tet_volumes(positions, scene.tets) / scene.volumes
+
+
+def stop_threshold(scene: Scene, first_gradient_norm: float, tolerance: float) -> float:
+    """The gradient norm [mN] at which to stop: tolerance times the start's, but not below what rounding leaves."""
+    return max(tolerance * first_gradient_norm, 1e-14 * scene.force_scale())

@@ -1,0 +1,65 @@
+"""prepare / solve: one entry to every solver; a solver's package is imported when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Protocol
+
+from ..lhm.errors import SceneError
+from ..lhm.mesh import Floats
+from .scene import Scene
+from .solution import OnIteration, Solution
+
+SOLVERS = ("projective", "fenicsx", "skfem")
+
+
+class Prepared(Protocol):
+    """What `prepare` returns: all that depends on mesh and stiffnesses is done, `solve` may be called per frame."""
+
+    scene: Scene
+
+    def solve(
+        self,
+        scene: Scene | None = None,
+        *,
+        start: Floats | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int | None = None,
+        on_iteration: OnIteration | None = None,
+    ) -> Solution:
+        """Solve the prepared scene, or one that differs only in targets, held positions, loads and target volumes.
+
+        start [mm], shape (n, 3), default rest; tolerance is the gradient norm relative to its start.
+        Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
+        """
+        ...
+
+
+def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
+    """Do what depends only on mesh and stiffnesses: factorisation, forms, compilation.
+
+    Options of the solvers: projective `method`; fenicsx `element`, `linear_solver`; skfem `element`.
+    Raises SceneError for an unknown solver or option, or a term that the solver cannot model, and
+    MissingDependencyError if the solver's packages are not installed.
+    """
+    if solver not in SOLVERS:
+        raise SceneError(f"unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
+    if not isinstance(scene, Scene):
+        raise SceneError(f"expected a Scene, got {type(scene).__name__}")
+    return import_module(f".{solver}", __package__).prepare(scene, **options)
+
+
+def solve(
+    scene: Scene,
+    *,
+    solver: str = "projective",
+    start: Floats | None = None,
+    tolerance: float = 1e-6,
+    max_iterations: int | None = None,
+    on_iteration: OnIteration | None = None,
+    **options,
+) -> Solution:
+    """Prepare and solve once; see `prepare` and `Prepared.solve` for arguments and errors."""
+    return prepare(scene, solver=solver, **options).solve(
+        start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=on_iteration
+    )

@@ -1,0 +1,231 @@
+"""The terms a scene is made of: energies, constraints and loads. A term names what it acts on.
+
+Energies are integrals over the rest configuration. Units: mm, kPa (= mN/mm²), kg/mm³; energies µJ = mN·mm.
+A term without `tets` acts on all tets. Stiffnesses and the like are one number, or one per element acted on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lhm.errors import MeshError, SceneError
+from ..lhm.mesh import as_elements, as_points
+from .materials import Material
+
+
+def _per_item(name: str, values, count: int | None, low: float, *, strict: bool = False):
+    """A finite number or a read-only array (count,), each at least (strict: above) low."""
+    array = np.array(values, dtype=np.float64)
+    if array.ndim > 1 or (array.ndim == 1 and count is not None and array.shape != (count,)):
+        raise SceneError(f"{name}: expected one number or shape ({count},), got shape {array.shape}")
+    bad = ~np.isfinite(array) | ((array <= low) if strict else (array < low))
+    if bad.any():
+        where = "" if array.ndim == 0 else f" (number {np.flatnonzero(bad)[0]})"
+        value = array if array.ndim == 0 else array[bad][0]
+        raise SceneError(f"{name}: must be finite and {'above' if strict else 'at least'} {low}, got {value}{where}")
+    array.flags.writeable = False
+    return array
+
+
+def _ids(name: str, values) -> np.ndarray:
+    """Unique indices, shape (k,), from indices or a mask."""
+    array = np.asarray(values)
+    if array.dtype == bool:
+        array = np.flatnonzero(array)
+    if array.size == 0:
+        array = array.astype(np.int64)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
+        raise SceneError(f"{name}: expected indices of shape (k,), got shape {array.shape} of {array.dtype}")
+    if len(np.unique(array)) != len(array):
+        raise SceneError(f"{name}: an index appears twice")
+    array = array.astype(np.int64)
+    array.flags.writeable = False
+    return array
+
+
+def _scene_points(name: str, values, count: int | None):
+    try:
+        points = as_points(name, values)
+    except MeshError as error:
+        raise SceneError(str(error)) from None
+    if count is not None and len(points) != count:
+        raise SceneError(f"{name}: expected {count} rows, got {len(points)}")
+    return points
+
+
+def _triangles(name: str, values):
+    try:
+        return as_elements(name, values, 3, np.iinfo(np.int64).max)
+    except MeshError as error:
+        raise SceneError(str(error)) from None
+
+
+def _vector(name: str, values):
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise SceneError(f"{name}: expected three finite numbers, got {values!r}")
+    vector.flags.writeable = False
+    return vector
+
+
+class Term:
+    """Base of all terms; `name` is what errors and reports call it."""
+
+    @property
+    def name(self) -> str:
+        """The term's class name."""
+        return type(self).__name__
+
+    def _set(self, **values):
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Hyperelastic(Term):
+    """The energy of a hyperelastic law, integral of psi(F) over the tets."""
+
+    material: Material
+    tets: np.ndarray | None = None
+
+    def __post_init__(self):
+        if not isinstance(self.material, Material):
+            raise SceneError(f"Hyperelastic: expected a material, got {type(self.material).__name__}")
+        self._set(tets=None if self.tets is None else _ids("Hyperelastic.tets", self.tets))
+
+
+@dataclass(frozen=True, eq=False)
+class Strain(Term):
+    """stiffness/2 ‖F - R‖² per rest volume; with limit L > 1, F's distance to stretches within [1/L, L].
+
+    SoftDECA Eq. 10 in its clamped form: the paper's indicator 1[σ > ε] is no majoriser (energy may rise).
+    stiffness [kPa] (= 2 mu), limit >= 1.
+    """
+
+    stiffness: float | np.ndarray
+    limit: float | np.ndarray = 1.0
+    tets: np.ndarray | None = None
+
+    def __post_init__(self):
+        tets = None if self.tets is None else _ids("Strain.tets", self.tets)
+        count = None if tets is None else len(tets)
+        self._set(
+            tets=tets,
+            stiffness=_per_item("Strain.stiffness", self.stiffness, count, 0.0),
+            limit=_per_item("Strain.limit", self.limit, count, 1.0),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Volume(Term):
+    """stiffness/2 times the squared distance of F to the matrices of determinant `target`, per rest volume.
+
+    SoftDECA Eq. 10. stiffness [kPa] (= 3 lmbda at small strain); target > 0 is the volume ratio sought.
+    """
+
+    stiffness: float | np.ndarray
+    target: float | np.ndarray = 1.0
+    tets: np.ndarray | None = None
+
+    def __post_init__(self):
+        tets = None if self.tets is None else _ids("Volume.tets", self.tets)
+        count = None if tets is None else len(tets)
+        self._set(
+            tets=tets,
+            stiffness=_per_item("Volume.stiffness", self.stiffness, count, 0.0),
+            target=_per_item("Volume.target", self.target, count, 0.0, strict=True),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceStrain(Term):
+    """stiffness/2 ‖F₂ - √growth R₂‖² per rest area on triangles of the scene's vertices (SoftDECA Eq. 11).
+
+    triangles (k, 3); stiffness [mN/mm] (= 2 mu times thickness); growth > 0 is the area ratio sought.
+    """
+
+    triangles: np.ndarray
+    stiffness: float | np.ndarray
+    growth: float | np.ndarray = 1.0
+
+    def __post_init__(self):
+        triangles = _triangles("SurfaceStrain.triangles", self.triangles)
+        self._set(
+            triangles=triangles,
+            stiffness=_per_item("SurfaceStrain.stiffness", self.stiffness, len(triangles), 0.0),
+            growth=_per_item("SurfaceStrain.growth", self.growth, len(triangles), 0.0, strict=True),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Target(Term):
+    """Springs: stiffness/2 |x_i - positions_i|² for each vertex (SoftDECA Eq. 14).
+
+    vertices (k,), positions (k, 3) [mm], stiffness [mN/mm] per vertex: multiply one per area by the vertex' area.
+    """
+
+    vertices: np.ndarray
+    positions: np.ndarray
+    stiffness: float | np.ndarray
+
+    def __post_init__(self):
+        vertices = _ids("Target.vertices", self.vertices)
+        self._set(
+            vertices=vertices,
+            positions=_scene_points("Target.positions", self.positions, len(vertices)),
+            stiffness=_per_item("Target.stiffness", self.stiffness, len(vertices), 0.0),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed(Term):
+    """Dirichlet: holds the named components of vertices at positions `values`.
+
+    vertices (k,); values [mm], shape (k, 3), None for where they are; components are out of 0, 1, 2.
+    """
+
+    vertices: np.ndarray
+    values: np.ndarray | None = None
+    components: tuple[int, ...] = (0, 1, 2)
+
+    def __post_init__(self):
+        vertices = _ids("Fixed.vertices", self.vertices)
+        components = (self.components,) if isinstance(self.components, (int, np.integer)) else self.components
+        components = tuple("xyz".index(c) if c in ("x", "y", "z") else c for c in components)
+        if not components or any(c not in (0, 1, 2) for c in components) or len(set(components)) != len(components):
+            raise SceneError(f"Fixed.components: expected some of 0, 1, 2, got {self.components!r}")
+        values = None if self.values is None else _scene_points("Fixed.values", self.values, len(vertices))
+        self._set(vertices=vertices, values=values, components=tuple(sorted(int(c) for c in components)))
+
+
+@dataclass(frozen=True, eq=False)
+class Gravity(Term):
+    """Dead load density · acceleration per rest volume; acceleration [mm/s²], shape (3,), density [kg/mm³]."""
+
+    acceleration: np.ndarray
+    density: float | np.ndarray
+    tets: np.ndarray | None = None
+
+    def __post_init__(self):
+        tets = None if self.tets is None else _ids("Gravity.tets", self.tets)
+        count = None if tets is None else len(tets)
+        self._set(
+            acceleration=_vector("Gravity.acceleration", self.acceleration),
+            density=_per_item("Gravity.density", self.density, count, 0.0),
+            tets=tets,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Traction(Term):
+    """Dead load `vector` [kPa] per rest area on triangles (k, 3) of the scene's vertices."""
+
+    triangles: np.ndarray
+    vector: np.ndarray
+
+    def __post_init__(self):
+        self._set(
+            triangles=_triangles("Traction.triangles", self.triangles), vector=_vector("Traction.vector", self.vector)
+        )
