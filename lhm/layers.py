@@ -21,7 +21,7 @@ def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
     tets = np.stack(
         [
             np.stack([a + i, a + j, a + k, b + k], axis=1),
-            np.stack([a + i, a + j, b + j, b + k], axis=1),
+            np.stack([a + i, b + j, a + j, b + k], axis=1),
             np.stack([a + i, b + i, b + j, b + k], axis=1),
         ],
         axis=1,

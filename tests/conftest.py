@@ -1,0 +1,40 @@
+"""Shared inputs: a layered sphere that stands for a head, and the folder of real data where it is present."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.sparse import identity
+
+from softdeca.lhm import LayeredHead, Surface
+
+DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def data():
+    """The folder of real heads; a test that needs it skips, by name, where it is missing."""
+    if not DATA.is_dir():
+        pytest.skip(f"no real data at {DATA}")
+    return DATA
+
+
+def layered_sphere(subdivisions: int = 2, radii=(100.0, 92.0, 85.0)) -> LayeredHead:
+    """Three concentric spheres [mm]: the upper half of the innermost is cranium, its lowest tenth mandible."""
+    sphere = trimesh.creation.icosphere(subdivisions)
+    unit, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces)
+    wraps = [Surface(radius * unit, faces) for radius in radii]
+    bone = np.where(unit[:, 1] > 0.0, 1, np.where(unit[:, 1] < -0.8, 2, 0))
+    weights = identity(len(unit), format="csr")
+    return LayeredHead(wraps[0], *wraps, bone, weights, weights)
+
+
+@pytest.fixture(scope="session")
+def sphere_head():
+    return layered_sphere()
