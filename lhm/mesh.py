@@ -106,7 +106,7 @@ class Surface:
 class TetMesh:
     """A tetrahedral mesh: vertices [mm], shape (n, 3), and positively oriented tets, shape (m, 4).
 
-    Raises MeshError for values that are not finite, indices out of range, and tets that are inverted or flat (by index).
+    Raises MeshError for values that are not finite, indices out of range, and inverted or flat tets (by index).
     """
 
     vertices: Floats

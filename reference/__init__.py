@@ -2,6 +2,8 @@
 
 from ..lhm.errors import MissingDependencyError, SceneError
 from . import materials, terms
+from .facial import facial_scene, neo_hookean_scene
+from .parameters import ParameterInfo, Parameters
 from .scene import Scene
 from .solution import History, Reason, Solution
 from .solve import SOLVERS, Prepared, prepare, solve
@@ -10,12 +12,16 @@ __all__ = [
     "SOLVERS",
     "History",
     "MissingDependencyError",
+    "ParameterInfo",
+    "Parameters",
     "Prepared",
     "Reason",
     "Scene",
     "SceneError",
     "Solution",
+    "facial_scene",
     "materials",
+    "neo_hookean_scene",
     "prepare",
     "solve",
     "terms",

@@ -40,7 +40,11 @@ class Scene:
     def _check(self, position: int, term: Term):
         if not isinstance(term, Term):
             raise SceneError(f"term {position}: {type(term).__name__} is no term; see softdeca.reference.terms")
-        for what, count in (("vertices", len(self.vertices)), ("tets", len(self.tets)), ("triangles", len(self.vertices))):
+        for what, count in (
+            ("vertices", len(self.vertices)),
+            ("tets", len(self.tets)),
+            ("triangles", len(self.vertices)),
+        ):
             ids = getattr(term, what, None)
             if ids is None or ids.size == 0:
                 continue
@@ -157,5 +161,3 @@ def refuse_unknown(scene: Scene, solver: str, known: tuple[type[Term], ...]):
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
-
-

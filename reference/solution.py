@@ -30,7 +30,7 @@ class Reason(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Per iteration, the start first: time [s] since solve began (without callbacks), energy [µJ], gradient norm [mN]."""
+    """Per iteration, the start first: time [s] in the solve (callbacks left out), energy [µJ], gradient norm [mN]."""
 
     time: Floats
     energy: Floats

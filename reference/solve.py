@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from importlib import import_module
 from typing import Protocol
 
@@ -46,7 +47,12 @@ def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
         raise SceneError(f"unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}")
-    return import_module(f".{solver}", __package__).prepare(scene, **options)
+    prepare_it = import_module(f".{solver}", __package__).prepare
+    known = tuple(inspect.signature(prepare_it).parameters)[1:]
+    for option in options:
+        if option not in known:
+            raise SceneError(f"solver {solver!r} has no option {option!r}; it has {', '.join(known) or 'none'}")
+    return prepare_it(scene, **options)
 
 
 def solve(

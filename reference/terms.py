@@ -6,7 +6,7 @@ A term without `tets` acts on all tets. Stiffnesses and the like are one number,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class Hyperelastic(Term):
     """The energy of a hyperelastic law, integral of psi(F) over the tets."""
 
     material: Material
-    tets: np.ndarray | None = None
+    tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
         if not isinstance(self.material, Material):
@@ -106,7 +106,7 @@ class Strain(Term):
 
     stiffness: float | np.ndarray
     limit: float | np.ndarray = 1.0
-    tets: np.ndarray | None = None
+    tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
         tets = None if self.tets is None else _ids("Strain.tets", self.tets)
@@ -127,7 +127,7 @@ class Volume(Term):
 
     stiffness: float | np.ndarray
     target: float | np.ndarray = 1.0
-    tets: np.ndarray | None = None
+    tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
         tets = None if self.tets is None else _ids("Volume.tets", self.tets)
@@ -146,7 +146,7 @@ class SurfaceStrain(Term):
     triangles (k, 3); stiffness [mN/mm] (= 2 mu times thickness); growth > 0 is the area ratio sought.
     """
 
-    triangles: np.ndarray
+    triangles: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
     growth: float | np.ndarray = 1.0
 
@@ -166,8 +166,8 @@ class Target(Term):
     vertices (k,), positions (k, 3) [mm], stiffness [mN/mm] per vertex: multiply one per area by the vertex' area.
     """
 
-    vertices: np.ndarray
-    positions: np.ndarray
+    vertices: np.ndarray = field(repr=False)
+    positions: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
 
     def __post_init__(self):
@@ -186,8 +186,8 @@ class Fixed(Term):
     vertices (k,); values [mm], shape (k, 3), None for where they are; components are out of 0, 1, 2.
     """
 
-    vertices: np.ndarray
-    values: np.ndarray | None = None
+    vertices: np.ndarray = field(repr=False)
+    values: np.ndarray | None = field(default=None, repr=False)
     components: tuple[int, ...] = (0, 1, 2)
 
     def __post_init__(self):
@@ -206,7 +206,7 @@ class Gravity(Term):
 
     acceleration: np.ndarray
     density: float | np.ndarray
-    tets: np.ndarray | None = None
+    tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
         tets = None if self.tets is None else _ids("Gravity.tets", self.tets)
@@ -222,7 +222,7 @@ class Gravity(Term):
 class Traction(Term):
     """Dead load `vector` [kPa] per rest area on triangles (k, 3) of the scene's vertices."""
 
-    triangles: np.ndarray
+    triangles: np.ndarray = field(repr=False)
     vector: np.ndarray
 
     def __post_init__(self):
