@@ -1,0 +1,42 @@
+"""The house: packages that are listed are there, imports go the right way, and light imports stay light."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PORTIONS = ("lhm", "reference", "surrogate", "benchmarks", "cli")
+
+
+def test_listed_packages_are_those_on_disk():
+    lines = (ROOT / "pyproject.toml").read_text().split("packages = [")[1].split("]")[0].splitlines()
+    listed = {line.strip(' ",').removeprefix("softdeca.").replace(".", "/") for line in lines if line.strip()}
+    on_disk = {
+        str(init.parent.relative_to(ROOT)) for portion in PORTIONS for init in (ROOT / portion).rglob("__init__.py")
+    }
+    assert listed == on_disk
+
+
+@pytest.mark.parametrize("path", [p for d in (*PORTIONS, "tests") for p in sorted((ROOT / d).rglob("*.py"))], ids=str)
+def test_no_module_is_imported_by_its_folder(path):
+    """`import reference` from the root would make a second copy of each module."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names = [node.module or ""]
+        assert not [n for n in names if n.split(".")[0] in PORTIONS], path
+
+
+@pytest.mark.parametrize("module", ["softdeca.lhm", "softdeca.reference", "softdeca.cli"])
+def test_light_imports_load_no_heavy_package(module):
+    code = (
+        f"import sys, {module}; heavy = {{'torch', 'dolfinx', 'matplotlib', 'pyvista'}} & set(sys.modules);"
+        "sys.exit(' '.join(heavy))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
