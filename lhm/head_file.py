@@ -1,0 +1,80 @@
+"""A layered head on disk: one .npz to load again, and VTK files for other programs."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+import meshio
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from .atomic import replaced
+from .errors import InputError, MeshError
+from .head import LayeredHead
+from .mesh import Surface
+
+FORMAT = "softdeca layered head 1"
+_WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
+_WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
+
+
+def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
+    """Write a head to a .npz file, whole or not at all."""
+    arrays = {"format": np.array(FORMAT), "bone": head.bone, "triangles": head.skin_wrap.triangles}
+    arrays |= {"skin_vertices": head.skin.vertices, "skin_triangles": head.skin.triangles}
+    arrays |= {name: getattr(head, name).vertices for name in _WRAPS}
+    for name in _WEIGHTS:
+        weights = getattr(head, name)
+        arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
+    arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
+    with replaced(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def load_head(path: str | os.PathLike[str]) -> LayeredHead:
+    """Read a head; InputError names a file that is missing, damaged or something else."""
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: not a layered head, or damaged ({error})") from None
+    if str(arrays.get("format")) != FORMAT:
+        raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+    skin = Surface(arrays["skin_vertices"], arrays["skin_triangles"])
+    wraps = [Surface(arrays[name], arrays["triangles"]) for name in _WRAPS]
+    shapes = {_WEIGHTS[0]: (len(arrays["bone"]), len(skin.vertices))}
+    shapes[_WEIGHTS[1]] = shapes[_WEIGHTS[0]][::-1]
+    weights = [
+        csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=shapes[name])
+        for name in _WEIGHTS
+    ]
+    regions = {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")}
+    try:
+        return LayeredHead(skin, *wraps, arrays["bone"], *weights, regions)
+    except MeshError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:
+    """Write skin, wraps, and the tets with their layer (0 soft, 1 muscle) as .vtu files [mm]; return their paths."""
+    folder = Path(folder)
+    files = []
+    for name in ("skin", *_WRAPS):
+        surface = getattr(head, name)
+        data = {"bone": head.bone.astype(np.int32)} if name == "skull_wrap" else {}
+        mesh = meshio.Mesh(surface.vertices, [("triangle", surface.triangles)], point_data=data)
+        files.append(_write(folder / f"{name}.vtu", mesh))
+    layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)]).astype(np.int32)
+    tets = meshio.Mesh(head.vertices, [("tetra", head.tets)], cell_data={"layer": [layer]})
+    files.append(_write(folder / "tissue.vtu", tets))
+    return files
+
+
+def _write(path: Path, mesh: meshio.Mesh) -> Path:
+    with replaced(path) as temporary:
+        mesh.write(temporary, file_format="vtu")
+    return path

@@ -1,0 +1,38 @@
+import meshio
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError
+from softdeca.lhm.head_file import export_vtk, load_head, save_head
+
+
+def test_a_head_survives_the_file(tmp_path, sphere_head):
+    save_head(tmp_path / "head.npz", sphere_head)
+    again = load_head(tmp_path / "head.npz")
+    assert np.array_equal(again.vertices, sphere_head.vertices)
+    assert np.array_equal(again.tets, sphere_head.tets)
+    assert np.array_equal(again.bone, sphere_head.bone)
+    assert (again.wrap_from_skin != sphere_head.wrap_from_skin).nnz == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["head.npz"]
+
+
+def test_damaged_and_foreign_files_are_named(tmp_path, sphere_head):
+    path = tmp_path / "head.npz"
+    save_head(path, sphere_head)
+    whole = path.read_bytes()
+    for content in (b"", b"no head", whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="head.npz"):
+            load_head(path)
+    np.savez(path, a=1)
+    with pytest.raises(InputError, match="not a layered head"):
+        load_head(path)
+    with pytest.raises(InputError, match="no such file"):
+        load_head(tmp_path / "other.npz")
+
+
+def test_vtk_holds_the_tets_and_their_layers(tmp_path, sphere_head):
+    files = export_vtk(tmp_path, sphere_head)
+    tissue = meshio.read(next(f for f in files if f.name == "tissue.vtu"))
+    assert np.array_equal(tissue.cells_dict["tetra"], sphere_head.tets)
+    assert tissue.cell_data_dict["layer"]["tetra"].sum() == len(sphere_head.muscle.tets)
