@@ -1,0 +1,5 @@
+"""Projective dynamics on tets and triangles: local projections, one global matrix, L-BFGS (SoftDECA Section 3.2)."""
+
+from .solver import ProjectivePrepared, local_step_seconds, prepare
+
+__all__ = ["ProjectivePrepared", "local_step_seconds", "prepare"]

@@ -1,0 +1,134 @@
+"""Two ways down: plain projective dynamics, and L-BFGS that starts each step from the PD matrix.
+
+Both are written in residual form, u -= A⁻¹ ∇E: the gradient is exact, so A decides the way but not the answer.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..solution import Reason, Recorder
+
+MEMORY = 8
+ARMIJO = 1e-4
+MAX_HALVINGS = 6
+PATIENCE = 100
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A displacement u [mm], shape (n, 3), with its energy [µJ] and its gradient [mN] over free components."""
+
+    u: Floats
+    energy: float
+    gradient: Floats
+
+    @property
+    def norm(self) -> float:
+        """Norm of the gradient [mN]."""
+        return float(np.linalg.norm(self.gradient))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is minimised: `at` evaluates a displacement, `precondition` is A⁻¹."""
+
+    at: Callable[[Floats], Point]
+    precondition: Callable[[Floats], Floats]
+
+
+class Watch:
+    """Records each iteration and says when, and why, to stop."""
+
+    def __init__(self, recorder: Recorder, rest: Floats, threshold: float, max_iterations: int):
+        self._recorder, self._rest = recorder, rest
+        self._threshold, self._max_iterations = threshold, max_iterations
+        self.iteration = -1
+        self._best_norm, self._best_energy, self._best_at = np.inf, np.inf, 0
+
+    def see(self, point: Point) -> Reason | None:
+        """Take note of an iteration, the start first; the reason to stop, if there is one."""
+        self.iteration += 1
+        norm = point.norm
+        if self._recorder.record(self._rest + point.u, point.energy, norm):
+            return Reason.INTERRUPTED
+        if not np.isfinite(point.energy) or not np.isfinite(norm):
+            return Reason.NOT_FINITE
+        if norm <= self._threshold:
+            return Reason.CONVERGED
+        falls = point.energy < self._best_energy - ROUNDING * abs(point.energy)
+        if falls or norm < self._best_norm:
+            self._best_at = self.iteration
+            self._best_energy = min(self._best_energy, point.energy)
+            self._best_norm = min(self._best_norm, norm)
+        if self.iteration - self._best_at >= PATIENCE:
+            return Reason.STAGNATED
+        return Reason.MAX_ITERATIONS if self.iteration >= self._max_iterations else None
+
+
+Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]
+
+
+def plain(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
+    """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding."""
+    while (reason := watch.see(point)) is None:
+        point = problem.at(point.u - problem.precondition(point.gradient))
+    return point, reason
+
+
+def lbfgs(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
+    """L-BFGS with the PD matrix as the initial Hessian (Liu, Bouaziz and Kavan 2017, Algorithm 1).
+
+    Where no fraction of its step lowers the energy, a plain step is taken, which always does, and the memory emptied.
+    """
+    memory: deque[tuple[Floats, Floats, float]] = deque(maxlen=MEMORY)
+    while (reason := watch.see(point)) is None:
+        ahead = _line_search(problem, point, _direction(problem, point.gradient, memory)) if memory else None
+        if ahead is None:
+            memory.clear()
+            ahead = problem.at(point.u - problem.precondition(point.gradient))
+        s, y = ahead.u - point.u, ahead.gradient - point.gradient
+        curvature = float(np.vdot(s, y))
+        if curvature > 1e-12 * float(np.linalg.norm(s) * np.linalg.norm(y)):
+            memory.append((s, y, 1.0 / curvature))
+        point = ahead
+    return point, reason
+
+
+def _direction(problem: Problem, gradient: Floats, memory: deque[tuple[Floats, Floats, float]]) -> Floats:
+    """The two-loop recursion (Nocedal and Wright 2006, Algorithm 7.4), with A⁻¹ for its initial matrix."""
+    q = gradient.copy()
+    along = []
+    for s, y, rho in reversed(memory):
+        along.append(rho * float(np.vdot(s, q)))
+        q -= along[-1] * y
+    direction = problem.precondition(q)
+    for (s, y, rho), a in zip(memory, reversed(along), strict=True):
+        direction += (a - rho * float(np.vdot(y, direction))) * s
+    return -direction
+
+
+def _line_search(problem: Problem, point: Point, direction: Floats) -> Point | None:
+    """Halve the step until Armijo's condition holds; None if it does not soon.
+
+    Where rounding hides the decrease, the slope is asked instead (Hager and Zhang 2005, Eq. 4.1).
+    """
+    slope = float(np.vdot(point.gradient, direction))
+    if not slope < 0.0:
+        return None
+    step = 1.0
+    for _ in range(MAX_HALVINGS):
+        ahead = problem.at(point.u + step * direction)
+        if ahead.energy <= point.energy + ARMIJO * step * slope:
+            return ahead
+        level = ahead.energy <= point.energy + ROUNDING * abs(point.energy)
+        if level and float(np.vdot(ahead.gradient, direction)) <= (2.0 * ARMIJO - 1.0) * slope:
+            return ahead
+        step *= 0.5
+    return None

@@ -1,0 +1,70 @@
+"""A scene's energy and its gradient at a displacement, and the PD matrix that majorises it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import Target
+from .tets import TetBlocks
+from .triangles import Triangles
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """E(u) = Σ w/2 ‖F - p‖² + Σ k/2 |x - s|² - f·u over displacements u = x - X.
+
+    What the scene does not name is None, and costs nothing.
+    """
+
+    tets: TetBlocks | None
+    triangles: Triangles | None
+    targets: tuple[tuple[Ints, Floats, Floats], ...]
+    loads: Floats
+
+    @classmethod
+    def of(cls, scene: Scene) -> Energy:
+        """Build what depends on mesh and stiffnesses."""
+        return cls(TetBlocks.of(scene), Triangles.of(scene), (), np.zeros(0)).for_scene(scene)
+
+    def for_scene(self, scene: Scene) -> Energy:
+        """The energy of a scene of the same terms with other targets, loads, limits, growth and target volumes."""
+        targets = tuple(
+            (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
+            for term in scene.of(Target)
+        )
+        tets = None if self.tets is None else self.tets.for_scene(scene)
+        triangles = None if self.triangles is None else self.triangles.for_scene(scene)
+        return Energy(tets, triangles, targets, scene.loads())
+
+    def evaluate(self, u: Floats) -> tuple[float, Floats]:
+        """Energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
+        gradient = -self.loads
+        energy = -float(np.vdot(self.loads, u))
+        if self.tets is not None:
+            energy += self.tets.add_to(u, gradient)
+        if self.triangles is not None:
+            energy += self.triangles.add_to(u, gradient)
+        for vertices, displacements, stiffness in self.targets:
+            away = u[vertices] - displacements
+            gradient[vertices] += stiffness * away
+            energy += 0.5 * float(np.sum(stiffness * away**2))
+        return energy, gradient
+
+    def matrix(self, scene: Scene) -> tuple[csr_matrix, np.ndarray]:
+        """The PD matrix [mN/mm], shape (n, n), and which vertices a Target holds, shape (n,)."""
+        n = len(scene.vertices)
+        anchored = np.zeros(n)
+        for vertices, _, stiffness in self.targets:
+            anchored[vertices] += stiffness.ravel()
+        entries = [(np.arange(n), np.arange(n), anchored)]
+        if self.tets is not None:
+            entries.append(self.tets.stiffness_entries(scene))
+        if self.triangles is not None:
+            entries.append(self.triangles.stiffness_entries())
+        rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
+        return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0

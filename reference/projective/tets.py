@@ -1,0 +1,103 @@
+"""The scene's Strain and Volume terms as blocks of tets for the local step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import Strain, Term, Volume
+from .lanes import HIGH, LANES, LOW, PARAMETERS, STRAIN, TARGET, VOLUME
+from .local_step import add_tets
+
+
+def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
+    """Dm_inv [1/mm] of the given tets, shape (k, 3, 3), and the gradients G of their shape functions, (k, 4, 3)."""
+    corners = scene.vertices[scene.tets[tets]]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    inverse = np.linalg.inv(edges)
+    return inverse, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
+
+def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Term, Ints]]]:
+    """One row per tet, or as many as it has Strain or Volume terms: the rows' tets, and each term's rows.
+
+    The k-th Strain and the k-th Volume of a tet share a row, for they share F and its decomposition.
+    """
+    entries: list[tuple[Term, Ints]] = []
+    for kind in (Strain, Volume):
+        count = np.zeros(len(scene.tets), dtype=np.int64)
+        for term in scene.of(kind):
+            tets = scene.tets_of(term)
+            entries.append((term, tets + len(scene.tets) * count[tets]))
+            count[tets] += 1
+    keys = [key for _, key in entries]
+    rows = np.unique(np.concatenate(keys)) if keys else np.zeros(0, dtype=np.int64)
+    return rows % max(len(scene.tets), 1), [(term, np.searchsorted(rows, key)) for term, key in entries]
+
+
+def _spread(values, row: int, rows: Ints, blocks: Floats):
+    blocks[rows // LANES, row // LANES, rows % LANES] = values
+
+
+@dataclass(frozen=True, eq=False)
+class TetBlocks:
+    """Parameters and corners in the layout of `lanes`, and which rows each Strain and Volume of the scene has."""
+
+    corners: np.ndarray
+    parameters: Floats
+    has_volume: np.ndarray
+    rows_of: tuple[Ints, ...]
+    tets: Ints
+    weights: Floats
+
+    @classmethod
+    def of(cls, scene: Scene) -> TetBlocks | None:
+        """The blocks of a scene, or None if it has no tet with a stiffness."""
+        tets, entries = _pair_up(scene)
+        if not len(tets):
+            return None
+        blocks = -(-len(tets) // LANES)
+        parameters = np.zeros((blocks, PARAMETERS, LANES))
+        parameters[:, [LOW // LANES, HIGH // LANES, TARGET // LANES]] = 1.0
+        corners = np.zeros((blocks, 4, LANES), dtype=np.uint32)
+        every = np.arange(len(tets))
+        inverse, _ = shape_gradients(scene, tets)
+        for row in range(9):
+            _spread(inverse[:, row // 3, row % 3], LANES * row, every, parameters)
+        for corner in range(4):
+            _spread(scene.tets[tets, corner], LANES * corner, every, corners)
+        weights = np.zeros(len(tets))
+        for term, rows in entries:
+            stiffness = term.stiffness * scene.volumes[tets[rows]]
+            _spread(stiffness, STRAIN if isinstance(term, Strain) else VOLUME, rows, parameters)
+            weights[rows] += stiffness
+        has_volume = (parameters[:, VOLUME // LANES] > 0).any(axis=1)
+        return cls(corners, parameters, has_volume, tuple(rows for _, rows in entries), tets, weights)
+
+    def for_scene(self, scene: Scene) -> TetBlocks:
+        """The same blocks with the limits and target volumes of another scene of the same terms."""
+        parameters = self.parameters.copy()
+        for term, rows in zip(scene.of(Strain) + scene.of(Volume), self.rows_of, strict=True):
+            if isinstance(term, Strain):
+                _spread(1.0 / term.limit, LOW, rows, parameters)
+                _spread(term.limit, HIGH, rows, parameters)
+            else:
+                _spread(term.target, TARGET, rows, parameters)
+        return TetBlocks(self.corners, parameters, self.has_volume, self.rows_of, self.tets, self.weights)
+
+    def add_to(self, u: Floats, gradient: Floats) -> float:
+        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
+        count = len(self.parameters)
+        return add_tets(
+            self.parameters.reshape(count, -1), self.corners.reshape(count, -1), self.has_volume, u, gradient
+        )
+
+    def stiffness_entries(self, scene: Scene) -> tuple[Ints, Ints, Floats]:
+        """Rows, columns and values of Σ w V G Gᵀ, the tets' share of the PD matrix [mN/mm]."""
+        _, gradients = shape_gradients(scene, self.tets)
+        local = np.einsum("e,eai,ebi->eab", self.weights, gradients, gradients)
+        corners = scene.tets[self.tets]
+        return np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, (1, 4)).ravel(), local.ravel()

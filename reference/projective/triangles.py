@@ -1,0 +1,100 @@
+"""SurfaceStrain: the in-plane strain of triangles, with growth (SoftDECA Eq. 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import SurfaceStrain
+from .lanes import COMPILED
+
+# Squared floor of s0 s1. A flat triangle has no one polar decomposition; with the floor its energy is smooth, and
+# that of a triangle of sound shape is the same to rounding.
+FLOOR = 1e-18
+
+
+@njit(**COMPILED)
+def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
+    """E = w/2 (‖F‖² - 2 r N + 2 r²) with r = √growth and N = s0 + s1 = √(‖F‖² + 2 s0 s1), the nuclear norm.
+
+    ∂N/∂F is the polar factor of F; s0 s1 = |f0 × f1| is what the floor acts on.
+    """
+    energy = 0.0
+    f, p, n = np.empty((3, 2)), np.empty((3, 2)), np.empty(3)
+    for t in range(len(corners)):
+        a, b, c = corners[t]
+        for r in range(3):
+            p0, p1 = rest[t, r, 0] + u[b, r] - u[a, r], rest[t, r, 1] + u[c, r] - u[a, r]
+            f[r, 0] = p0 * inverse[t, 0, 0] + p1 * inverse[t, 1, 0]
+            f[r, 1] = p0 * inverse[t, 0, 1] + p1 * inverse[t, 1, 1]
+        c00 = f[0, 0] ** 2 + f[1, 0] ** 2 + f[2, 0] ** 2
+        c11 = f[0, 1] ** 2 + f[1, 1] ** 2 + f[2, 1] ** 2
+        c01 = f[0, 0] * f[0, 1] + f[1, 0] * f[1, 1] + f[2, 0] * f[2, 1]
+        n[0] = f[1, 0] * f[2, 1] - f[2, 0] * f[1, 1]
+        n[1] = f[2, 0] * f[0, 1] - f[0, 0] * f[2, 1]
+        n[2] = f[0, 0] * f[1, 1] - f[1, 0] * f[0, 1]
+        area = sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2 + FLOOR)
+        norm = sqrt(c00 + c11 + 2.0 * area)
+        w, growth = weight[t], scale[t]
+        # ‖F‖² - 2 r N + 2 r² = (N - r)² - 2 (s0 s1 - r²) - r² has no large terms that cancel near F = r R.
+        energy += 0.5 * w * ((norm - 2.0 * growth) * norm - 2.0 * (area - growth * growth))
+        for r in range(3):
+            q0 = (f[r, 0] + (f[r, 0] * c11 - f[r, 1] * c01) / area) / norm
+            q1 = (f[r, 1] + (f[r, 1] * c00 - f[r, 0] * c01) / area) / norm
+            d0, d1 = w * (f[r, 0] - growth * q0), w * (f[r, 1] - growth * q1)
+            p[r, 0] = d0 * inverse[t, 0, 0] + d1 * inverse[t, 0, 1]
+            p[r, 1] = d0 * inverse[t, 1, 0] + d1 * inverse[t, 1, 1]
+        for r in range(3):
+            gradient[a, r] -= p[r, 0] + p[r, 1]
+            gradient[b, r] += p[r, 0]
+            gradient[c, r] += p[r, 1]
+    return energy
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """All triangles of the scene's SurfaceStrain terms, in order; `scale` is √growth."""
+
+    corners: Ints
+    edges: Floats
+    inverse: Floats
+    weights: Floats
+    scale: Floats
+
+    @classmethod
+    def of(cls, scene: Scene) -> Triangles | None:
+        """The triangles of a scene, or None if it names none."""
+        terms = scene.of(SurfaceStrain)
+        if not sum(len(term.triangles) for term in terms):
+            return None
+        corners = np.vstack([term.triangles for term in terms])
+        points = scene.vertices[corners]
+        edges = (points[:, 1:] - points[:, :1]).transpose(0, 2, 1)
+        first = edges[:, :, 0] / np.linalg.norm(edges[:, :, 0], axis=1, keepdims=True)
+        normal = np.cross(edges[:, :, 0], edges[:, :, 1])
+        second = np.cross(normal / np.linalg.norm(normal, axis=1, keepdims=True), first)
+        inverse = np.linalg.inv(np.stack([first, second], axis=1) @ edges)
+        stiffness = np.concatenate([np.broadcast_to(term.stiffness, len(term.triangles)) for term in terms])
+        weights = stiffness * np.linalg.norm(normal, axis=1) / 2.0
+        return cls(corners, edges, inverse, weights, np.ones(len(corners))).for_scene(scene)
+
+    def for_scene(self, scene: Scene) -> Triangles:
+        """The same triangles with the growth of another scene of the same terms."""
+        terms = scene.of(SurfaceStrain)
+        growth = np.concatenate([np.broadcast_to(term.growth, len(term.triangles)) for term in terms])
+        return Triangles(self.corners, self.edges, self.inverse, self.weights, np.sqrt(growth))
+
+    def add_to(self, u: Floats, gradient: Floats) -> float:
+        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
+        return _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
+
+    def stiffness_entries(self) -> tuple[Ints, Ints, Floats]:
+        """Rows, columns and values of Σ w A G Gᵀ, the triangles' share of the PD matrix [mN/mm]."""
+        gradients = np.concatenate([-self.inverse.sum(axis=1, keepdims=True), self.inverse], axis=1)
+        local = np.einsum("e,eai,ebi->eab", self.weights, gradients, gradients)
+        return np.repeat(self.corners, 3, axis=1).ravel(), np.tile(self.corners, (1, 3)).ravel(), local.ravel()
