@@ -1,0 +1,171 @@
+"""The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.9 as in Debian 13).
+
+What differs: names of spaces and of quadrature elements, options of `form`, the type of dofmaps, and how an expression
+is evaluated. Everything lives on COMM_SELF.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from ...lhm.errors import MissingDependencyError
+from ...lhm.mesh import Floats, Ints
+
+for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
+    logging.getLogger(_name).setLevel(logging.ERROR)
+
+INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
+
+try:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources
+        import basix
+        import dolfinx
+        import ufl
+        from dolfinx import fem, mesh
+        from dolfinx.fem import petsc
+        from mpi4py import MPI
+        from petsc4py import PETSc
+except ImportError as error:
+    raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
+
+
+def parse_version(text: str) -> tuple[int, int]:
+    """Major and minor of dolfinx's version; MissingDependencyError outside the range this module was written for."""
+    major, minor = (int(part) for part in text.split(".")[:2])
+    if not (0, 5) <= (major, minor) <= (0, 9):
+        raise MissingDependencyError(f"dolfinx {text} is installed; softdeca knows 0.5 to 0.9 ({INSTALL})")
+    return major, minor
+
+
+VERSION = parse_version(dolfinx.__version__)
+COMM = MPI.COMM_SELF
+
+if VERSION < (0, 6):
+    _OPTIONS = {"jit": "jit_params"}
+else:
+    _OPTIONS = {"jit": "jit_options"}
+# Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
+_COMPILER = {_OPTIONS["jit"]: {"cffi_extra_compile_args": ["-O2"]}}
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the compiler's progress, which it logs under the root's name, out of the log."""
+    before = logging.root.manager.disable
+    logging.disable(max(before, logging.INFO))
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+def tet_mesh(vertices: Floats, tets: Ints) -> mesh.Mesh:
+    """A dolfinx mesh of affine tets; vertices in no tet are dropped, and both are renumbered."""
+    if VERSION < (0, 6):
+        coordinates = ufl.VectorElement("Lagrange", ufl.tetrahedron, 1)
+    else:
+        import basix.ufl
+
+        coordinates = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
+    return mesh.create_mesh(COMM, np.ascontiguousarray(tets), np.ascontiguousarray(vertices), ufl.Mesh(coordinates))
+
+
+def _table(dofmap, columns: int) -> Ints:
+    """A dofmap as an integer array, shape (cells, columns)."""
+    raw = dofmap.array if hasattr(dofmap, "array") else dofmap
+    return np.asarray(raw).reshape(-1, columns).astype(np.int64)
+
+
+def cell_dofs(space, columns: int) -> Ints:
+    """Block dofs per cell, shape (cells, columns)."""
+    return _table(space.dofmap.list, columns)
+
+
+def dof_vertices(space) -> Ints:
+    """The scene's vertex of each block dof of a P1 space, shape (dofs,)."""
+    domain = space.mesh
+    of_node = np.asarray(domain.geometry.input_global_indices)
+    vertices = np.full(space.dofmap.index_map.size_local, -1, dtype=np.int64)
+    vertices[cell_dofs(space, 4)] = of_node[_table(domain.geometry.dofmap, 4)]
+    return vertices
+
+
+def cell_tets(domain) -> Ints:
+    """The scene's tet of each cell, shape (cells,)."""
+    return np.asarray(domain.topology.original_cell_index, dtype=np.int64)
+
+
+def vector_space(domain):
+    """Continuous piecewise linear vectors."""
+    if VERSION < (0, 6):
+        return fem.VectorFunctionSpace(domain, ("Lagrange", 1))
+    return fem.functionspace(domain, ("Lagrange", 1, (3,)))
+
+
+def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
+    """Tensors of a shape at the points of the quadrature rule of a degree."""
+    if VERSION < (0, 6):
+        scalar = ufl.FiniteElement("Quadrature", ufl.tetrahedron, degree, quad_scheme="default")
+        return fem.FunctionSpace(domain, ufl.TensorElement(scalar, shape=shape))
+    import basix.ufl
+
+    element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, scheme="default", degree=degree)
+    return fem.functionspace(domain, element)
+
+
+def quadrature_rule(degree: int) -> tuple[Floats, Floats]:
+    """Points (q, 3) and weights (q,) of the rule on the reference tet, as the form compiler takes them."""
+    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+    return points, weights
+
+
+def compile_form(form: ufl.Form):
+    """Compile a form, or take it from dolfinx's cache on disk."""
+    with _quiet():
+        return fem.form(form, **_COMPILER)
+
+
+def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
+    """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
+    with _quiet():
+        compiled = fem.Expression(expression, points, **_COMPILER)
+    first = () if VERSION < (0, 7) else (domain,)
+    return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), len(points), -1)
+
+
+def cell_measure(domain, cells: Ints) -> ufl.Measure:
+    """The volume measure of some cells."""
+    entities = np.sort(cells).astype(np.int32)
+    tags = mesh.meshtags(domain, domain.topology.dim, entities, np.ones(len(entities), dtype=np.int32))
+    return ufl.Measure("dx", domain=domain, subdomain_data=tags)(1)
+
+
+def constant(domain, value: float):
+    """A number that a compiled form takes at run time."""
+    return fem.Constant(domain, PETSc.ScalarType(value))
+
+
+def function(space):
+    """A function of a space; its values are `.x.array`."""
+    return fem.Function(space)
+
+
+def assemble_scalar(form) -> float:
+    """The value of a functional; not finite where its integrand is not."""
+    return float(fem.assemble_scalar(form))
+
+
+def add_vector(form, into: Floats):
+    """Add a linear form's vector to an array of dofs."""
+    fem.assemble_vector(into, form)
+
+
+def add_matrix(form, into: PETSc.Mat):
+    """Add a bilinear form's matrix to one with room for it; assemble it afterwards."""
+    petsc.assemble_matrix(into, form)

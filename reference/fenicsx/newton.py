@@ -1,0 +1,166 @@
+"""Newton's method on the energy: hybrid projection, inexact linear solves, Armijo's line search.
+
+Far from the answer every point's tangent is projected to be positive semi-definite, which always gives a descent
+direction; once the gradient has fallen tenfold the exact tangent takes over, which converges quadratically. Where the
+exact one is not positive definite, or its direction does not descend, that iteration uses the projected one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...lhm.mesh import Floats, Ints
+from ..solution import Reason
+from .dolfinx_version import PETSc
+from .linear import LinearSolver, hold
+from .problem import Problem, State
+
+EXACT_BELOW = 0.1  # of the first gradient norm
+SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
+SMALLEST_STEP = 2.0**-30
+SHIFTS = (0.0, 1e-10, 1e-6)  # of the largest diagonal entry: what a direct solver adds where nothing holds a part
+
+
+@dataclass
+class Work:
+    """What a solve cost."""
+
+    linear_iterations: int = 0
+    linear_solves: int = 0
+    fallback_solves: int = 0
+    energies: int = 0
+
+
+@dataclass(eq=False)
+class Newton:
+    """A problem, which dofs are held (sorted, flat), and the linear solvers: the usual one and the one that it falls to.
+
+    `report` is called with state and gradient norm after each iteration and returns whether to stop.
+    """
+
+    problem: Problem
+    held: Ints
+    linear: LinearSolver
+    fallback: LinearSolver
+    report: Callable[[State, float], bool]
+    work: Work = field(default_factory=Work)
+
+    def at(self, u: Floats) -> State:
+        """The problem's state at a displacement [mm], shape (n, 3)."""
+        self.work.energies += 1
+        return self.problem.at(u)
+
+    def free_gradient(self, state: State) -> Floats:
+        """The gradient [mN], zero at held dofs, shape (3n,)."""
+        gradient = state.gradient().ravel()
+        gradient[self.held] = 0.0
+        return gradient
+
+    def extension(self, state: State, jump: Floats) -> tuple[Floats, float]:
+        """How a jump of the held dofs [mm], shape (n, 3), spreads by the projected Hessian, and the norm of its forces.
+
+        The displacement (n, 3) equals the jump at held dofs. A direct lift would crush the elements next to them.
+        """
+        values = jump.ravel()[self.held]
+        forces = np.zeros(jump.size)
+
+        def set_up(shift: float) -> Floats:
+            nonlocal forces
+            forces = np.zeros(jump.size)
+            matrix = self._shifted(state.projected_hessian(), shift)
+            hold(matrix, self.held, values, forces)
+            return forces
+
+        spread = self._solve(set_up, relative=1e-6)
+        forces[self.held] = 0.0
+        norm = float(np.linalg.norm(forces))
+        return (jump if spread is None else spread.reshape(jump.shape)), norm
+
+    def minimise(self, state: State, *, threshold: Callable[[float], float], max_iterations: int):
+        """From a state of finite energy to (state, reason, iterations); threshold maps the first gradient norm to the last."""
+        gradient = self.free_gradient(state)
+        norm = first = float(np.linalg.norm(gradient))
+        last = threshold(first)
+        for iteration in range(max_iterations + 1):
+            if self.report(state, norm):
+                return state, Reason.INTERRUPTED, iteration
+            if norm <= last:
+                return state, Reason.CONVERGED, iteration
+            if iteration == max_iterations:
+                break
+            relative = min(max(min(1e-3, norm / first), 0.1 * last / norm, 1e-10), 0.1)
+            after = self._step(state, gradient, exact=norm < EXACT_BELOW * first, relative=relative)
+            if isinstance(after, Reason):
+                return state, after, iteration
+            gradient = self.free_gradient(after)
+            norm_after = float(np.linalg.norm(gradient))
+            if state.energy - after.energy <= self._rounding(state) and norm_after >= norm:
+                return state, Reason.STAGNATED, iteration
+            state, norm = after, norm_after
+        return state, Reason.MAX_ITERATIONS, max_iterations
+
+    def _step(self, state: State, gradient: Floats, *, exact: bool, relative: float) -> State | Reason:
+        """The next state, or why there is none."""
+        hessians = [state.hessian, state.projected_hessian] if exact else [state.projected_hessian]
+        reason = Reason.LINEAR_SOLVER
+        for hessian in hessians:
+            last_resort = hessian is hessians[-1]
+            direction = self._direction(hessian, gradient, relative, with_fallback=last_resort)
+            if direction is None:
+                continue
+            slope = float(gradient @ direction)
+            if slope >= 0.0:
+                reason = Reason.LINE_SEARCH
+                continue
+            after = self._line_search(state, direction.reshape(state.u.shape), slope)
+            if after is not None:
+                return after
+            reason = Reason.STAGNATED if -slope <= self._rounding(state) else Reason.LINE_SEARCH
+        return reason
+
+    def _direction(self, hessian, gradient: Floats, relative: float, *, with_fallback: bool) -> Floats | None:
+        def set_up(shift: float) -> Floats:
+            b = -gradient
+            hold(self._shifted(hessian(), shift), self.held, np.zeros(len(self.held)), b)
+            return b
+
+        if with_fallback:
+            return self._solve(set_up, relative=relative)
+        return self._try(self.linear, set_up(0.0), relative)
+
+    def _solve(self, set_up: Callable[[float], Floats], *, relative: float) -> Floats | None:
+        """Solve the system that set_up assembles: by the usual solver, then directly, then with growing shifts."""
+        answer = self._try(self.linear, set_up(0.0), relative)
+        for shift in SHIFTS:
+            if answer is not None:
+                break
+            self.work.fallback_solves += 1
+            answer = self._try(self.fallback, set_up(shift), relative)
+        return answer
+
+    def _try(self, solver: LinearSolver, b: Floats, relative: float) -> Floats | None:
+        answer = solver.solve(b, relative=relative)
+        self.work.linear_solves += 1
+        self.work.linear_iterations += answer.iterations
+        return answer.x if answer.found else None
+
+    def _shifted(self, matrix: PETSc.Mat, shift: float) -> PETSc.Mat:
+        if shift > 0.0:
+            matrix.shift(shift * matrix.getDiagonal().norm(PETSc.NormType.INFINITY))
+        return matrix
+
+    def _rounding(self, state: State) -> float:
+        """The energy [µJ] below which differences are rounding."""
+        return 1e-14 * (self.problem.energy_scale + abs(state.energy))
+
+    def _line_search(self, state: State, direction: Floats, slope: float) -> State | None:
+        step, rounding = 1.0, self._rounding(state)
+        while step >= SMALLEST_STEP:
+            after = self.at(state.u + step * direction)
+            if after.energy <= state.energy + SUFFICIENT * step * slope + rounding:
+                return after
+            step *= 0.5
+        return None

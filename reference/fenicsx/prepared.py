@@ -1,0 +1,177 @@
+"""prepare and solve on FEniCSx: mesh, forms and matrix once; Newton per call, in load steps where it must."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...lhm.errors import SceneError
+from ...lhm.mesh import Floats
+from ..scene import Scene, refuse_unknown
+from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
+from .linear import LINEAR_SOLVERS, linear_solver
+from .newton import Newton
+from .numbering import Numbering
+from .problem import Problem, State
+
+TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction)
+VARYING = {
+    Target: ("positions",),
+    Fixed: ("values",),
+    Gravity: ("acceleration", "density"),
+    Traction: ("vector",),
+    Volume: ("target",),
+    SurfaceStrain: ("growth",),
+}
+ELEMENTS = ("P1",)
+MAX_ITERATIONS = 100
+SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
+LOAD_STEP_TOLERANCE = 1e-2
+
+
+def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx:
+    """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
+
+    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct).
+    Raises SceneError for another element or linear solver, or a term that this solver cannot model.
+    """
+    if element not in ELEMENTS:
+        raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there is {', '.join(ELEMENTS)}")
+    refuse_unknown(scene, "fenicsx", TERMS)
+    return PreparedFenicsx(scene, linear_solver)
+
+
+class PreparedFenicsx:
+    """See `softdeca.reference.Prepared`; `detail` of a solution counts linear iterations and solves, and assemblies."""
+
+    def __init__(self, scene: Scene, linear: str):
+        if linear not in LINEAR_SOLVERS:
+            names = ", ".join(LINEAR_SOLVERS)
+            raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear!r}; there are {names}")
+        self.scene = scene
+        self._numbering = Numbering(scene)
+        self._problem = Problem(scene, self._numbering)
+        self._linear = linear_solver(linear, self._problem.matrix)
+        self._direct = linear_solver("mumps", self._problem.matrix)
+
+    def solve(
+        self,
+        scene: Scene | None = None,
+        *,
+        start: Floats | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int | None = None,
+        on_iteration: OnIteration | None = None,
+    ) -> Solution:
+        """Solve the prepared scene, or one that differs only in targets, held positions, loads and target volumes.
+
+        The first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
+        See `softdeca.reference.Prepared.solve`.
+        """
+        scene = self.scene if scene is None else scene
+        self.scene.check_prepared_for(scene, varying=VARYING)
+        start = _checked_start(scene, start)
+        limit = MAX_ITERATIONS if max_iterations is None else max_iterations
+        if not 0.0 < tolerance < 1.0:
+            raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
+        if limit < 0:
+            raise SceneError(f"max_iterations must be at least 0, got {limit}")
+        self._problem.set(scene)
+        return _Solve(self, scene, start, tolerance, limit, on_iteration).run()
+
+
+def _checked_start(scene: Scene, start: Floats | None) -> Floats:
+    start = scene.vertices if start is None else np.asarray(start, dtype=np.float64)
+    if start.shape != scene.vertices.shape or not np.isfinite(start).all():
+        raise SceneError(f"start: expected finite positions of shape {scene.vertices.shape}, got shape {start.shape}")
+    return start
+
+
+class _Solve:
+    """One call of solve: from start towards the held positions, in as few load steps as keep the energy finite."""
+
+    def __init__(
+        self, prepared: PreparedFenicsx, scene: Scene, start: Floats, tolerance: float, limit: int, on_iteration
+    ):
+        self._numbering, self._problem = prepared._numbering, prepared._problem
+        self._scene, self._tolerance, self._limit = scene, tolerance, limit
+        held, positions = scene.dirichlet()
+        self._elsewhere = np.where(held, positions, start)
+        held = self._numbering.to_dofs(held)
+        self._u = self._numbering.to_dofs(start) - self._numbering.X
+        self._goal = np.where(held, self._numbering.to_dofs(positions) - self._numbering.X, self._u)
+        held |= self._problem.unsupported[:, None]
+        self._recorder = Recorder(on_iteration)
+        self._assemblies = self._problem.assemblies
+        self._newton = Newton(self._problem, np.flatnonzero(held), prepared._linear, prepared._direct, self._report)
+
+    def _positions(self, u: Floats) -> Floats:
+        return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)
+
+    def _report(self, state: State, norm: float) -> bool:
+        return self._recorder.record(self._positions(state.u), state.energy, norm)
+
+    def run(self) -> Solution:
+        """Lift, take load steps if need be, and minimise."""
+        state = self._newton.at(self._u)
+        if not np.isfinite(state.energy):
+            self._report(state, np.inf)
+            return self._solution(state, Reason.NOT_FINITE, 0)
+        iterations = 0
+        while True:
+            lifted, fraction, force = self._lift(state)
+            if lifted is None:
+                return self._solution(state, Reason.LINE_SEARCH, iterations)
+            tolerance = self._tolerance if fraction == 1.0 else LOAD_STEP_TOLERANCE
+            state, reason, made = self._newton.minimise(
+                lifted,
+                threshold=lambda first, force=force, tolerance=tolerance: stop_threshold(
+                    self._scene, max(first, force), tolerance
+                ),
+                max_iterations=self._limit - iterations,
+            )
+            iterations += made
+            if fraction == 1.0 or reason is not Reason.CONVERGED:
+                return self._solution(state, reason, iterations)
+
+    def _lift(self, state: State) -> tuple[State | None, float, float]:
+        """The state with held dofs moved as far towards their goal as leaves the energy finite: it, how far, the force."""
+        jump = np.zeros_like(state.u)
+        held = self._newton.held
+        jump.flat[held] = self._goal.flat[held] - state.u.flat[held]
+        if not jump.any():
+            return state, 1.0, 0.0
+        spread, force = self._newton.extension(state, jump)
+        fraction = 1.0
+        while fraction >= SMALLEST_FRACTION:
+            u = state.u + fraction * spread
+            if fraction == 1.0:
+                u.flat[held] = self._goal.flat[held]
+            lifted = self._newton.at(u)
+            if np.isfinite(lifted.energy):
+                return lifted, fraction, fraction * force
+            fraction *= 0.5
+        return None, 0.0, 0.0
+
+    def _solution(self, state: State, reason: Reason, iterations: int) -> Solution:
+        positions = self._positions(state.u)
+        held, values = self._scene.dirichlet()
+        if reason is Reason.CONVERGED:
+            positions[held] = values[held]
+        work = self._newton.work
+        detail = {
+            "linear_iterations": work.linear_iterations,
+            "linear_solves": work.linear_solves,
+            "fallback_solves": work.fallback_solves,
+            "assemblies": self._problem.assemblies - self._assemblies,
+            "energies": work.energies,
+        }
+        return Solution(
+            positions,
+            reason,
+            iterations,
+            state.energy,
+            self._recorder.history(),
+            volume_ratio(self._scene, positions),
+            detail,
+        )

@@ -1,0 +1,209 @@
+"""The scene's energy, gradient and Hessian over the displacement's dofs: FEniCSx's forms and the discrete terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.errors import SceneError
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import Hyperelastic, Strain, SurfaceStrain, Target, Volume
+from . import dolfinx_version as seam
+from . import principal
+from .assembly import BlockMatrix, rigid_motions, stiffness_matrix
+from .dolfinx_version import PETSc
+from .hyperelastic import HyperelasticForms
+from .laws import NeoHookeanLaw, PrincipalLaw, StrainLaw, VolumeLaw
+from .membrane import Membrane
+from .numbering import Numbering
+from .quadrature import QuadratureForms
+
+Law = tuple[Ints, PrincipalLaw]
+"""A law and the quadrature points, counted within QuadratureForms, that it acts on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spring:
+    """Target's springs: dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,)."""
+
+    dofs: Ints
+    positions: Floats
+    stiffness: Floats
+
+
+class Problem:
+    """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
+
+    Vectors are of shape (n, 3), by dof. `matrix` is the one that every Hessian is assembled into.
+    """
+
+    def __init__(self, scene: Scene, numbering: Numbering):
+        self.numbering = numbering
+        self.assemblies = 0
+        self._displacement = seam.function(numbering.space)
+        self._hyperelastic = [
+            HyperelasticForms.of(self._displacement, self._cells(scene, term)) for term in scene.of(Hyperelastic)
+        ]
+        solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
+        empty = np.empty(0, dtype=np.int64)
+        cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
+        self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes) if len(cells) else None
+        n = len(numbering.X)
+        triangles = [numbering.dofs_of(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
+        self._blocks = [BlockMatrix(t, n) for t in triangles]
+        self.matrix = stiffness_matrix([numbering.cell_dofs, *triangles], n)
+        self.matrix.setNearNullSpace(rigid_motions(numbering.X))
+        springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
+        self.unsupported = np.ones(n, dtype=bool)
+        for dofs in (numbering.cell_dofs[cells], *triangles, *springs):
+            self.unsupported[dofs.ravel()] = False
+        self.set(scene)
+
+    def _cells(self, scene: Scene, term) -> Ints:
+        return np.sort(self.numbering.cell[scene.tets_of(term)])
+
+    def set(self, scene: Scene):
+        """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
+        order = self.numbering
+        loads = scene.loads()
+        loose = (order.dof < 0) | self.unsupported[order.dof]
+        bad = np.flatnonzero(loose & loads.any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
+        if bad.size:
+            raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
+        self.loads = order.to_dofs(loads)
+        self._membranes = [Membrane.of(term, scene.vertices, order.dof) for term in scene.of(SurfaceStrain)]
+        self._springs = [
+            Spring(order.dof[t.vertices], t.positions, np.broadcast_to(t.stiffness, len(t.vertices)))
+            for t in scene.of(Target)
+        ]
+        for forms, term in zip(self._hyperelastic, scene.of(Hyperelastic), strict=True):
+            forms.set(term.material)
+        self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume))]
+        self._stand_ins = [self._law(scene, term) for term in scene.of(Hyperelastic)]
+        self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
+
+    def _law(self, scene: Scene, term: Strain | Volume | Hyperelastic) -> Law:
+        assert self._quadrature is not None
+        tets = scene.tets_of(term)
+        cells = self.numbering.cell[tets]
+        q = self._quadrature.per_cell
+        points = (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
+
+        def at_points(values) -> Floats:
+            return np.repeat(np.broadcast_to(values, len(tets)), q).astype(np.float64)
+
+        if isinstance(term, Strain):
+            return points, StrainLaw(at_points(term.stiffness), at_points(term.limit))
+        if isinstance(term, Volume):
+            return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
+        return points, NeoHookeanLaw(at_points(term.material.mu), at_points(term.material.lmbda))
+
+    def at(self, u: Floats) -> State:
+        """The problem at a displacement [mm], shape (n, 3)."""
+        return State(self, u)
+
+
+class State:
+    """Energy, gradient and Hessian at one displacement; what they share is computed once."""
+
+    def __init__(self, problem: Problem, u: Floats):
+        self.u = u
+        self._problem = problem
+        self._x = problem.numbering.X + u
+        self._place()
+        self._frame: tuple[Floats, Floats, Floats] | None = None
+        if problem._laws:
+            self._frame = self._svd()
+            self._psi, self._p, self._h = self._principal(problem._laws)
+        self.energy = self._energy()
+
+    def _place(self):
+        self._problem._displacement.x.array[:] = self.u.ravel()
+
+    def _svd(self):
+        return principal.signed_svd(self._problem._quadrature.deformation_gradient())
+
+    def _principal(self, laws: list[Law]) -> tuple[Floats, Floats, Floats]:
+        s = self._frame[1]
+        psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
+        for points, law in laws:
+            for total, part in zip((psi, p, h), law.evaluate(s[points]), strict=True):
+                total[points] += part
+        return psi, p, h
+
+    def _energy(self) -> float:
+        problem = self._problem
+        energy = -float(np.sum(problem.loads * self.u))
+        if problem._laws:
+            energy += float(self._psi @ problem._quadrature.volume)
+        energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
+        energy += sum(membrane.energy(self._x) for membrane in problem._membranes)
+        for spring in problem._springs:
+            away = self._x[spring.dofs] - spring.positions
+            energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
+        return energy
+
+    def gradient(self) -> Floats:
+        """The energy's gradient [mN], shape (n, 3), held components included."""
+        problem = self._problem
+        self._place()
+        total = -problem.loads
+        flat = total.reshape(-1)
+        if problem._laws:
+            U, _, V = self._frame
+            problem._quadrature.add_gradient(principal.stress(U, V, self._p), flat)
+        for forms in problem._hyperelastic:
+            forms.add_gradient(flat)
+        for membrane in problem._membranes:
+            membrane.add_gradient(self._x, total)
+        for spring in problem._springs:
+            total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
+        return total
+
+    def hessian(self) -> PETSc.Mat:
+        """The exact Hessian [mN/mm], in the problem's matrix."""
+        problem = self._problem
+        matrix = self._begin()
+        if problem._laws:
+            U, s, V = self._frame
+            tangent = principal.tangent(U, V, principal.modes(s, self._p, self._h))
+            problem._quadrature.add_tangent(tangent, matrix)
+        for forms in problem._hyperelastic:
+            seam.add_matrix(forms.tangent, matrix)
+        return self._finish(matrix, [membrane.hessian(self._x) for membrane in problem._membranes])
+
+    def projected_hessian(self) -> PETSc.Mat:
+        """A positive semi-definite Hessian: every eigenvalue of every point's tangent is at least zero."""
+        problem = self._problem
+        matrix = self._begin()
+        laws = [*problem._laws, *problem._stand_ins]
+        if laws:
+            self._frame = self._frame or self._svd()
+            U, s, V = self._frame
+            _, p, h = self._principal(laws)
+            tangent = principal.tangent(U, V, principal.modes(s, p, h).projected())
+            problem._quadrature.add_tangent(tangent, matrix)
+        return self._finish(matrix, [membrane.projected_hessian(self._x) for membrane in problem._membranes])
+
+    def _begin(self) -> PETSc.Mat:
+        self._place()
+        self._problem.assemblies += 1
+        self._problem.matrix.zeroEntries()
+        return self._problem.matrix
+
+    def _finish(self, matrix: PETSc.Mat, membrane_blocks: list[Floats]) -> PETSc.Mat:
+        problem = self._problem
+        matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
+        for blocks, values in zip(problem._blocks, membrane_blocks, strict=True):
+            blocks.add(values, matrix)
+        matrix.assemble()
+        for spring in problem._springs:
+            diagonal = np.zeros_like(self.u)
+            diagonal[spring.dofs] = spring.stiffness[:, None]
+            matrix.setDiagonal(
+                PETSc.Vec().createWithArray(diagonal.ravel(), comm=seam.COMM), addv=PETSc.InsertMode.ADD_VALUES
+            )
+        matrix.assemble()
+        return matrix
