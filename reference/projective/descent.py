@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -17,8 +18,10 @@ from ..solution import Reason, Recorder
 MEMORY = 8
 ARMIJO = 1e-4
 MAX_HALVINGS = 6
-PATIENCE = 100
+PATIENCE = 200
 ROUNDING = 1e-13
+UNTANGLED = 1e-3
+MAX_UNTANGLING = 150
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +40,22 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is minimised: `at` evaluates a displacement, `precondition` is A⁻¹."""
+    """What is minimised: `at` evaluates a displacement, `precondition` is A⁻¹.
+
+    `untangling`, where given, evaluates an energy that leads out of inverted tets and has the same matrix A.
+    """
 
     at: Callable[[Floats], Point]
     precondition: Callable[[Floats], Floats]
+    untangling: Callable[[Floats], Point] | None = None
+
+
+class Observer(Protocol):
+    """Sees each point of a descent, the start first, and returns the reason to stop, if there is one."""
+
+    def see(self, point: Point) -> Reason | None:
+        """Take note of a point."""
+        ...
 
 
 class Watch:
@@ -72,17 +87,51 @@ class Watch:
         return Reason.MAX_ITERATIONS if self.iteration >= self._max_iterations else None
 
 
+class Untangling:
+    """Shows a watch the true energy along a descent of another, and ends that once its gradient has become small."""
+
+    def __init__(self, problem: Problem, watch: Watch):
+        self._problem, self._watch = problem, watch
+        self._first: float | None = None
+        self._seen = 0
+        self.stopped: Reason | None = None
+
+    def see(self, point: Point) -> Reason | None:
+        """Take note of a point of the other energy; the last one is left for the descent that follows to see."""
+        self._first = point.norm if self._first is None else self._first
+        self._seen += 1
+        if point.norm <= UNTANGLED * self._first or self._seen > MAX_UNTANGLING:
+            return Reason.CONVERGED
+        self.stopped = self._watch.see(self._problem.at(point.u))
+        return self.stopped
+
+
 Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]
 
 
-def plain(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
+def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding."""
     while (reason := watch.see(point)) is None:
         point = problem.at(point.u - problem.precondition(point.gradient))
     return point, reason
 
 
-def lbfgs(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
+def accelerated(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
+    """L-BFGS, after a descent of the untangling energy where the start needs one.
+
+    A stiff Volume term has local minima among inverted tets; Strain alone was never seen to stay in one.
+    """
+    if problem.untangling is not None:
+        other = Untangling(problem, watch)
+        relaxed = Problem(problem.untangling, problem.precondition)
+        end, _ = lbfgs(relaxed, relaxed.at(point.u), other)
+        point = problem.at(end.u)
+        if other.stopped is not None:
+            return point, other.stopped
+    return lbfgs(problem, point, watch)
+
+
+def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """L-BFGS with the PD matrix as the initial Hessian (Liu, Bouaziz and Kavan 2017, Algorithm 1).
 
     Where no fraction of its step lowers the energy, a plain step is taken, which always does, and the memory emptied.

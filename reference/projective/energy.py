@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -40,6 +40,10 @@ class Energy:
         tets = None if self.tets is None else self.tets.for_scene(scene)
         triangles = None if self.triangles is None else self.triangles.for_scene(scene)
         return Energy(tets, triangles, targets, scene.loads())
+
+    def untangling(self) -> Energy:
+        """An energy of the same PD matrix that leads out of inverted tets: all weight of the tets on Strain."""
+        return self if self.tets is None else replace(self, tets=self.tets.untangling())
 
     def evaluate(self, u: Floats) -> tuple[float, Floats]:
         """Energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""

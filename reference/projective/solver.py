@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -13,12 +14,12 @@ from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Fixed, Gravity, Strain, SurfaceStrain, Target, Term, Traction, Volume
-from .descent import Descent, Point, Problem, Watch, lbfgs, plain
+from .descent import Descent, Point, Problem, Watch, accelerated, plain
 from .energy import Energy
 from .system import System
 
 Method = Literal["lbfgs", "plain"]
-METHODS: dict[str, Descent] = {"lbfgs": lbfgs, "plain": plain}
+METHODS: dict[str, Descent] = {"lbfgs": accelerated, "plain": plain}
 TERMS: tuple[type[Term], ...] = (Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction)
 VARYING: dict[type[Term], tuple[str, ...]] = {
     Strain: ("limit",),
@@ -66,18 +67,24 @@ class ProjectivePrepared:
         self.system.check_loads(energy.loads)
         counts = {"factorisations": len(self.system.groups), "evaluations": 0, "global_solves": 0}
 
-        def at(u: Floats) -> Point:
-            counts["evaluations"] += 1
-            value, gradient = energy.evaluate(u)
-            return Point(u, value, np.where(self.system.free, gradient, 0.0))
+        def evaluator(energy: Energy) -> Callable[[Floats], Point]:
+            def at(u: Floats) -> Point:
+                counts["evaluations"] += 1
+                value, gradient = energy.evaluate(u)
+                return Point(u, value, np.where(self.system.free, gradient, 0.0))
+
+            return at
 
         def precondition(gradient: Floats) -> Floats:
             counts["global_solves"] += 1
             return self.system.solve(gradient)
 
+        at = evaluator(energy)
+        tangled = bool((volume_ratio(scene, scene.vertices + u) <= 0).any())
+        problem = Problem(at, precondition, evaluator(energy.untangling()) if tangled else None)
         first = at(u)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
-        point, reason = METHODS[self.method](Problem(at, precondition), first, watch)
+        point, reason = METHODS[self.method](problem, first, watch)
         positions = scene.vertices + point.u
         return Solution(
             positions=positions,

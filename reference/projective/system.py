@@ -103,7 +103,7 @@ class System:
         """A⁻¹ times the gradient (n, 3); zero in held components."""
         step = np.zeros_like(gradient)
         for group in self.groups:
-            where = np.ix_(group.free, group.components)
+            where = np.ix_(group.free, list(group.components))
             step[where] = group.solver(np.ascontiguousarray(gradient[where]))
         return step
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...lhm.mesh import Floats, Ints
 from ..scene import Scene
-from ..terms import Strain, Term, Volume
+from ..terms import Strain, Volume
 from .lanes import HIGH, LANES, LOW, PARAMETERS, STRAIN, TARGET, VOLUME
 from .local_step import add_tets
 
@@ -21,12 +21,12 @@ def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
     return inverse, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
 
 
-def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Term, Ints]]]:
+def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Strain | Volume, Ints]]]:
     """One row per tet, or as many as it has Strain or Volume terms: the rows' tets, and each term's rows.
 
     The k-th Strain and the k-th Volume of a tet share a row, for they share F and its decomposition.
     """
-    entries: list[tuple[Term, Ints]] = []
+    entries: list[tuple[Strain | Volume, Ints]] = []
     for kind in (Strain, Volume):
         count = np.zeros(len(scene.tets), dtype=np.int64)
         for term in scene.of(kind):
@@ -38,7 +38,8 @@ def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Term, Ints]]]:
     return rows % max(len(scene.tets), 1), [(term, np.searchsorted(rows, key)) for term, key in entries]
 
 
-def _spread(values, row: int, rows: Ints, blocks: Floats):
+def _spread(values, row: int, rows: Ints, blocks: np.ndarray):
+    """Write one value per row of `_pair_up` at the offset `row` of the blocks."""
     blocks[rows // LANES, row // LANES, rows % LANES] = values
 
 
@@ -86,7 +87,15 @@ class TetBlocks:
                 _spread(term.limit, HIGH, rows, parameters)
             else:
                 _spread(term.target, TARGET, rows, parameters)
-        return TetBlocks(self.corners, parameters, self.has_volume, self.rows_of, self.tets, self.weights)
+        return replace(self, parameters=parameters)
+
+    def untangling(self) -> TetBlocks:
+        """The same blocks with the weight of Volume moved to Strain with limit 1, hence of the same PD matrix."""
+        parameters = self.parameters.copy()
+        parameters[:, STRAIN // LANES] += parameters[:, VOLUME // LANES]
+        parameters[:, VOLUME // LANES] = 0.0
+        parameters[:, [LOW // LANES, HIGH // LANES]] = 1.0
+        return replace(self, parameters=parameters, has_volume=np.zeros_like(self.has_volume))
 
     def add_to(self, u: Floats, gradient: Floats) -> float:
         """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
