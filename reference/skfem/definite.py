@@ -1,0 +1,38 @@
+"""A direct solver for symmetric positive definite matrices that says when a matrix is not definite."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csc_matrix, identity
+from scipy.sparse.linalg import splu
+
+from ...lhm.mesh import Floats
+
+SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
+
+
+def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
+    """The solution, shape (size,), or None if the matrix is not positive definite to working precision.
+
+    Without pivoting, LU of a symmetric matrix is LDLᵀ, and the signs of D count the negative eigenvalues (Sylvester).
+    """
+    options = {"SymmetricMode": True, "Equil": False}
+    try:
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:
+        return None
+    if not np.array_equal(factors.perm_r, factors.perm_c) or factors.U.diagonal().min() <= 0:
+        return None
+    solution = factors.solve(right)
+    solution += factors.solve(right - matrix @ solution)
+    return solution if np.isfinite(solution).all() else None
+
+
+def solve_semidefinite(matrix: csc_matrix, right: Floats) -> Floats | None:
+    """As solve_definite for a semidefinite matrix, with as little of the mean diagonal added as makes it definite."""
+    scale = float(np.abs(matrix.diagonal()).mean())
+    for shift in SHIFTS:
+        solution = solve_definite(matrix + shift * scale * identity(matrix.shape[0], format="csc"), right)
+        if solution is not None:
+            return solution
+    return None

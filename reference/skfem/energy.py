@@ -1,0 +1,44 @@
+"""A scene's total energy, the sum of its parts."""
+
+from __future__ import annotations
+
+from scipy.sparse import csc_matrix
+
+from ...lhm.mesh import Floats
+from .. import terms
+from ..scene import Scene
+from .laws import project_spd
+from .parts import DeadLoads, Discretisation, Membranes, Part, Springs, Tets, Treatment
+
+
+class Energy:
+    """The energy [µJ] that a scene's positions minimise; x holds positions [mm] by degree of freedom, shape (size,)."""
+
+    def __init__(self, scene: Scene, at: Discretisation):
+        self._parts: list[Part] = [Tets(scene, at), DeadLoads(scene, at)]
+        self._parts += [Membranes(scene, term, at) for term in scene.of(terms.SurfaceStrain)]
+        self._parts += [Springs(term, at) for term in scene.of(terms.Target)]
+
+    def value(self, x: Floats) -> float:
+        """The energy [µJ]; infinite where a law does not hold."""
+        return sum(part.value(x) for part in self._parts)
+
+    def gradient(self, x: Floats) -> Floats:
+        """The gradient [mN], shape (size,), at positions of finite energy."""
+        return sum((part.gradient(x) for part in self._parts[1:]), self._parts[0].gradient(x))
+
+    def exact_hessian(self, x: Floats) -> csc_matrix:
+        """The Hessian [mN/mm] at positions of finite energy; it need not be definite."""
+        return self._hessian(x, _as_it_is)
+
+    def projected_hessian(self, x: Floats) -> csc_matrix:
+        """The Hessian [mN/mm] with each element's tangent made positive semi-definite."""
+        return self._hessian(x, project_spd)
+
+    def _hessian(self, x: Floats, treat: Treatment) -> csc_matrix:
+        matrices = [part.hessian(x, treat) for part in self._parts]
+        return sum(matrices[1:], matrices[0].tocsr()).tocsc()
+
+
+def _as_it_is(tangent: Floats) -> Floats:
+    return tangent

@@ -1,0 +1,105 @@
+"""Newton's method with a line search on the energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.mesh import Floats, Ints
+from ..solution import Reason
+from .definite import solve_definite, solve_semidefinite
+from .energy import Energy
+
+ARMIJO = 1e-4
+HALVINGS = 40
+# The exact Hessian takes over once the gradient norm is below this part of its start: projecting always is linear only.
+NEAR = 0.1
+
+OnStep = Callable[[Floats, float, float], bool]
+"""Called with positions, energy and gradient norm, the start first; returning True stops the iteration."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Positions with their energy [µJ] and gradient [mN]."""
+
+    x: Floats
+    value: float
+    gradient: Floats
+
+
+def minimise(
+    energy: Energy,
+    x: Floats,
+    free: Ints,
+    *,
+    threshold: Callable[[float], float],
+    max_iterations: int,
+    on_step: OnStep,
+) -> tuple[Floats, Reason, int]:
+    """Minimise over the free degrees of freedom from x, where the energy must be finite.
+
+    Returns positions, why it stopped and the iterations made. `threshold` gives the gradient norm [mN] to stop at
+    from the one at the start.
+    """
+    state = State(x, energy.value(x), energy.gradient(x))
+    first = float(np.linalg.norm(state.gradient[free]))
+    goal = threshold(first)
+    iteration = 0
+    while True:
+        norm = float(np.linalg.norm(state.gradient[free]))
+        stop = on_step(state.x, state.value, norm)
+        if norm <= goal:
+            return state.x, Reason.CONVERGED, iteration
+        if stop:
+            return state.x, Reason.INTERRUPTED, iteration
+        if iteration == max_iterations:
+            return state.x, Reason.MAX_ITERATIONS, iteration
+        found = _near_step(energy, state, free) if norm < NEAR * first else None
+        found = found or _far_step(energy, state, free)
+        if isinstance(found, Reason):
+            stagnated = found is Reason.LINE_SEARCH and norm < NEAR * first
+            return state.x, Reason.STAGNATED if stagnated else found, iteration
+        state = found
+        iteration += 1
+
+
+def _near_step(energy: Energy, state: State, free: Ints) -> State | None:
+    """A full exact Newton step, if the Hessian is definite and the step halves the gradient norm.
+
+    This close to the answer energy differences drown in rounding, so the gradient decides and not the energy.
+    """
+    step = solve_definite(energy.exact_hessian(state.x)[free][:, free], -state.gradient[free])
+    if step is None:
+        return None
+    x = _moved(state.x, free, step)
+    value = energy.value(x)
+    if not np.isfinite(value):
+        return None
+    gradient = energy.gradient(x)
+    halved = np.linalg.norm(gradient[free]) <= 0.5 * np.linalg.norm(state.gradient[free])
+    return State(x, value, gradient) if halved else None
+
+
+def _far_step(energy: Energy, state: State, free: Ints) -> State | Reason:
+    """A step along the projected Newton direction, halved until the energy falls enough (Armijo)."""
+    step = solve_semidefinite(energy.projected_hessian(state.x)[free][:, free], -state.gradient[free])
+    if step is None:
+        return Reason.LINEAR_SOLVER
+    slope = float(state.gradient[free] @ step)
+    length = 1.0
+    for _ in range(HALVINGS):
+        x = _moved(state.x, free, length * step)
+        value = energy.value(x)
+        if value < state.value and value <= state.value + ARMIJO * length * slope:
+            return State(x, value, energy.gradient(x))
+        length /= 2
+    return Reason.LINE_SEARCH
+
+
+def _moved(x: Floats, free: Ints, step: Floats) -> Floats:
+    moved = x.copy()
+    moved[free] += step
+    return moved

@@ -1,0 +1,112 @@
+"""prepare / solve on scikit-fem, the independent second implementation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.errors import MeshError, SceneError
+from ...lhm.mesh import Floats, as_points
+from .. import terms
+from ..scene import Scene, refuse_unknown
+from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from .energy import Energy
+from .newton import minimise
+from .parts import Discretisation
+
+KNOWN = (
+    terms.Hyperelastic,
+    terms.Strain,
+    terms.Volume,
+    terms.SurfaceStrain,
+    terms.Target,
+    terms.Fixed,
+    terms.Gravity,
+    terms.Traction,
+)
+VARYING: dict[type[terms.Term], tuple[str, ...]] = {
+    terms.Target: ("positions",),
+    terms.Fixed: ("values",),
+    terms.Gravity: ("acceleration", "density"),
+    terms.Traction: ("vector",),
+    terms.Volume: ("target",),
+}
+MAX_ITERATIONS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene's mesh as scikit-fem's basis of linear tets, ready to be solved; see reference.solve.Prepared."""
+
+    scene: Scene
+    discretisation: Discretisation
+
+    def solve(
+        self,
+        scene: Scene | None = None,
+        *,
+        start: Floats | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int | None = None,
+        on_iteration: OnIteration | None = None,
+    ) -> Solution:
+        """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
+
+        Held components are put in their places first, so the energy must be finite there.
+        Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
+        """
+        scene = self.scene if scene is None else scene
+        self.scene.check_prepared_for(scene, varying=VARYING)
+        if not 0 < tolerance < 1:
+            raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
+        recorder = Recorder(on_iteration)
+        at = self.discretisation
+        held, positions = scene.dirichlet()
+        x = at.flat(np.where(held, positions, _start(scene, start)))
+        free = np.flatnonzero(~at.flat(held))
+        energy = Energy(scene, at)
+
+        def on_step(x: Floats, value: float, norm: float) -> bool:
+            return recorder.record(x[at.dofs], value, norm)
+
+        if not np.isfinite(energy.value(x)):
+            on_step(x, np.inf, np.inf)
+            reason, iterations = Reason.NOT_FINITE, 0
+        else:
+            x, reason, iterations = minimise(
+                energy,
+                x,
+                free,
+                threshold=lambda first: stop_threshold(scene, first, tolerance),
+                max_iterations=MAX_ITERATIONS if max_iterations is None else max_iterations,
+                on_step=on_step,
+            )
+        history = recorder.history()
+        answer = x[at.dofs]
+        return Solution(answer, reason, iterations, float(history.energy[-1]), history, volume_ratio(scene, answer))
+
+
+def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
+    """Prepare a scene on linear tets ("P1").
+
+    Raises SceneError for a term or an element that this solver does not model.
+    """
+    refuse_unknown(scene, "skfem", KNOWN)
+    if element != "P1":
+        raise SceneError(f"solver 'skfem': unknown element {element!r}; there is P1")
+    if not len(scene.tets):
+        raise SceneError("solver 'skfem': the scene has no tets")
+    return Prepared(scene, Discretisation(scene))
+
+
+def _start(scene: Scene, start: Floats | None) -> Floats:
+    if start is None:
+        return scene.vertices
+    try:
+        points = as_points("start", start)
+    except MeshError as error:
+        raise SceneError(str(error)) from None
+    if points.shape != scene.vertices.shape:
+        raise SceneError(f"start: expected shape {scene.vertices.shape}, got {points.shape}")
+    return points
