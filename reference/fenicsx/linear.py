@@ -20,6 +20,7 @@ _MULTIGRID = {
     "mg_levels_esteig_ksp_max_it": 30,
     "mg_levels_ksp_chebyshev_esteig": "0,0.1,0,1.2",
 }
+_PREFIX = "softdeca_cg_"
 MAX_LINEAR_ITERATIONS = 1000
 
 
@@ -45,60 +46,71 @@ def _vector(values: Floats) -> PETSc.Vec:
     return PETSc.Vec().createWithArray(values, bsize=3, comm=COMM)
 
 
-def _reason(ksp: PETSc.KSP) -> str:
-    names = {value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
-    return names.get(ksp.reason, str(ksp.reason))
-
-
 class ConjugateGradients:
     """CG with GAMG; the aggregates come from the matrix' near-null space of rigid motions."""
 
     def __init__(self, matrix: PETSc.Mat):
+        self._matrix = matrix
         options = PETSc.Options()
-        prefix = "softdeca_cg_"
         for key, value in _MULTIGRID.items():
-            options[prefix + key] = value
-        self._ksp = PETSc.KSP().create(COMM)
-        self._ksp.setOptionsPrefix(prefix)
-        self._ksp.setType(PETSc.KSP.Type.CG)
-        self._ksp.setOperators(matrix)
-        self._ksp.getPC().setType(PETSc.PC.Type.GAMG)
-        self._ksp.setFromOptions()
+            options[_PREFIX + key] = value
+        self._ksp = self._create()
+
+    def _create(self) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(COMM)
+        ksp.setOptionsPrefix(_PREFIX)
+        ksp.setType(PETSc.KSP.Type.CG)
+        ksp.setOperators(self._matrix)
+        ksp.getPC().setType(PETSc.PC.Type.GAMG)
+        ksp.setFromOptions()
+        return ksp
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; a direction of negative curvature counts as not found."""
-        x = np.zeros_like(b)
         self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
-        try:
-            self._ksp.solve(_vector(b), _vector(x))
-        except PETSc.Error as error:
-            return LinearAnswer(x, False, 0, f"PETSc error {error.ierr}")
-        found = self._ksp.reason > 0 and bool(np.isfinite(x).all())
-        return LinearAnswer(x, found, self._ksp.its, "" if found else _reason(self._ksp))
+        x, why = _solve(self._ksp, b)
+        iterations = self._ksp.its
+        if why:
+            self._ksp = self._create()
+        return LinearAnswer(x, not why, iterations, why)
 
 
 class Mumps:
     """MUMPS' LDLᵀ; its count of negative pivots says whether the matrix is positive definite."""
 
     def __init__(self, matrix: PETSc.Mat):
-        self._ksp = PETSc.KSP().create(COMM)
-        self._ksp.setType(PETSc.KSP.Type.PREONLY)
-        self._ksp.setOperators(matrix)
-        pc = self._ksp.getPC()
-        pc.setType(PETSc.PC.Type.CHOLESKY)
-        pc.setFactorSolverType("mumps")
+        self._matrix = matrix
+        self._ksp = self._create()
+
+    def _create(self) -> PETSc.KSP:
+        ksp = PETSc.KSP().create(COMM)
+        ksp.setType(PETSc.KSP.Type.PREONLY)
+        ksp.setOperators(self._matrix)
+        ksp.getPC().setType(PETSc.PC.Type.CHOLESKY)
+        ksp.getPC().setFactorSolverType("mumps")
+        return ksp
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; exact whatever `relative` is."""
-        x = np.zeros_like(b)
-        try:
-            self._ksp.solve(_vector(b), _vector(x))
-        except PETSc.Error as error:
-            return LinearAnswer(x, False, 1, f"PETSc error {error.ierr}")
-        if self._ksp.reason <= 0 or not np.isfinite(x).all():
-            return LinearAnswer(x, False, 1, _reason(self._ksp))
+        x, why = _solve(self._ksp, b)
+        if why:
+            self._ksp = self._create()
+            return LinearAnswer(x, False, 1, why)
         negative = self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)
         return LinearAnswer(x, negative == 0, 1, f"{negative} negative pivots" if negative else "")
+
+
+def _solve(ksp: PETSc.KSP, b: Floats) -> tuple[Floats, str]:
+    """x, and why it is no solution (empty if it is). A KSP that has failed stays so: its owner makes another."""
+    x = np.zeros_like(b)
+    try:
+        ksp.solve(_vector(b), _vector(x))
+    except PETSc.Error as error:
+        return x, f"PETSc error {error.ierr}"
+    if ksp.reason > 0 and np.isfinite(x).all():
+        return x, ""
+    names = {value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
+    return x, names.get(ksp.reason, str(ksp.reason))
 
 
 LINEAR_SOLVERS = {"cg": ConjugateGradients, "mumps": Mumps}

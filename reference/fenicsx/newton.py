@@ -77,7 +77,10 @@ class Newton:
         spread = self._solve(set_up, relative=1e-6)
         forces[self.held] = 0.0
         norm = float(np.linalg.norm(forces))
-        return (jump if spread is None else spread.reshape(jump.shape)), norm
+        if spread is None:
+            return jump, norm
+        spread[self.held] = values  # an iterative solver leaves its residual there
+        return spread.reshape(jump.shape), norm
 
     def minimise(self, state: State, *, threshold: Callable[[float], float], max_iterations: int):
         """From a state of finite energy to (state, reason, iterations); threshold maps the first gradient norm to the last."""
@@ -111,6 +114,7 @@ class Newton:
             direction = self._direction(hessian, gradient, relative, with_fallback=last_resort)
             if direction is None:
                 continue
+            direction[self.held] = 0.0
             slope = float(gradient @ direction)
             if slope >= 0.0:
                 reason = Reason.LINE_SEARCH
