@@ -36,8 +36,8 @@ class Energy:
         return self._hessian(x, project_spd)
 
     def _hessian(self, x: Floats, treat: Treatment) -> csc_matrix:
-        matrices = [part.hessian(x, treat) for part in self._parts]
-        return sum(matrices[1:], matrices[0].tocsr()).tocsc()
+        others = (part.hessian(x, treat) for part in self._parts[1:])
+        return sum(others, self._parts[0].hessian(x, treat)).tocsc()
 
 
 def _as_it_is(tangent: Floats) -> Floats:

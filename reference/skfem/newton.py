@@ -57,8 +57,8 @@ def minimise(
             return state.x, Reason.INTERRUPTED, iteration
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
-        found = _near_step(energy, state, free) if norm < NEAR * first else None
-        found = found or _far_step(energy, state, free)
+        near = _near_step(energy, state, free) if norm < NEAR * first else None
+        found = near or _far_step(energy, state, free)
         if isinstance(found, Reason):
             stagnated = found is Reason.LINE_SEARCH and norm < NEAR * first
             return state.x, Reason.STAGNATED if stagnated else found, iteration

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
+from scipy.sparse import coo_matrix, csr_matrix, diags
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, LinearForm, MeshTet
 
 from ...lhm.mesh import Floats, Ints
@@ -21,7 +21,6 @@ from .laws import Law, NeoHookean, Strain, Volume
 from .membrane import Membrane, rest_gradients
 
 Treatment = Callable[[Floats], Floats]
-Matrix = csc_matrix | csr_matrix | coo_matrix
 
 
 class Part(Protocol):
@@ -35,7 +34,7 @@ class Part(Protocol):
         """Gradient [mN], shape (size,), where the energy is finite."""
         ...
 
-    def hessian(self, x: Floats, treat: Treatment) -> Matrix:
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """Hessian [mN/mm], shape (size, size), where the energy is finite."""
         ...
 
@@ -95,7 +94,7 @@ class Tets:
             P[tets] += law.stress(F[tets])
         return _virtual_work.assemble(self._basis, stress=P.transpose(1, 2, 0)[..., None])
 
-    def hessian(self, x: Floats, treat: Treatment) -> Matrix:
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part."""
         F = self._deformation_gradients(x)
         tangent = np.zeros((len(F), 3, 3, 3, 3))
@@ -103,7 +102,7 @@ class Tets:
             tangent[tets] += law.tangent(F[tets])
         # scikit-fem has the elements and the quadrature points last.
         tangent = np.ascontiguousarray(treat(tangent).transpose(1, 2, 3, 4, 0))[..., None]
-        return _stiffness.assemble(self._basis, tangent=tangent)
+        return _stiffness.assemble(self._basis, tangent=tangent).tocsr()
 
 
 def _law(term, count: int) -> Law:
@@ -139,16 +138,19 @@ class Membranes:
         """See Part."""
         P = self._law.stress(self._deformation_gradients(x))
         forces = np.einsum("m,mia,mca->mci", self._areas, P, self._gradients)
-        return np.bincount(self._dofs.ravel(), forces.ravel(), minlength=self._size)
+        gradient = np.zeros(self._size)
+        np.add.at(gradient, self._dofs, forces)
+        return gradient
 
-    def hessian(self, x: Floats, treat: Treatment) -> Matrix:
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part."""
         tangent = treat(self._law.tangent(self._deformation_gradients(x)))
         weighted = self._areas[:, None, None] * self._gradients
         blocks = np.einsum("mca,miakb,mdb->mcidk", weighted, tangent, self._gradients, optimize=True)
         rows = np.broadcast_to(self._dofs[:, :, :, None, None], blocks.shape)
         columns = np.broadcast_to(self._dofs[:, None, None, :, :], blocks.shape)
-        return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(self._size, self._size))
+        shape = (self._size, self._size)
+        return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
 
 class Springs:
@@ -173,7 +175,7 @@ class Springs:
         """See Part."""
         return self._stiffness * self._stretch(x)
 
-    def hessian(self, x: Floats, treat: Treatment) -> Matrix:
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part; a spring's tangent is positive and needs no treatment."""
         return diags(self._stiffness, format="csr")
 
@@ -193,6 +195,6 @@ class DeadLoads:
         """See Part."""
         return -self._forces
 
-    def hessian(self, x: Floats, treat: Treatment) -> Matrix:
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part; a dead load has none."""
         return csr_matrix((len(x), len(x)))
