@@ -94,5 +94,9 @@ def volume_ratio(scene: Scene, positions: Floats) -> Floats:
 
 
 def stop_threshold(scene: Scene, first_gradient_norm: float, tolerance: float) -> float:
-    """The gradient norm [mN] at which to stop: tolerance times the start's, but not below what rounding leaves."""
-    return max(tolerance * first_gradient_norm, 1e-14 * scene.force_scale())
+    """The gradient norm [mN] at which to stop: tolerance times the start's, but not below what rounding leaves.
+
+    Rounding is independent from vertex to vertex, so its norm grows with the root of their number.
+    """
+    rounding = 1e-14 * scene.force_scale() * len(scene.vertices) ** 0.5
+    return max(tolerance * first_gradient_norm, rounding)

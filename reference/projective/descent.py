@@ -59,13 +59,18 @@ class Observer(Protocol):
 
 
 class Watch:
-    """Records each iteration and says when, and why, to stop."""
+    """Records each iteration, says when, and why, to stop, and keeps the best point for the case of stagnation."""
 
     def __init__(self, recorder: Recorder, rest: Floats, threshold: float, max_iterations: int):
         self._recorder, self._rest = recorder, rest
         self._threshold, self._max_iterations = threshold, max_iterations
         self.iteration = -1
-        self._best_norm, self._best_energy, self._best_at = np.inf, np.inf, 0
+        self.forget()
+
+    def forget(self):
+        """Start anew to look for the best point: the lowest, and among those level with it the flattest."""
+        self.best: Point | None = None
+        self._best_at = self.iteration
 
     def see(self, point: Point) -> Reason | None:
         """Take note of an iteration, the start first; the reason to stop, if there is one."""
@@ -77,11 +82,13 @@ class Watch:
             return Reason.NOT_FINITE
         if norm <= self._threshold:
             return Reason.CONVERGED
-        falls = point.energy < self._best_energy - ROUNDING * abs(point.energy)
-        if falls or norm < self._best_norm:
-            self._best_at = self.iteration
-            self._best_energy = min(self._best_energy, point.energy)
-            self._best_norm = min(self._best_norm, norm)
+        rounding = ROUNDING * abs(point.energy)
+        if (
+            self.best is None
+            or point.energy < self.best.energy - rounding
+            or (point.energy <= self.best.energy + rounding and norm < self.best.norm)
+        ):
+            self.best, self._best_at = point, self.iteration
         if self.iteration - self._best_at >= PATIENCE:
             return Reason.STAGNATED
         return Reason.MAX_ITERATIONS if self.iteration >= self._max_iterations else None
@@ -128,6 +135,7 @@ def accelerated(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Re
         point = problem.at(end.u)
         if other.stopped is not None:
             return point, other.stopped
+        watch.forget()
     return lbfgs(problem, point, watch)
 
 

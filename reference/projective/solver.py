@@ -12,7 +12,7 @@ import numpy as np
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
-from ..solution import OnIteration, Recorder, Solution, stop_threshold, volume_ratio
+from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Fixed, Gravity, Strain, SurfaceStrain, Target, Term, Traction, Volume
 from .descent import Descent, Point, Problem, Watch, accelerated, plain
 from .energy import Energy
@@ -85,6 +85,8 @@ class ProjectivePrepared:
         first = at(u)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
         point, reason = METHODS[self.method](problem, first, watch)
+        if reason is Reason.STAGNATED and watch.best is not None:
+            point = watch.best
         positions = scene.vertices + point.u
         return Solution(
             positions=positions,
