@@ -28,9 +28,8 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
     return solution if np.isfinite(solution).all() else None
 
 
-def solve_semidefinite(matrix: csc_matrix, right: Floats) -> Floats | None:
-    """As solve_definite for a semidefinite matrix, with as little of the mean diagonal added as makes it definite."""
-    scale = float(np.abs(matrix.diagonal()).mean())
+def solve_semidefinite(matrix: csc_matrix, right: Floats, *, scale: float) -> Floats | None:
+    """For a semidefinite matrix: as little of `scale` is added to the diagonal as makes it definite; None as above."""
     for shift in SHIFTS:
         solution = solve_definite(matrix + shift * scale * identity(matrix.shape[0], format="csc"), right)
         if solution is not None:

@@ -22,6 +22,14 @@ OnStep = Callable[[Floats, float, float], bool]
 
 
 @dataclass(frozen=True, eq=False)
+class Scales:
+    """What is large for a scene: a length [mm] no step exceeds, and a vertex' stiffness [mN/mm]."""
+
+    length: float
+    stiffness: float
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """Positions with their energy [µJ] and gradient [mN]."""
 
@@ -35,6 +43,7 @@ def minimise(
     x: Floats,
     free: Ints,
     *,
+    scales: Scales,
     threshold: Callable[[float], float],
     max_iterations: int,
     on_step: OnStep,
@@ -58,7 +67,7 @@ def minimise(
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
         near = _near_step(energy, state, free) if norm < NEAR * first else None
-        found = near or _far_step(energy, state, free)
+        found = near or _far_step(energy, state, free, scales)
         if isinstance(found, Reason):
             stagnated = found is Reason.LINE_SEARCH and norm < NEAR * first
             return state.x, Reason.STAGNATED if stagnated else found, iteration
@@ -83,13 +92,14 @@ def _near_step(energy: Energy, state: State, free: Ints) -> State | None:
     return State(x, value, gradient) if halved else None
 
 
-def _far_step(energy: Energy, state: State, free: Ints) -> State | Reason:
+def _far_step(energy: Energy, state: State, free: Ints, scales: Scales) -> State | Reason:
     """A step along the projected Newton direction, halved until the energy falls enough (Armijo)."""
-    step = solve_semidefinite(energy.projected_hessian(state.x)[free][:, free], -state.gradient[free])
+    matrix = energy.projected_hessian(state.x)[free][:, free]
+    step = solve_semidefinite(matrix, -state.gradient[free], scale=scales.stiffness)
     if step is None:
         return Reason.LINEAR_SOLVER
     slope = float(state.gradient[free] @ step)
-    length = 1.0
+    length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(HALVINGS):
         x = _moved(state.x, free, length * step)
         value = energy.value(x)

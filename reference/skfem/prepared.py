@@ -12,7 +12,7 @@ from .. import terms
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from .energy import Energy
-from .newton import minimise
+from .newton import Scales, minimise
 from .parts import Discretisation
 
 KNOWN = (
@@ -78,6 +78,7 @@ class Prepared:
                 energy,
                 x,
                 free,
+                scales=_scales(scene),
                 threshold=lambda first: stop_threshold(scene, first, tolerance),
                 max_iterations=MAX_ITERATIONS if max_iterations is None else max_iterations,
                 on_step=on_step,
@@ -98,6 +99,11 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
     return Prepared(scene, Discretisation(scene))
+
+
+def _scales(scene: Scene) -> Scales:
+    size = float(np.ptp(scene.vertices, axis=0).max())
+    return Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
 
 
 def _start(scene: Scene, start: Floats | None) -> Floats:

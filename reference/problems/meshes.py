@@ -1,0 +1,60 @@
+"""Meshes of verification problems: boxes of cells split into tets, and the faces of their boundary."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+
+from ...lhm.mesh import Floats, Ints, tet_volumes
+
+
+def box(cells: tuple[int, int, int], lengths: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Floats, Ints]:
+    """Vertices [mm] and tets of [0, lengths] in cells of six tets each (Kuhn's triangulation, one per axis order)."""
+    shape = np.array(cells) + 1
+    grid = np.stack(np.meshgrid(*[np.arange(k) for k in shape], indexing="ij"), axis=-1).reshape(-1, 3)
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
+    first = grid[(grid < np.array(cells)).all(axis=1)] @ strides
+    tets = []
+    for order in permutations(range(3)):
+        walk = np.concatenate([[0], np.cumsum(strides[list(order)])])
+        tets.append(first[:, None] + walk)
+    X = grid * (np.array(lengths) / np.array(cells))
+    return X, _positive(X, np.stack(tets, axis=1).reshape(-1, 4))
+
+
+def block(cells: int, size: float = 1.0) -> tuple[Floats, Ints]:
+    """A cube [mm] of cells³ cells."""
+    return box((cells,) * 3, (size,) * 3)
+
+
+def unstructured(cells: int, size: float = 1.0, *, seed: int = 0) -> tuple[Floats, Ints]:
+    """A cube whose interior vertices are moved by up to a fifth of a cell, so that no two tets are alike."""
+    X, tets = block(cells, size)
+    inside = np.setdiff1d(np.arange(len(X)), boundary_triangles(tets))
+    X[inside] += np.random.default_rng(seed).uniform(-0.2, 0.2, (len(inside), 3)) * size / cells
+    return X, tets
+
+
+def boundary_triangles(tets: Ints) -> Ints:
+    """The triangles that belong to one tet only, shape (k, 3), counter-clockwise from outside."""
+    faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def triangles_at(X: Floats, tets: Ints, axis: int, position: float) -> Ints:
+    """The boundary's triangles in the plane where coordinate `axis` is `position` [mm], shape (k, 3)."""
+    triangles = boundary_triangles(tets)
+    return triangles[np.isclose(X[triangles, axis], position).all(axis=1)]
+
+
+def vertices_at(X: Floats, axis: int, position: float) -> Ints:
+    """The vertices in the plane where coordinate `axis` is `position` [mm], shape (k,)."""
+    return np.flatnonzero(np.isclose(X[:, axis], position))
+
+
+def _positive(X: Floats, tets: Ints) -> Ints:
+    inverted = tet_volumes(X, tets) < 0
+    tets[inverted] = tets[inverted][:, [0, 1, 3, 2]]
+    return tets

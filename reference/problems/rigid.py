@@ -1,0 +1,105 @@
+"""The patch test and rigid motions: what any solver must give on any mesh (Irons and Razzaque 1972)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...lhm.mesh import Floats
+from ..materials import NeoHookean
+from ..scene import Scene
+from ..solution import Solution
+from ..terms import Fixed, Hyperelastic, Strain, Term, Volume
+from .meshes import boundary_triangles, unstructured
+from .problem import Problem
+
+PATCH = np.array([[1.1, 0.05, 0.0], [0.0, 0.95, 0.1], [0.02, 0.0, 1.03]])
+SHIFT = np.array([0.3, -0.2, 0.1])
+AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
+ANGLES = (60, 120, 180, 270, 360)
+MU = 1.0
+CELLS = 3
+
+Energies = Callable[[], list[Term]]
+
+
+def neo_hookean() -> list[Term]:
+    """NeoHookean with Poisson's ratio 0.4."""
+    return [Hyperelastic(NeoHookean(mu=MU, lmbda=4.0 * MU))]
+
+
+def strain_and_volume() -> list[Term]:
+    """Projective dynamics' energy with the same moduli at small strain."""
+    return [Strain(2.0 * MU), Volume(12.0 * MU)]
+
+
+ENERGIES: dict[str, tuple[Energies, dict[str, float]]] = {
+    "NeoHookean": (neo_hookean, {"fenicsx": 1e-12, "skfem": 1e-12}),
+    "Strain + Volume": (strain_and_volume, {"projective": 1e-8, "fenicsx": 1e-12, "skfem": 1e-12}),
+}
+
+
+def held_boundary(energies: Energies, A: Floats) -> Scene:
+    """The unit cube, its boundary held at A X + SHIFT."""
+    X, tets = unstructured(CELLS)
+    boundary = np.unique(boundary_triangles(tets))
+    return Scene(X, tets, [*energies(), Fixed(boundary, X[boundary] @ A.T + SHIFT)])
+
+
+def deviation(A: Floats) -> Callable[[Scene, Solution], float]:
+    """The largest distance [mm] of a vertex from A X + SHIFT."""
+    return lambda scene, solution: np.linalg.norm(solution.positions - (scene.vertices @ A.T + SHIFT), axis=1).max()
+
+
+def relative_energy(scene: Scene, solution: Solution) -> float:
+    """The energy over mu times the rest volume."""
+    return solution.energy / (MU * scene.volumes.sum())
+
+
+def _near(A: Floats) -> Callable[[Scene], Floats]:
+    """A start near A X + SHIFT, its vertices astray by up to a hundredth of a cell."""
+
+    def start(scene: Scene) -> Floats:
+        astray = np.random.default_rng(1).uniform(-1, 1, scene.vertices.shape) / (100 * CELLS)
+        return scene.vertices @ A.T + SHIFT + astray
+
+    return start
+
+
+def _problems() -> list[Problem]:
+    problems = []
+    for label, (energies, bounds) in ENERGIES.items():
+        problems.append(
+            Problem(
+                f"patch, {label}",
+                "Irons and Razzaque 1972: an affine map is exact on any mesh",
+                lambda energies=energies: held_boundary(energies, PATCH),
+                deviation(PATCH),
+                0.0,
+                bounds,
+                _near(PATCH),
+            )
+        )
+        for angle in ANGLES:
+            R = Rotation.from_rotvec(np.radians(angle) * AXIS).as_matrix()
+            for what, quantity, limits in (
+                ("positions", deviation(R), bounds),
+                ("energy", relative_energy, dict.fromkeys(bounds, 1e-14)),
+            ):
+                problems.append(
+                    Problem(
+                        f"rotation by {angle}°, {label}, {what}",
+                        "frame invariance: a rigid motion costs no energy",
+                        lambda energies=energies, R=R: held_boundary(energies, R),
+                        quantity,
+                        0.0,
+                        limits,
+                        _near(R),
+                    )
+                )
+    return problems
+
+
+PROBLEMS = tuple(_problems())
