@@ -1,0 +1,171 @@
+"""Deformation transfer by one prefactorised system (Sumner & Popović 2004; Botsch et al. 2006; SoftDECA Eq. 19).
+
+Per face, J acts from the left on the gradient of the blended skin S. The answer x solves
+
+    K (x - S) = Gᵀ D ((J - I) G S),    K = Gᵀ D G + anchors,
+
+with gradients G and areas D of one fixed reference mesh. J that are integrable give their surface exactly whatever the
+reference is, so one factorisation serves all identities, and faces move the answer away from S only where J is not I.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..lhm.errors import MeshError
+from ..lhm.mesh import Floats, Surface
+
+
+def sumner_frames(vertices: Floats, triangles) -> Floats:
+    """Per face [e1, e2, n/√|n|] as columns [mm], n = e1 × e2, shape (m, 3, 3) (Sumner & Popović 2004, Eq. 2)."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    length = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return np.stack([b - a, c - a, normal / np.sqrt(length)], axis=2)
+
+
+def deformation_gradients(before: Floats, after: Floats, triangles) -> Floats:
+    """J per face that takes the Sumner frame of `before` to that of `after` [mm, shape (n, 3)], shape (m, 3, 3).
+
+    Raises MeshError for a triangle without area in `before`.
+    """
+    frames, moved = sumner_frames(before, triangles), sumner_frames(after, triangles)
+    flat = np.flatnonzero(np.linalg.det(frames) <= 0.0)
+    if flat.size:
+        raise MeshError(f"triangles: number {flat[0]} has no area, so it has no deformation gradient")
+    return moved @ np.linalg.inv(frames)
+
+
+class DeformationTransfer:
+    """The prefactorised system of a reference surface; `dtype` is float32 or float64.
+
+    `anchors` (indices) are drawn to where the blended skin has them, with `weight` times the mean diagonal of GᵀDG.
+    Raises MeshError for reference triangles without area and for a connected part without an anchor.
+    """
+
+    def __init__(self, reference: Surface, anchors, *, weight: float = 1.0, dtype=np.float64):
+        self.dtype = np.dtype(dtype)
+        self.triangles = np.ascontiguousarray(reference.triangles, dtype=np.int32)
+        self.n_vertices = len(reference.vertices)
+        self.stiffness = _edge_stiffness(reference).astype(self.dtype)
+        matrix = self._matrix(np.asarray(anchors), weight)
+        solver = CholeskySolverF if self.dtype == np.float32 else CholeskySolverD
+        self._solver = solver(
+            self.n_vertices,
+            matrix.indptr.astype(np.int32),
+            matrix.indices.astype(np.int32),
+            matrix.data.astype(self.dtype),
+            MatrixType.CSC,
+        )
+
+    def _matrix(self, anchors, weight) -> csc_matrix:
+        c11, c12, c22 = self.stiffness.astype(np.float64).T
+        local = np.stack([c11 + 2 * c12 + c22, -c11 - c12, -c12 - c22, c11, c12, c22], axis=1)
+        blocks = local[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].ravel()
+        rows = np.repeat(self.triangles, 3, axis=1).ravel()
+        columns = np.tile(self.triangles, (1, 3)).ravel()
+        matrix = coo_matrix((blocks, (rows, columns)), shape=(self.n_vertices,) * 2).tocsc()
+        _require_anchor_per_part(matrix, anchors)
+        added = np.zeros(self.n_vertices)
+        added[anchors] = weight * matrix.diagonal().mean()
+        return (matrix + coo_matrix((added, (np.arange(self.n_vertices),) * 2))).tocsc()
+
+    def solve(self, right_side: NDArray) -> NDArray:
+        """K⁻¹ b for a C-contiguous b of this dtype, shape (n, columns)."""
+        out = np.zeros_like(right_side)
+        self._solver.solve(right_side, out)
+        return out
+
+    def delta(self, gradients: NDArray, blended: NDArray) -> NDArray:
+        """The motion x - S [mm] from J - I, shape (batch, m, 9), and S [mm]; x and S have shape (batch, n, 3)."""
+        forces = np.zeros((self.n_vertices, len(blended), 3), dtype=self.dtype)
+        _face_forces(gradients, blended, self.triangles, self.stiffness, forces)
+        return self.solve(forces.reshape(self.n_vertices, -1)).reshape(forces.shape).transpose(1, 0, 2)
+
+    def pull_back(self, cotangent: NDArray, blended: NDArray) -> NDArray:
+        """The transpose of `delta` in its gradients: from shape (batch, n, 3) to (batch, m, 9); K is symmetric."""
+        right_side = np.ascontiguousarray(cotangent.transpose(1, 0, 2), dtype=self.dtype)
+        solved = self.solve(right_side.reshape(self.n_vertices, -1)).reshape(right_side.shape)
+        out = np.empty((len(blended), len(self.triangles), 9), dtype=self.dtype)
+        _face_cotangents(solved, blended, self.triangles, self.stiffness, out)
+        return out
+
+
+def _edge_stiffness(reference: Surface) -> Floats:
+    """Area · Dm⁻¹ Dm⁻ᵀ per face as (c11, c12, c22), which is all of D and G that a face needs, shape (m, 3)."""
+    a, b, c = (reference.vertices[reference.triangles[:, k]] for k in range(3))
+    e1, e2 = b - a, c - a
+    g11, g12, g22 = ((x * y).sum(axis=1) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
+    squared = g11 * g22 - g12**2  # (2 area)²
+    flat = np.flatnonzero(squared <= 1e-14 * (g11 + g22) ** 2)
+    if flat.size:
+        raise MeshError(f"reference: {flat.size} triangles have no area, the first is number {flat[0]}")
+    return np.stack([g22, -g12, g11], axis=1) / (2.0 * np.sqrt(squared))[:, None]
+
+
+def _require_anchor_per_part(matrix: csc_matrix, anchors):
+    count, part = connected_components(matrix, directed=False)
+    bare = np.setdiff1d(np.arange(count), part[anchors])
+    if bare.size:
+        vertex = np.flatnonzero(part == bare[0])[0]
+        raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
+
+
+@numba.njit(cache=True, fastmath=True)
+def _face_forces(gradients, blended, triangles, stiffness, forces):
+    """Add Gᵀ D ((J - I) G S) of each batch item to forces, shape (n, batch, 3)."""
+    for b in range(blended.shape[0]):
+        for f in range(triangles.shape[0]):
+            i, j, k = triangles[f]
+            c11, c12, c22 = stiffness[f]
+            u0, u1, u2, v0, v1, v2 = weighted_edges(blended[b], i, j, k, c11, c12, c22)
+            for r in range(3):
+                m0, m1, m2 = gradients[b, f, 3 * r], gradients[b, f, 3 * r + 1], gradients[b, f, 3 * r + 2]
+                at_j = m0 * u0 + m1 * u1 + m2 * u2
+                at_k = m0 * v0 + m1 * v1 + m2 * v2
+                forces[j, b, r] += at_j
+                forces[k, b, r] += at_k
+                forces[i, b, r] -= at_j + at_k
+
+
+@numba.njit(cache=True, fastmath=True)
+def _face_cotangents(solved, blended, triangles, stiffness, out):
+    for b in range(blended.shape[0]):
+        for f in range(triangles.shape[0]):
+            i, j, k = triangles[f]
+            c11, c12, c22 = stiffness[f]
+            u0, u1, u2, v0, v1, v2 = weighted_edges(blended[b], i, j, k, c11, c12, c22)
+            for r in range(3):
+                at_j = solved[j, b, r] - solved[i, b, r]
+                at_k = solved[k, b, r] - solved[i, b, r]
+                out[b, f, 3 * r] = at_j * u0 + at_k * v0
+                out[b, f, 3 * r + 1] = at_j * u1 + at_k * v1
+                out[b, f, 3 * r + 2] = at_j * u2 + at_k * v2
+
+
+@numba.njit(cache=True, fastmath=True, inline="always")
+def weighted_edges(positions, i, j, k, c11, c12, c22):
+    """D G of one face: its edges e1, e2 combined to c11 e1 + c12 e2 and c12 e1 + c22 e2."""
+    a0, a1, a2 = (
+        positions[j, 0] - positions[i, 0],
+        positions[j, 1] - positions[i, 1],
+        positions[j, 2] - positions[i, 2],
+    )
+    b0, b1, b2 = (
+        positions[k, 0] - positions[i, 0],
+        positions[k, 1] - positions[i, 1],
+        positions[k, 2] - positions[i, 2],
+    )
+    return (
+        c11 * a0 + c12 * b0,
+        c11 * a1 + c12 * b1,
+        c11 * a2 + c12 * b2,
+        c12 * a0 + c22 * b0,
+        c12 * a1 + c22 * b1,
+        c12 * a2 + c22 * b2,
+    )

@@ -1,0 +1,88 @@
+"""Random expressions as in conversation: a few shapes at a time, mostly symmetric, none that contradict another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..lhm.expressions import ARKIT, index
+from ..lhm.mesh import Floats
+
+UNITS: tuple[tuple[str, ...], ...] = (
+    *(
+        (f"{name}Left", f"{name}Right")
+        for name in (
+            "browDown browOuterUp cheekSquint eyeBlink eyeLookDown eyeLookUp eyeSquint eyeWide mouthDimple mouthFrown "
+            "mouthLowerDown mouthPress mouthSmile mouthStretch mouthUpperUp noseSneer"
+        ).split()
+    ),
+    ("eyeLookOutLeft", "eyeLookInRight"),
+    ("eyeLookInLeft", "eyeLookOutRight"),
+    *(
+        (name,)
+        for name in (
+            "browInnerUp cheekPuff jawForward jawLeft jawRight mouthClose mouthFunnel mouthLeft mouthPucker mouthRight "
+            "mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper tongueOut"
+        ).split()
+    ),
+)
+"""What is drawn together: a symmetric pair, the two eyes looking to one side, or a shape of its own."""
+
+CONTRADICTORY = (
+    ("browDown", "browOuterUp"),
+    ("browDown", "browInnerUp"),
+    ("eyeBlink", "eyeWide"),
+    ("eyeSquint", "eyeWide"),
+    ("eyeLookDown", "eyeLookUp"),
+    ("eyeLookOutLeft", "eyeLookInLeft"),
+    ("jawLeft", "jawRight"),
+    ("mouthLeft", "mouthRight"),
+    ("mouthSmile", "mouthFrown"),
+    ("mouthSmile", "mouthPucker"),
+    ("mouthSmile", "mouthFunnel"),
+    ("mouthStretch", "mouthPucker"),
+    ("mouthStretch", "mouthFunnel"),
+    ("mouthPucker", "mouthFunnel"),
+    ("mouthPress", "mouthFunnel"),
+    ("mouthPress", "mouthLowerDown"),
+    ("mouthPress", "mouthUpperUp"),
+    ("mouthRollLower", "mouthLowerDown"),
+    ("mouthRollLower", "mouthFunnel"),
+    ("mouthRollUpper", "mouthUpperUp"),
+    ("mouthRollUpper", "mouthFunnel"),
+)
+"""Pairs, by how their names begin, that one face does not show at once."""
+
+JAW_SHARE, SYMMETRIC_SHARE, MORE_UNITS = 0.6, 0.8, 2.0
+
+
+def sample_weights(rng: np.random.Generator) -> Floats:
+    """One random expression: ARKit weights in [0, 1], shape (52,).
+
+    The jaw opens in 60 % of all; one unit is active, and a Poisson number of mean 2 beside it; a pair is symmetric to
+    10 % in 80 % of cases and one-sided otherwise. mouthClose, which means closing an open jaw, never exceeds jawOpen.
+    """
+    weights = np.zeros(len(ARKIT))
+    if rng.random() < JAW_SHARE:
+        weights[index("jawOpen")] = rng.uniform(0.05, 1.0)
+    active: list[str] = []
+    for number in rng.permutation(len(UNITS))[: 1 + rng.poisson(MORE_UNITS)]:
+        unit = UNITS[number]
+        amplitude, sides = rng.uniform(0.1, 1.0), rng.random()
+        spread = rng.uniform(0.9, 1.0, len(unit))
+        if len(unit) == 2 and sides > SYMMETRIC_SHARE and not unit[0].startswith("eyeLook"):
+            unit, spread = (unit[int(sides * 1000) % 2],), spread[:1]
+        if any(contradict(name, other) for name in unit for other in active):
+            continue
+        active.extend(unit)
+        for name, factor in zip(unit, spread, strict=True):
+            weights[index(name)] = amplitude * factor
+    weights[index("mouthClose")] = min(weights[index("mouthClose")], weights[index("jawOpen")])
+    return weights
+
+
+def contradict(a: str, b: str) -> bool:
+    """Whether two ARKit shapes are kept apart."""
+    return any(
+        (a.startswith(first) and b.startswith(second)) or (b.startswith(first) and a.startswith(second))
+        for first, second in CONTRADICTORY
+    )
