@@ -71,4 +71,6 @@ class Energy:
         if self.triangles is not None:
             entries.append(self.triangles.stiffness_entries())
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
-        return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
+        matrix = csr_matrix((values, (rows, columns)), shape=(n, n))
+        matrix.eliminate_zeros()
+        return matrix, anchored > 0

@@ -2,6 +2,9 @@
 
 The rows lie in one flat array and their offsets are compile-time constants: the compiler then knows that no two
 rows overlap, and needs no run-time checks that would make it fall back to scalar code.
+
+Numba's cache looks at the file of the outermost function only: after a change to this file, `singular_values` or
+`volume_projection`, delete the `*.nbi` files beside them.
 """
 
 from __future__ import annotations

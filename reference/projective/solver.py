@@ -33,6 +33,34 @@ VARYING: dict[type[Term], tuple[str, ...]] = {
 MAX_ITERATIONS = 5000
 
 
+@dataclass
+class _Work:
+    """Evaluates energies over the free components and solves with A, and counts both."""
+
+    system: System
+    evaluations: int = 0
+    global_solves: int = 0
+
+    def on(self, energy: Energy) -> Callable[[Floats], Point]:
+        def at(u: Floats) -> Point:
+            self.evaluations += 1
+            value, gradient = energy.evaluate(u)
+            return Point(u, value, np.where(self.system.free, gradient, 0.0))
+
+        return at
+
+    def precondition(self, gradient: Floats) -> Floats:
+        self.global_solves += 1
+        return self.system.solve(gradient)
+
+    def counts(self) -> dict[str, float]:
+        return {
+            "factorisations": float(len(self.system.groups)),
+            "evaluations": float(self.evaluations),
+            "global_solves": float(self.global_solves),
+        }
+
+
 @dataclass(frozen=True, eq=False)
 class ProjectivePrepared:
     """A scene with its PD matrix factored; see `reference.solve.Prepared`."""
@@ -61,33 +89,20 @@ class ProjectivePrepared:
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
         limit = _checked_limits(tolerance, max_iterations)
-        u = _start(scene, start)
+        held, values = scene.dirichlet()
+        u = np.where(held, values, _checked_start(scene, start)) - scene.vertices
         recorder = Recorder(on_iteration)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
-        counts = {"factorisations": len(self.system.groups), "evaluations": 0, "global_solves": 0}
-
-        def evaluator(energy: Energy) -> Callable[[Floats], Point]:
-            def at(u: Floats) -> Point:
-                counts["evaluations"] += 1
-                value, gradient = energy.evaluate(u)
-                return Point(u, value, np.where(self.system.free, gradient, 0.0))
-
-            return at
-
-        def precondition(gradient: Floats) -> Floats:
-            counts["global_solves"] += 1
-            return self.system.solve(gradient)
-
-        at = evaluator(energy)
+        work = _Work(self.system)
         tangled = bool((volume_ratio(scene, scene.vertices + u) <= 0).any())
-        problem = Problem(at, precondition, evaluator(energy.untangling()) if tangled else None)
-        first = at(u)
+        problem = Problem(work.on(energy), work.precondition, work.on(energy.untangling()) if tangled else None)
+        first = problem.at(u)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
         point, reason = METHODS[self.method](problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
-        positions = scene.vertices + point.u
+        positions = np.where(held, values, scene.vertices + point.u)
         return Solution(
             positions=positions,
             reason=reason,
@@ -95,7 +110,7 @@ class ProjectivePrepared:
             energy=point.energy,
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
-            detail={key: float(value) for key, value in counts.items()},
+            detail=work.counts(),
         )
 
 
@@ -138,13 +153,11 @@ def _checked_limits(tolerance: float, max_iterations: int | None) -> int:
     return MAX_ITERATIONS if max_iterations is None else int(max_iterations)
 
 
-def _start(scene: Scene, start: Floats | None) -> Floats:
-    """The displacement to start from, with held components where they are held."""
+def _checked_start(scene: Scene, start: Floats | None) -> Floats:
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
     if positions.shape != scene.vertices.shape:
         raise SceneError(f"start: expected shape {scene.vertices.shape}, got {positions.shape}")
     bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
     if bad.size:
         raise SceneError(f"start: {bad.size} rows are not finite, the first is {bad[0]}")
-    held, values = scene.dirichlet()
-    return np.where(held, values, positions) - scene.vertices
+    return positions

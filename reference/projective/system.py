@@ -49,7 +49,7 @@ def factorise(matrix: csr_matrix) -> Solver:
 class Group:
     """Components (of x, y, z) that are held at the same vertices, so that one factorisation serves them."""
 
-    components: tuple[int, ...]
+    components: Ints
     free: Ints
     solver: Solver
     loose: Ints
@@ -103,14 +103,14 @@ class System:
         """A⁻¹ times the gradient (n, 3); zero in held components."""
         step = np.zeros_like(gradient)
         for group in self.groups:
-            where = np.ix_(group.free, list(group.components))
+            where = np.ix_(group.free, group.components)
             step[where] = group.solver(np.ascontiguousarray(gradient[where]))
         return step
 
 
-def _alike(held: np.ndarray) -> list[tuple[int, ...]]:
+def _alike(held: np.ndarray) -> list[Ints]:
     """The components of x, y, z, gathered by equal columns of `held`."""
     gathered: dict[bytes, list[int]] = {}
     for c in range(3):
         gathered.setdefault(held[:, c].tobytes(), []).append(c)
-    return [tuple(components) for components in gathered.values()]
+    return [np.array(components) for components in gathered.values()]
