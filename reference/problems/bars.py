@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
+from ...lhm.mesh import Floats
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Gravity, Strain, Term, Traction
@@ -14,7 +17,7 @@ CELLS = (8, 2, 2)
 RATIOS = (1.0, 1e2, 1e4, 1e6)
 
 
-def _lateral_rollers(X) -> Fixed:
+def _lateral_rollers(X: Floats) -> Fixed:
     """Every vertex moves along the bar only."""
     return Fixed(np.arange(len(X)), components=(1, 2))
 
@@ -26,12 +29,12 @@ def self_weight() -> Scene:
     that warp, which finer cells along the bar make small.
     """
     X, tets = box((2 * CELLS[0], *CELLS[1:]), (1.0, 0.25, 0.25))
-    terms: list[Term] = [
+    terms: tuple[Term, ...] = (
         Strain(1e5),
-        Gravity((9.81, 0.0, 0.0), density=1000.0),
+        Gravity(np.array([9.81, 0.0, 0.0]), density=1000.0),
         Fixed(vertices_at(X, 0, 0.0), components=(0,)),
         _lateral_rollers(X),
-    ]
+    )
     return Scene(X, tets, terms)
 
 
@@ -39,12 +42,12 @@ def layers(ratio: float) -> Scene:
     """A bar of two halves, the second `ratio` times as stiff as the first, under a tenth of the first's stiffness."""
     X, tets = box(CELLS, (1.0, 0.25, 0.25))
     first = X[tets, 0].mean(axis=1) < 0.5
-    terms: list[Term] = [
+    terms: tuple[Term, ...] = (
         Strain(np.where(first, 1.0, ratio)),
-        Traction(triangles_at(X, tets, 0, 1.0), (0.1, 0.0, 0.0)),
+        Traction(triangles_at(X, tets, 0, 1.0), np.array([0.1, 0.0, 0.0])),
         Fixed(vertices_at(X, 0, 0.0), components=(0,)),
         _lateral_rollers(X),
-    ]
+    )
     return Scene(X, tets, terms)
 
 
@@ -71,7 +74,7 @@ def _problems() -> list[Problem]:
         Problem(
             f"two layers in series, 1:{ratio:g}",
             "closed form: F/A (L1/w1 + L2/w2)",
-            lambda ratio=ratio: layers(ratio),
+            partial(layers, ratio),
             tip,
             0.1 * (0.5 + 0.5 / ratio),
             bounds,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,7 +46,7 @@ def held_boundary(energies: Energies, A: Floats) -> Scene:
     """The unit cube, its boundary held at A X + SHIFT."""
     X, tets = unstructured(CELLS)
     boundary = np.unique(boundary_triangles(tets))
-    return Scene(X, tets, [*energies(), Fixed(boundary, X[boundary] @ A.T + SHIFT)])
+    return Scene(X, tets, (*energies(), Fixed(boundary, X[boundary] @ A.T + SHIFT)))
 
 
 def deviation(A: Floats) -> Callable[[Scene, Solution], float]:
@@ -75,7 +76,7 @@ def _problems() -> list[Problem]:
             Problem(
                 f"patch, {label}",
                 "Irons and Razzaque 1972: an affine map is exact on any mesh",
-                lambda energies=energies: held_boundary(energies, PATCH),
+                partial(held_boundary, energies, PATCH),
                 deviation(PATCH),
                 0.0,
                 bounds,
@@ -92,7 +93,7 @@ def _problems() -> list[Problem]:
                     Problem(
                         f"rotation by {angle}°, {label}, {what}",
                         "frame invariance: a rigid motion costs no energy",
-                        lambda energies=energies, R=R: held_boundary(energies, R),
+                        partial(held_boundary, energies, R),
                         quantity,
                         0.0,
                         limits,

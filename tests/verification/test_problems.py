@@ -1,0 +1,38 @@
+"""Every verification problem through every solver that models it."""
+
+from dataclasses import replace
+
+import pytest
+
+from softdeca.reference import SOLVERS, MissingDependencyError, SceneError, problems
+
+CASES = [(problem, solver) for problem in problems.ALL for solver in problem.solvers]
+
+
+@pytest.mark.parametrize(("problem", "solver"), CASES, ids=lambda value: getattr(value, "name", value))
+def test_problem(problem, solver):
+    try:
+        outcome = problems.run(problem, solver)
+    except MissingDependencyError as missing:
+        pytest.skip(str(missing))
+    assert outcome.passed, f"{outcome.value!r} is off by {outcome.error:.2e} of {outcome.bound:.0e}: {outcome.reason}"
+
+
+def test_names_are_unique_and_solvers_exist():
+    names = [problem.name for problem in problems.ALL]
+    assert len(set(names)) == len(names)
+    assert {solver for problem in problems.ALL for solver in problem.solvers} == set(SOLVERS)
+
+
+def test_an_error_beyond_the_bound_fails():
+    """The outcome judges: the same solution against a wrong reference is off by what the reference is."""
+    right = next(problem for problem in problems.ALL if problem.name.startswith("two layers"))
+    wrong = problems.run(replace(right, reference=1.01 * right.reference), "skfem")
+    assert not wrong.passed
+    assert wrong.error == pytest.approx(0.01 / 1.01, rel=1e-6)
+
+
+def test_a_problem_refuses_a_solver_that_does_not_model_it():
+    neo_hookean = next(problem for problem in problems.ALL if "NeoHookean" in problem.name)
+    with pytest.raises(SceneError, match="not for solver 'projective'"):
+        problems.run(neo_hookean, "projective")
