@@ -66,25 +66,22 @@ class Membrane:
         for c in range(3):
             into[:, c] += np.bincount(self.triangles.ravel(), force[:, :, c].ravel(), minlength=len(into))
 
-    def hessian(self, x: Floats) -> Floats:
-        """The Hessian's blocks [mN/mm], shape (m, 3, 3, 3, 3): vertex, vertex, component, component."""
-        return self._blocks(x, -np.inf)
+    def hessian(self, x: Floats, kept: float) -> Floats:
+        """The Hessian's blocks [mN/mm], shape (m, 3, 3, 3, 3): vertex, vertex, component, component.
 
-    def projected_hessian(self, x: Floats) -> Floats:
-        """As `hessian`, with every mode's curvature at least zero."""
-        return self._blocks(x, 0.0)
-
-    def _blocks(self, x: Floats, least: float) -> Floats:
+        Negative curvature is multiplied by `kept`: 1 for the exact Hessian, 0 for its projection.
+        """
         U, s, Vt = self._svd(x)
         w, c = self.stiffness, self.stretch
         u, n, v = U[:, :, :2], U[:, :, 2], Vt.transpose(0, 2, 1)
-        twist = np.maximum(w * (1.0 - 2.0 * c / np.maximum(s.sum(axis=1), FLAT)), least)
-        bend = np.maximum(w[:, None] * (1.0 - c[:, None] / np.maximum(s, FLAT)), least)
+        twist = w * (1.0 - 2.0 * c / np.maximum(s.sum(axis=1), FLAT))
+        bend = w[:, None] * (1.0 - c[:, None] / np.maximum(s, FLAT))
         vectors = np.empty((len(s), 3, 3, 2))
         vectors[:, 0] = (u[:, :, :1] * v[:, None, :, 1] - u[:, :, 1:] * v[:, None, :, 0]) / np.sqrt(2.0)
         vectors[:, 1] = n[:, :, None] * v[:, None, :, 0]
         vectors[:, 2] = n[:, :, None] * v[:, None, :, 1]
-        change = np.column_stack([twist, bend]) - w[:, None]
+        curvature = np.column_stack([twist, bend])
+        change = np.maximum(curvature, kept * curvature) - w[:, None]
         B = vectors.reshape(len(s), 9, 2) @ self.gradients.transpose(0, 2, 1)  # mode and component, vertex
         B = B.reshape(len(s), 3, 9)
         blocks = (B * (self.area[:, None] * change)[:, :, None]).transpose(0, 2, 1) @ B

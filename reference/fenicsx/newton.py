@@ -2,7 +2,9 @@
 
 Far from the answer every point's tangent is projected to be positive semi-definite, which always gives a descent
 direction; once the gradient has fallen tenfold the exact tangent takes over, which converges quadratically. Where the
-exact one is not positive definite, or its direction does not descend, that iteration uses the projected one.
+exact Hessian is not positive definite, or its direction does not descend, that iteration uses the projected one, and
+the next ones keep only a share of the negative curvature: projection alone converges linearly, and slowly where
+tissue is inverted or skin compressed (50 iterations became 20).
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ from .problem import Problem, State
 EXACT_BELOW = 0.1  # of the first gradient norm
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 SMALLEST_STEP = 2.0**-30
+SHARE = 0.25  # of the negative curvature, that a Hessian which is not positive definite gives up
+SUCCESSES = 2  # with a share of it, after which more is tried
 SHIFTS = (0.0, 1e-10, 1e-6)  # of the largest diagonal entry: what a direct solver adds where nothing holds a part
 
 
@@ -47,6 +51,8 @@ class Newton:
     fallback: LinearSolver
     report: Callable[[State, float], bool]
     work: Work = field(default_factory=Work)
+    _kept: float = 1.0
+    _successes: int = 0
 
     def at(self, u: Floats) -> State:
         """The problem's state at a displacement [mm], shape (n, 3)."""
@@ -70,7 +76,7 @@ class Newton:
         def set_up(shift: float) -> Floats:
             nonlocal forces
             forces = np.zeros(jump.size)
-            matrix = self._shifted(state.projected_hessian(), shift)
+            matrix = self._shifted(state.softened_hessian(0.0), shift)
             hold(matrix, self.held, values, forces)
             return forces
 
@@ -107,33 +113,39 @@ class Newton:
 
     def _step(self, state: State, gradient: Floats, *, exact: bool, relative: float) -> State | Reason:
         """The next state, or why there is none."""
-        hessians = [state.hessian, state.projected_hessian] if exact else [state.projected_hessian]
-        reason = Reason.LINEAR_SOLVER
-        for hessian in hessians:
-            last_resort = hessian is hessians[-1]
-            direction = self._direction(hessian, gradient, relative, with_fallback=last_resort)
-            if direction is None:
-                continue
-            direction[self.held] = 0.0
-            slope = float(gradient @ direction)
-            if slope >= 0.0:
-                reason = Reason.LINE_SEARCH
-                continue
-            after = self._line_search(state, direction.reshape(state.u.shape), slope)
-            if after is not None:
+        if exact and self._kept > 0.0:
+            after = self._advance(state, gradient, self._kept, relative)
+            if isinstance(after, State):
+                self._successes += 1
+                if self._successes >= SUCCESSES:
+                    self._kept, self._successes = min(1.0, self._kept + SHARE), 0
                 return after
-            reason = Reason.STAGNATED if -slope <= self._rounding(state) else Reason.LINE_SEARCH
-        return reason
+            self._kept, self._successes = self._kept - SHARE, 0
+        elif exact:
+            self._kept = SHARE
+        return self._advance(state, gradient, 0.0, relative)
 
-    def _direction(self, hessian, gradient: Floats, relative: float, *, with_fallback: bool) -> Floats | None:
+    def _advance(self, state: State, gradient: Floats, kept: float, relative: float) -> State | Reason:
+        """One iteration with a share of the negative curvature kept; only the projected Hessian is sure to do."""
+
         def set_up(shift: float) -> Floats:
             b = -gradient
-            hold(self._shifted(hessian(), shift), self.held, np.zeros(len(self.held)), b)
+            hessian = state.hessian() if kept == 1.0 else state.softened_hessian(kept)
+            hold(self._shifted(hessian, shift), self.held, np.zeros(len(self.held)), b)
             return b
 
-        if with_fallback:
-            return self._solve(set_up, relative=relative)
-        return self._try(self.linear, set_up(0.0), relative)
+        if kept == 0.0:
+            direction = self._solve(set_up, relative=relative)
+        else:
+            direction = self._try(self.linear, set_up(0.0), relative)
+        if direction is None:
+            return Reason.LINEAR_SOLVER
+        direction[self.held] = 0.0
+        slope = float(gradient @ direction)
+        after = self._line_search(state, direction.reshape(state.u.shape), slope) if slope < 0.0 else None
+        if after is not None:
+            return after
+        return Reason.STAGNATED if abs(slope) <= self._rounding(state) else Reason.LINE_SEARCH
 
     def _solve(self, set_up: Callable[[float], Floats], *, relative: float) -> Floats | None:
         """Solve the system that set_up assembles: by the usual solver, then directly, then with growing shifts."""

@@ -28,15 +28,16 @@ class Modes:
     twist: Floats
     flip: Floats
 
-    def projected(self) -> Modes:
-        """The nearest positive semi-definite tangent: every eigenvalue below zero becomes zero."""
+    def softened(self, kept: float) -> Modes:
+        """The tangent with every negative eigenvalue multiplied by `kept`; at 0 the nearest semi-definite one."""
         block = np.array(self.block)
         minor = block[:, 0, 0] * block[:, 1, 1] - block[:, 0, 1] ** 2
         indefinite = ~((block[:, 0, 0] > 0) & (minor > 0) & (np.linalg.det(block) > 0))
         if indefinite.any():
             values, vectors = np.linalg.eigh(block[indefinite])
-            block[indefinite] = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
-        return Modes(block, np.maximum(self.twist, 0.0), np.maximum(self.flip, 0.0))
+            values = np.maximum(values, kept * values)
+            block[indefinite] = (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
+        return Modes(block, np.maximum(self.twist, kept * self.twist), np.maximum(self.flip, kept * self.flip))
 
 
 def modes(s: Floats, p: Floats, h: Floats) -> Modes:

@@ -172,10 +172,13 @@ class State:
             problem._quadrature.add_tangent(tangent, matrix)
         for forms in problem._hyperelastic:
             seam.add_matrix(forms.tangent, matrix)
-        return self._finish(matrix, [membrane.hessian(self._x) for membrane in problem._membranes])
+        return self._finish(matrix, kept=1.0)
 
-    def projected_hessian(self) -> PETSc.Mat:
-        """A positive semi-definite Hessian: every eigenvalue of every point's tangent is at least zero."""
+    def softened_hessian(self, kept: float) -> PETSc.Mat:
+        """The Hessian with every negative eigenvalue of every point's tangent multiplied by `kept` in [0, 1].
+
+        At 0 it is positive semi-definite.
+        """
         problem = self._problem
         matrix = self._begin()
         laws = [*problem._laws, *problem._stand_ins]
@@ -183,9 +186,9 @@ class State:
             self._frame = self._frame or self._svd()
             U, s, V = self._frame
             _, p, h = self._principal(laws)
-            tangent = principal.tangent(U, V, principal.modes(s, p, h).projected())
+            tangent = principal.tangent(U, V, principal.modes(s, p, h).softened(kept))
             problem._quadrature.add_tangent(tangent, matrix)
-        return self._finish(matrix, [membrane.projected_hessian(self._x) for membrane in problem._membranes])
+        return self._finish(matrix, kept)
 
     def _begin(self) -> PETSc.Mat:
         self._place()
@@ -193,11 +196,11 @@ class State:
         self._problem.matrix.zeroEntries()
         return self._problem.matrix
 
-    def _finish(self, matrix: PETSc.Mat, membrane_blocks: list[Floats]) -> PETSc.Mat:
+    def _finish(self, matrix: PETSc.Mat, kept: float) -> PETSc.Mat:
         problem = self._problem
         matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
-        for blocks, values in zip(problem._blocks, membrane_blocks, strict=True):
-            blocks.add(values, matrix)
+        for blocks, membrane in zip(problem._blocks, problem._membranes, strict=True):
+            blocks.add(membrane.hessian(self._x, kept), matrix)
         matrix.assemble()
         for spring in problem._springs:
             diagonal = np.zeros_like(self.u)
