@@ -30,7 +30,8 @@ class HypernetworkConfig:
     latent: int = 32  # length of z_t, the paper's
     expression_hidden: int = 128  # f_w runs once per frame, so its width costs nothing
     position: int = 32  # π(i): smooth fields over the face; more only learns slower
-    hidden: int = 64  # f_ph runs on every face in training: time grows with its square
+    gain_hidden: int = 16  # gains are smooth in few parameters
+    hidden: int = 32  # of f_ph's MLP, which runs on every face in training: time grows with its square
 
     def __post_init__(self):
         for name, value in vars(self).items():

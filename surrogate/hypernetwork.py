@@ -1,4 +1,10 @@
-"""The hypernetwork: z_t = f_w(w_t), L_i = f_ph(p, h, π(i)), J_i = I + reshape(z_tᵀ L_i) (SoftDECA Eq. 17-20)."""
+"""The hypernetwork: z_t = f_w(w_t), L_i = f_ph(p, h, π(i)), J_i = I + reshape(z_tᵀ L_i) (SoftDECA Eq. 17-20).
+
+f_ph has three parts that add up or scale, all gone after L is computed: a table B_i of the corpus' principal
+deformation gradients, an MLP of (p, h, π(i)) that adapts it locally, and gains exp(g(p, h)) per latent, since answers
+scale with powers of stiffness ratios: L_i = gains ⊙ (B_i + MLP). A few hundred frames are enough only with the table
+and the gains; the MLP alone, the paper's form, then hardly beats linear blendshapes.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +18,7 @@ from torch.nn.functional import elu
 from ..lhm.mesh import Surface
 from .checkpoint import HypernetworkConfig
 from .deformation import DeformationTransfer
+from .samples import Floats32
 
 WEIGHTS = 52
 """ARKit blendshape weights w_t."""
@@ -20,43 +27,48 @@ WEIGHTS = 52
 class Hypernetwork(nn.Module):
     """J - I of every face from weights, identity code and parameters, all normalised.
 
-    `positions` starts the learned table π, shape (faces, config.position).
+    table (latent, faces, 9) and positions (faces, config.position) are where B and π start.
     """
 
-    def __init__(self, config: HypernetworkConfig, *, code_size: int, n_parameters: int, positions):
+    def __init__(self, config: HypernetworkConfig, *, code_size: int, n_parameters: int, table, positions):
         super().__init__()
         self.config = config
-        hidden, wide = config.hidden, config.expression_hidden
+        hidden, wide, latent = config.hidden, config.expression_hidden, config.latent
+        # A linear path beside f_w's hidden layers: most of what tissue does is linear in the weights.
+        self.expression_linear = nn.Linear(WEIGHTS, latent, bias=False)
         self.expression = nn.Sequential(
-            nn.Linear(WEIGHTS, wide), nn.ELU(), nn.Linear(wide, wide), nn.ELU(), nn.Linear(wide, config.latent)
+            nn.Linear(WEIGHTS, wide), nn.ELU(), nn.Linear(wide, wide), nn.ELU(), nn.Linear(wide, latent)
         )
-        # f_ph's first layer in three parts: faces, identity and parameters add up, nothing is concatenated per face.
+        self.gain = nn.Sequential(
+            nn.Linear(n_parameters + code_size, config.gain_hidden), nn.ELU(), nn.Linear(config.gain_hidden, latent)
+        )
+        # B and the MLP's answer in units of the table's size: Adam steps all weights alike, whatever their scale.
+        table = torch.as_tensor(table, dtype=torch.float32)
+        self.register_buffer("scale", table.square().mean().sqrt().clamp(min=1e-9))
+        self.table = nn.Parameter(table / self.scale)
         self.position = nn.Parameter(torch.as_tensor(positions, dtype=torch.float32).clone())
+        # f_ph's first layer in three parts: faces, identity and parameters add up, nothing is concatenated per face.
         self.from_position = nn.Linear(config.position, hidden, bias=False)
         self.from_code = nn.Linear(code_size, hidden, bias=False)
         self.from_parameters = nn.Linear(n_parameters, hidden)
         self.middle = nn.Linear(hidden, hidden)
-        self.last = nn.Linear(hidden, config.latent * 9)
+        self.last = nn.Linear(hidden, latent * 9, bias=False)
         with torch.no_grad():
-            self.last.weight.mul_(0.1)
-            self.last.bias.zero_()
-
-    def face_features(self, code, parameters):
-        """f_ph before its last layer, shape (batch, faces, hidden), of parameters (batch, k) or (batch, faces, k)."""
-        per_face = parameters if parameters.dim() == 3 else parameters[:, None]
-        first = self.from_position(self.position) + self.from_code(code)[:, None] + self.from_parameters(per_face)
-        return elu(self.middle(elu(first)))
+            self.last.weight.zero_()
+            self.gain[-1].weight.mul_(0.1)
+            self.gain[-1].bias.zero_()
 
     def forward(self, weights, code, parameters):
-        """J - I, shape (batch, faces, 9), from weights (batch, 52), code (batch, c) and parameters.
+        """J - I, shape (batch, faces, 9), from weights (batch, 52), code (batch, c) and parameters (batch, k).
 
         z is contracted with the last layer before the faces: 9 outputs per face instead of 288.
         """
-        latent = self.expression(weights)
-        matrix = self.last.weight.view(self.config.latent, 9, -1)
-        contracted = torch.einsum("bk,kch->bhc", latent, matrix)
-        constant = latent @ self.last.bias.view(self.config.latent, 9)
-        return torch.baddbmm(constant[:, None], self.face_features(code, parameters), contracted)
+        latent = self.expression_linear(weights) + self.expression(weights)
+        latent = latent * self.scale * torch.exp(self.gain(torch.cat([parameters, code], dim=1)))
+        first = self.from_position(self.position) + (self.from_code(code) + self.from_parameters(parameters))[:, None]
+        contracted = torch.einsum("bk,kch->bhc", latent, self.last.weight.view(self.config.latent, 9, -1))
+        shared = (latent @ self.table.flatten(1)).view(len(latent), -1, 9)
+        return torch.baddbmm(shared, elu(self.middle(elu(first))), contracted)
 
 
 class _Transfer(torch.autograd.Function):
@@ -77,7 +89,7 @@ def transfer_delta(gradients, blended, transfer: DeformationTransfer):
     return _Transfer.apply(gradients, blended, transfer)
 
 
-def smooth_positions(reference: Surface, size: int, rng: np.random.Generator) -> np.ndarray:
+def smooth_positions(reference: Surface, size: int, rng: np.random.Generator) -> Floats32:
     """A start for π: random Fourier features of face centres and normals, unit variance, shape (faces, size).
 
     Neighbours start alike, and the two sides of a lip, close in space, differ by their normals.

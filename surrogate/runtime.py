@@ -160,18 +160,23 @@ def expression_latent(network: Mapping[str, NDArray[np.float32]], weights: Float
     """z_t = f_w(w_t), shape (latent,)."""
     hidden = weights
     for layer in ("expression.0", "expression.2"):
-        hidden = _elu(network[f"{layer}.weight"] @ hidden + network[f"{layer}.bias"])
-    return network["expression.4.weight"] @ hidden + network["expression.4.bias"]
+        hidden = _elu(_linear(network, layer, hidden))
+    return _linear(network, "expression.4", hidden) + network["expression_linear.weight"] @ weights
 
 
-def face_latents(network: Mapping[str, NDArray[np.float32]], code, parameters: Floats32) -> Floats32:
+def face_latents(network: Mapping[str, NDArray[np.float32]], code: Floats, parameters: Floats32) -> Floats32:
     """L(p, h) of all faces, shape (faces, 9, latent), from a normalised code (c,) and parameters (k,) or (faces, k)."""
-    first = network["position"] @ network["from_position.weight"].T
-    first += network["from_code.weight"] @ code.astype(np.float32)
-    first += parameters @ network["from_parameters.weight"].T + network["from_parameters.bias"]
-    hidden = _elu(_elu(first) @ network["middle.weight"].T + network["middle.bias"])
-    latents = hidden @ network["last.weight"].T + network["last.bias"]
-    return np.ascontiguousarray(latents.reshape(len(latents), -1, 9).transpose(0, 2, 1))
+    code = code.astype(np.float32)
+    first = network["position"] @ network["from_position.weight"].T + network["from_code.weight"] @ code
+    hidden = _elu(_linear(network, "middle", _elu(first + _linear(network, "from_parameters", parameters))))
+    local = (hidden @ network["last.weight"].T).reshape(len(hidden), -1, 9)
+    inputs = np.concatenate([parameters, np.broadcast_to(code, (*parameters.shape[:-1], len(code)))], axis=-1)
+    gains = network["scale"] * np.exp(_linear(network, "gain.2", _elu(_linear(network, "gain.0", inputs))))
+    return np.ascontiguousarray((network["table"].transpose(1, 2, 0) + local.transpose(0, 2, 1)) * gains[..., None, :])
+
+
+def _linear(network, layer: str, values):
+    return values @ network[f"{layer}.weight"].T + network[f"{layer}.bias"]
 
 
 def _elu(values):

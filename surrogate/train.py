@@ -20,6 +20,7 @@ from ..lhm.progress import OnProgress, silent
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary
 from .deformation import DeformationTransfer
 from .hypernetwork import Hypernetwork, smooth_positions, transfer_delta
+from .principal import principal_gradients
 from .samples import Samples
 
 
@@ -31,9 +32,9 @@ class TrainConfig:
     seed: int = 0
     steps: int = 1200  # the learning rate's decay ends here
     batch: int = 8  # frames per step; a larger one takes proportionally longer on a CPU
-    learning_rate: float = 3e-3  # Adam, after 20 steps' warm-up
+    learning_rate: float = 6e-3  # Adam, after 20 steps' warm-up
     final_rate: float = 1e-4
-    gradient_weight: float = 20.0  # mm per squared gradient error: teaches faces that the vertex term sees late
+    gradient_weight: float = 100.0  # mm per squared gradient error: teaches faces that the vertex term sees late
     validation_identities: float = 0.15  # share of the training identities that is held out
     validate_every: int = 100
     seconds: float = 240.0  # stops early beyond this, with the best checkpoint so far
@@ -113,6 +114,7 @@ class _Loop:
             config.network,
             code_size=training.codes.shape[1],
             n_parameters=len(training.parameter_names),
+            table=principal_gradients(training, config.network.latent),
             positions=positions,
         )
         self.anchors = still_vertices(training)
