@@ -66,42 +66,36 @@ def minimise(
             return state.x, Reason.INTERRUPTED, iteration
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
-        near = _near_step(energy, state, free) if norm < NEAR * first else None
-        found = near or _far_step(energy, state, free, scales)
+        near = norm < NEAR * first
+        found = _step(energy, state, free, scales, near=near)
         if isinstance(found, Reason):
-            stagnated = found is Reason.LINE_SEARCH and norm < NEAR * first
-            return state.x, Reason.STAGNATED if stagnated else found, iteration
+            return state.x, Reason.STAGNATED if near and found is Reason.LINE_SEARCH else found, iteration
         state = found
         iteration += 1
 
 
-def _near_step(energy: Energy, state: State, free: Ints) -> State | None:
-    """A full exact Newton step, if the Hessian is definite and the step halves the gradient norm.
+def _step(energy: Energy, state: State, free: Ints, scales: Scales, *, near: bool) -> State | Reason:
+    """A step along the Newton direction; far away, halved until the energy falls enough (Armijo).
 
-    This close to the answer energy differences drown in rounding, so the gradient decides and not the energy.
+    Near the answer energy differences drown in rounding: there a full step that halves the gradient is taken as it is.
     """
-    step = solve_definite(energy.exact_hessian(state.x)[free][:, free], -state.gradient[free])
+    step = None
+    if near:
+        step = solve_definite(energy.exact_hessian(state.x)[free][:, free], -state.gradient[free])
     if step is None:
-        return None
-    x = _moved(state.x, free, step)
-    value = energy.value(x)
-    if not np.isfinite(value):
-        return None
-    gradient = energy.gradient(x)
-    halved = np.linalg.norm(gradient[free]) <= 0.5 * np.linalg.norm(state.gradient[free])
-    return State(x, value, gradient) if halved else None
-
-
-def _far_step(energy: Energy, state: State, free: Ints, scales: Scales) -> State | Reason:
-    """A step along the projected Newton direction, halved until the energy falls enough (Armijo)."""
-    matrix = energy.projected_hessian(state.x)[free][:, free]
-    step = solve_semidefinite(matrix, -state.gradient[free], scale=scales.stiffness)
+        matrix = energy.projected_hessian(state.x)[free][:, free]
+        step = solve_semidefinite(matrix, -state.gradient[free], scale=scales.stiffness)
     if step is None:
         return Reason.LINEAR_SOLVER
+    if near:
+        full = _moved(energy, state.x, free, step)
+        if full is not None and np.linalg.norm(full.gradient[free]) <= 0.5 * np.linalg.norm(state.gradient[free]):
+            return full
     slope = float(state.gradient[free] @ step)
     length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(HALVINGS):
-        x = _moved(state.x, free, length * step)
+        x = state.x.copy()
+        x[free] += length * step
         value = energy.value(x)
         if value < state.value and value <= state.value + ARMIJO * length * slope:
             return State(x, value, energy.gradient(x))
@@ -109,7 +103,9 @@ def _far_step(energy: Energy, state: State, free: Ints, scales: Scales) -> State
     return Reason.LINE_SEARCH
 
 
-def _moved(x: Floats, free: Ints, step: Floats) -> Floats:
+def _moved(energy: Energy, x: Floats, free: Ints, step: Floats) -> State | None:
+    """The state after a full step, None where the energy is infinite."""
     moved = x.copy()
     moved[free] += step
-    return moved
+    value = energy.value(moved)
+    return State(moved, value, energy.gradient(moved)) if np.isfinite(value) else None

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.errors import MeshError, SceneError
-from ...lhm.mesh import Floats, as_points
+from ...lhm.mesh import Floats, Ints, as_points
 from .. import terms
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from .carry import carry
 from .energy import Energy
 from .newton import Scales, minimise
 from .parts import Discretisation
@@ -53,7 +54,7 @@ class Prepared:
     ) -> Solution:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
-        Held components are put in their places first, so the energy must be finite there.
+        Held components are carried to their places first, before the first iteration of the history.
         Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
         """
         scene = self.scene if scene is None else scene
@@ -62,27 +63,28 @@ class Prepared:
             raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
         recorder = Recorder(on_iteration)
         at = self.discretisation
+        energy, scales = Energy(scene, at), _scales(scene)
         held, positions = scene.dirichlet()
-        x = at.flat(np.where(held, positions, _start(scene, start)))
         free = np.flatnonzero(~at.flat(held))
-        energy = Energy(scene, at)
+        begin = _start(scene, start)
+        x, forces = _begin(energy, at.flat(begin), at.flat(np.where(held, positions, begin)), free, scales)
 
         def on_step(x: Floats, value: float, norm: float) -> bool:
             return recorder.record(x[at.dofs], value, norm)
 
-        if not np.isfinite(energy.value(x)):
-            on_step(x, np.inf, np.inf)
-            reason, iterations = Reason.NOT_FINITE, 0
-        else:
+        if np.isfinite(energy.value(x)):
             x, reason, iterations = minimise(
                 energy,
                 x,
                 free,
-                scales=_scales(scene),
-                threshold=lambda first: stop_threshold(scene, first, tolerance),
+                scales=scales,
+                threshold=lambda first: stop_threshold(scene, max(first, forces), tolerance),
                 max_iterations=MAX_ITERATIONS if max_iterations is None else max_iterations,
                 on_step=on_step,
             )
+        else:
+            on_step(x, np.inf, np.inf)
+            reason, iterations = Reason.NOT_FINITE, 0
         history = recorder.history()
         answer = x[at.dofs]
         return Solution(answer, reason, iterations, float(history.energy[-1]), history, volume_ratio(scene, answer))
@@ -99,6 +101,15 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
     return Prepared(scene, Discretisation(scene))
+
+
+def _begin(energy: Energy, start: Floats, goal: Floats, free: Ints, scales: Scales) -> tuple[Floats, float]:
+    """The start with its held components at `goal`, and the norm [mN] of the forces that this motion causes."""
+    carried = None
+    if np.isfinite(energy.value(start)):
+        held = np.setdiff1d(np.arange(len(start)), free)
+        carried = carry(energy, start, goal, held=held, free=free, scales=scales)
+    return (goal, 0.0) if carried is None else carried
 
 
 def _scales(scene: Scene) -> Scales:

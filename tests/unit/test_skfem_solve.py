@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.reference import Reason, Scene, SceneError, prepare, solve
 from softdeca.reference.materials import NeoHookean
+from softdeca.reference.problems import meshes
 from softdeca.reference.skfem.definite import solve_definite, solve_semidefinite
 from softdeca.reference.skfem.energy import Energy
 from softdeca.reference.skfem.parts import Discretisation
@@ -80,6 +81,40 @@ def test_a_free_body_turns_rigidly_to_its_targets(sphere_head):
     assert np.abs(solution.positions - (rest @ R.T + 3.0)).max() < 1e-6
 
 
+def test_a_stretch_that_would_invert_elements_is_carried_inwards():
+    """Only the boundary is told of an affine map; put there alone it inverts tets. The answer is the map."""
+    X, tets = meshes.unstructured(3)
+    A, shift = np.diag([3.0, 0.6, 0.8]) + 0.5 * np.eye(3, k=1), np.array([4.0, 0.0, 0.0])
+    boundary = np.unique(meshes.boundary_triangles(tets))
+    goal = X @ A.T + shift
+    scene = Scene(X, tets, [Hyperelastic(NeoHookean(1.0, 5.0)), Fixed(boundary, goal[boundary])])
+    jumped = X.copy()
+    jumped[boundary] = goal[boundary]
+    assert solve(scene, solver="skfem", start=jumped).reason is Reason.NOT_FINITE
+    solution = solve(scene, solver="skfem", tolerance=1e-10)
+    assert solution.converged
+    assert np.abs(solution.positions - goal).max() < 1e-10
+
+
+def test_a_twist_is_carried_in_parts_to_where_small_steps_lead():
+    X, tets = meshes.box((4, 2, 2), (2.0, 1.0, 1.0))
+    near, far = meshes.vertices_at(X, 0, 0.0), meshes.vertices_at(X, 0, 2.0)
+    axis = np.array([0.0, 0.5, 0.5])
+
+    def scene(degrees):
+        R = Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+        ends = [Fixed(near), Fixed(far, (X[far] - axis) @ R.T + axis)]
+        return Scene(X, tets, [Hyperelastic(NeoHookean(1.0, 5.0)), *ends])
+
+    at_once = solve(scene(150), solver="skfem", tolerance=1e-10)
+    assert at_once.converged
+    assert at_once.volume_ratio.min() > 0
+    positions = X
+    for degrees in range(10, 151, 10):
+        positions = solve(scene(degrees), solver="skfem", start=positions, tolerance=1e-10).positions
+    assert np.abs(at_once.positions - positions).max() < 1e-8
+
+
 def test_prepared_takes_new_targets_and_refuses_new_stiffnesses(scene):
     prepared = prepare(scene, solver="skfem")
     target = scene.of(Target)[0]
@@ -118,4 +153,4 @@ def test_solver_knows_definiteness():
     assert solve_definite(csc_matrix([[1.0, 2.0], [2.0, 1.0]]), right) is None
     assert solve_definite(csc_matrix([[0.0, 1.0], [1.0, 0.0]]), right) is None
     semidefinite = csc_matrix([[1.0, 1.0], [1.0, 1.0]])
-    assert np.allclose(semidefinite @ solve_semidefinite(semidefinite, np.ones(2)), 1.0, rtol=1e-6)
+    assert np.allclose(semidefinite @ solve_semidefinite(semidefinite, np.ones(2), scale=1.0), 1.0, rtol=1e-6)
