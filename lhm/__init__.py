@@ -1,7 +1,23 @@
 """The layered head model: surfaces, wraps, fitting, identities and expressions. Geometry only, no physics."""
 
+from . import expressions, identities
 from .errors import FitError, InputError, MeshError, SoftdecaError
+from .fit import fit_head
 from .head import LayeredHead
 from .mesh import Surface, TetMesh
+from .template import Template, load_template
 
-__all__ = ["FitError", "InputError", "LayeredHead", "MeshError", "SoftdecaError", "Surface", "TetMesh"]
+__all__ = [
+    "FitError",
+    "InputError",
+    "LayeredHead",
+    "MeshError",
+    "SoftdecaError",
+    "Surface",
+    "Template",
+    "TetMesh",
+    "expressions",
+    "fit_head",
+    "identities",
+    "load_template",
+]

@@ -1,0 +1,152 @@
+"""A bounding-volume tree over triangles: closest points and crossing triangles, compiled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from .mesh import Floats, Ints
+from .triangles import closest_on_triangle, triangles_cross
+
+LEAF = 4
+
+
+@njit(cache=True)
+def _build(low, high):
+    m = len(low)
+    centre = 0.5 * (low + high)
+    order = np.arange(m)
+    start, stop = np.empty(2 * m, np.int64), np.empty(2 * m, np.int64)
+    left = np.full(2 * m, -1)
+    box = np.empty((2 * m, 6))
+    start[0], stop[0], count, node = 0, m, 1, 0
+    while node < count:
+        inside = order[start[node] : stop[node]]
+        for c in range(3):
+            box[node, c], box[node, 3 + c] = low[inside, c].min(), high[inside, c].max()
+        if len(inside) > LEAF:
+            axis = 0
+            for c in range(1, 3):
+                if box[node, 3 + c] - box[node, c] > box[node, 3 + axis] - box[node, axis]:
+                    axis = c
+            order[start[node] : stop[node]] = inside[np.argsort(centre[inside, axis])]
+            middle = (start[node] + stop[node]) // 2
+            left[node] = count
+            start[count], stop[count] = start[node], middle
+            start[count + 1], stop[count + 1] = middle, stop[node]
+            count += 2
+        node += 1
+    return order, start[:count], stop[:count], left[:count], box[:count]
+
+
+@njit(cache=True)
+def _box_distance2(box, p):
+    total = 0.0
+    for c in range(3):
+        gap = max(box[c] - p[c], p[c] - box[3 + c], 0.0)
+        total += gap * gap
+    return total
+
+
+@njit(cache=True)
+def _closest(points, corners, order, start, stop, left, box):
+    n = len(points)
+    which, weights, distance = np.empty(n, np.int64), np.empty((n, 3)), np.empty(n)
+    stack = np.empty(128, np.int64)
+    for i in range(n):
+        p, best, size = points[i], np.inf, 1
+        stack[0] = 0
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _box_distance2(box[node], p) >= best:
+                continue
+            if left[node] < 0:
+                for k in range(start[node], stop[node]):
+                    t = order[k]
+                    w, d2 = closest_on_triangle(p, corners[t])
+                    if d2 < best:
+                        best, which[i], weights[i] = d2, t, w
+            else:
+                a, b = left[node], left[node] + 1
+                if _box_distance2(box[a], p) < _box_distance2(box[b], p):
+                    a, b = b, a
+                stack[size], stack[size + 1] = a, b
+                size += 2
+        distance[i] = np.sqrt(best)
+    return which, weights, distance
+
+
+@njit(cache=True)
+def _apart(a, b):
+    for c in range(3):
+        if a[c] > b[3 + c] or b[c] > a[3 + c]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _crossings(query, query_ids, same, corners, ids, order, start, stop, left, box):
+    """Pairs (query, triangle) that cross, leaving out pairs with a common vertex; `same` lists each pair once."""
+    found = []
+    stack = np.empty(128, np.int64)
+    own = np.empty(6)
+    for q in range(len(query)):
+        for c in range(3):
+            own[c], own[3 + c] = query[q, :, c].min(), query[q, :, c].max()
+        stack[0], size = 0, 1
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _apart(own, box[node]):
+                continue
+            if left[node] >= 0:
+                stack[size], stack[size + 1] = left[node], left[node] + 1
+                size += 2
+                continue
+            for k in range(start[node], stop[node]):
+                t = order[k]
+                if same and t <= q:
+                    continue
+                common = False
+                for i in range(3):
+                    for j in range(3):
+                        common = common or query_ids[q, i] == ids[t, j]
+                if not common and triangles_cross(query[q], corners[t]):
+                    found.append((q, t))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleTree:
+    """Closest points on, and crossings with, the triangles (m, 3) of `vertices` (n, 3)."""
+
+    vertices: Floats
+    triangles: Ints
+
+    def __post_init__(self):
+        corners = np.ascontiguousarray(self.vertices[self.triangles])
+        object.__setattr__(self, "corners", corners)
+        object.__setattr__(self, "_nodes", _build(corners.min(axis=1), corners.max(axis=1)))
+
+    def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
+        """Triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each of `points`."""
+        return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
+
+    def self_crossings(self) -> Ints:
+        """Pairs of triangles without a common vertex that cross, shape (k, 2)."""
+        return self._pairs(self.corners, self.triangles, True)
+
+    def crossings(self, other: TriangleTree, *, shared_ids: bool = False) -> Ints:
+        """Pairs (triangle of `other`, triangle of this) that cross, shape (k, 2).
+
+        With `shared_ids` the two number their vertices alike, and pairs with a common vertex are left out.
+        """
+        ids = other.triangles if shared_ids else other.triangles + len(self.vertices)
+        return self._pairs(other.corners, ids, False)
+
+    def _pairs(self, query, query_ids, same) -> Ints:
+        found = _crossings(query, query_ids, same, self.corners, self.triangles, *self._nodes)
+        return np.array(found, dtype=np.int64).reshape(-1, 2)

@@ -1,0 +1,39 @@
+"""What is expensive to make is kept in the user's cache folder; a damaged file is made anew."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+
+from .atomic import replaced
+
+Arrays = Mapping[str, np.ndarray]
+
+
+def folder() -> Path:
+    """The cache folder: $SOFTDECA_CACHE, or the user's cache folder of this platform."""
+    return Path(os.environ.get("SOFTDECA_CACHE") or platformdirs.user_cache_dir("softdeca"))
+
+
+def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
+    """The arrays stored as `name`.npz, or made and stored if the file is missing, damaged or cannot be read.
+
+    Where the folder cannot be written the arrays are made each time.
+    """
+    path = folder() / f"{name}.npz"
+    try:
+        with np.load(path) as file:
+            return {key: file[key] for key in file.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        arrays = make()
+    try:
+        with replaced(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+    except OSError:
+        pass
+    return arrays

@@ -1,0 +1,77 @@
+"""Cut a head off a body and close the cut: a linear map from the body's vertices to the head's."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+from scipy.sparse.csgraph import connected_components
+
+from .errors import MeshError
+from .mesh import Ints
+
+RINGS = 5
+
+
+def boundary_loops(triangles: Ints) -> list[Ints]:
+    """The loops of edges that have one triangle, each as vertex ids in the direction of their triangles."""
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    n = int(triangles.max()) + 1
+    inner = np.isin(edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0])
+    following = {}
+    for start, end in edges[~inner].tolist():
+        if start in following:
+            raise MeshError(f"the open boundary touches itself at vertex {start}")
+        following[start] = end
+    loops = []
+    while following:
+        loop = [next(iter(following))]
+        while loop[-1] in following:
+            loop.append(following.pop(loop[-1]))
+        loops.append(np.array(loop[:-1]))
+    return loops
+
+
+def close_loop(loop: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
+    """A lid of rings that shrink to the loop's centroid: weights of its new vertices, and its triangles.
+
+    The new vertices are numbered from `n_vertices` on; weights have shape (new vertices, n_vertices).
+    """
+    k = len(loop)
+    rings = [csr_matrix((np.ones(k), (np.arange(k), loop)), shape=(k, n_vertices))]
+    centre = csr_matrix((np.full(k, 1.0 / k), (np.zeros(k, int), loop)), shape=(1, n_vertices))
+    every = vstack([centre] * k)
+    new = [(1 - r / RINGS) * rings[0] + (r / RINGS) * every for r in range(1, RINGS)]
+    ids = [loop] + [n_vertices + k * r + np.arange(k) for r in range(RINGS - 1)]
+    triangles = []
+    for outer, inner in zip(ids, ids[1:], strict=False):
+        a, b, c, d = outer, np.roll(outer, -1), inner, np.roll(inner, -1)
+        triangles += [np.stack([b, a, c], axis=1), np.stack([b, c, d], axis=1)]
+    last, tip = ids[-1], n_vertices + k * (RINGS - 1)
+    triangles.append(np.stack([np.roll(last, -1), last, np.full(k, tip)], axis=1))
+    return vstack([*new, centre]).tocsr(), np.vstack(triangles)
+
+
+def largest_piece(triangles: Ints) -> Ints:
+    """The triangles of the largest piece connected through vertices."""
+    n = int(triangles.max()) + 1
+    pairs = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
+    _, label = connected_components(csr_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
+    kept = label[triangles[:, 0]]
+    return triangles[kept == np.bincount(kept).argmax()]
+
+
+def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
+    """Drop unused vertices and close the one open boundary: weights (new, n_vertices), triangles of the new vertices.
+
+    Raises MeshError unless there is exactly one boundary loop.
+    """
+    used = np.unique(triangles)
+    number = np.full(n_vertices, -1)
+    number[used] = np.arange(len(used))
+    triangles = number[triangles]
+    loops = boundary_loops(triangles)
+    if len(loops) != 1:
+        raise MeshError(f"expected one open boundary at the neck, found {len(loops)}")
+    lid, more = close_loop(loops[0], len(used))
+    kept = csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), n_vertices))
+    return vstack([kept, lid @ kept]).tocsr(), np.vstack([triangles, more])

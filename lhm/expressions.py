@@ -1,0 +1,67 @@
+"""ARKit's 52 expressions: their names and order, and linear blending of an identity space's shapes."""
+
+from __future__ import annotations
+
+import difflib
+import warnings
+from collections.abc import Mapping
+
+import numpy as np
+
+from .errors import InputError
+from .identities import ARKIT, LinearSpace
+from .mesh import Floats
+
+__all__ = ["ARKIT", "blend", "index", "weights_of"]
+
+
+def index(name: str) -> int:
+    """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
+    if name in ARKIT:
+        return ARKIT.index(name)
+    by_lower = {known.lower(): known for known in ARKIT}
+    near = difflib.get_close_matches(name.lower(), by_lower, n=3)
+    hint = f"; did you mean {' or '.join(by_lower[match] for match in near)}?" if near else ""
+    raise InputError(f"unknown ARKit expression {name!r}{hint}")
+
+
+def weights_of(named: Mapping[str, float]) -> Floats:
+    """Weights in ARKit's order, shape (52,), of the expressions named; the rest are zero."""
+    weights = np.zeros(len(ARKIT))
+    for name, weight in named.items():
+        weights[index(name)] = weight
+    return weights
+
+
+def checked_weights(weights) -> Floats:
+    """Weights as float64, shape (..., 52), clipped to [0, 1] with a warning that counts those outside.
+
+    Raises InputError for another shape, and for NaN or infinity (by frame and name).
+    """
+    try:
+        values = np.array(weights, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"weights: expected numbers of shape (frames, {len(ARKIT)})") from None
+    if values.ndim not in (1, 2) or values.shape[-1] != len(ARKIT):
+        raise InputError(f"weights: expected shape (frames, {len(ARKIT)}) or ({len(ARKIT)},), got {values.shape}")
+    bad = np.argwhere(~np.isfinite(np.atleast_2d(values)))
+    if len(bad):
+        frame, shape = bad[0]
+        raise InputError(f"weights: {len(bad)} are not finite, the first is {ARKIT[shape]} in frame {frame}")
+    outside = int(np.count_nonzero((values < 0) | (values > 1)))
+    if outside:
+        warnings.warn(f"{outside} of {values.size} expression weights lay outside [0, 1]: clipped", stacklevel=3)
+    return np.clip(values, 0.0, 1.0)
+
+
+def blend(space: LinearSpace, code, weights) -> Floats:
+    """Skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
+
+    `code` as in `space.skin`, `weights` (frames, 52) or (52,) in [0, 1] (clipped with a warning that counts them);
+    returns (frames, n, 3). Raises InputError for another shape and for weights that are not finite.
+    """
+    values = np.atleast_2d(checked_weights(weights))
+    deltas = space.expression_deltas(code)
+    used = np.flatnonzero(values.any(axis=0))
+    moved = np.tensordot(values[:, used], deltas[used], axes=1)
+    return space.skin(code).vertices + moved

@@ -1,0 +1,77 @@
+"""Fit the template's layers to a neutral skin of its topology (SoftDECA 3.1.1)."""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+
+from . import inner
+from .bvh import TriangleTree
+from .errors import FitError
+from .head import LayeredHead
+from .mesh import Floats, Surface
+from .shrinkwrap import neighbours
+from .template import Template
+from .warp import TriharmonicWarp, farthest_points
+
+CENTRES = 1000
+
+
+class _Prepared:
+    """What depends on the template alone: the warp's factorisation, and its matrices at the points that it moves."""
+
+    def __init__(self, template: Template):
+        skin, wrap = template.skin.vertices, template.skin_wrap.vertices
+        first = np.concatenate([template.marks.rim, template.marks.lids])
+        self.centres = farthest_points(skin, CENTRES, first)
+        self.warp = TriharmonicWarp(skin[self.centres])
+        self.at_skin = self.warp.basis(skin)
+        self.at_wraps = self.warp.basis(np.vstack([wrap, wrap + template.connectors]))
+        self.edges = neighbours(template.skin_wrap.triangles, len(wrap))
+
+
+_prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
+
+
+def fit_head(template: Template, skin: Surface) -> LayeredHead:
+    """The layered head of a neutral skin [mm] with the template's triangles.
+
+    All wraps are moved by one smooth warp of space from the template's skin to the given one (Eq. 3); what the warp
+    leaves of the skin's displacement is added to each column of the layers through the wrap's tie to the skin. Where
+    a layer then crosses another or a tet is flat, connectors are shortened. Raises FitError naming the gate that
+    failed: another topology, a skin that makes the wrap cross itself, or defects that are left.
+    """
+    if skin.vertices.shape != template.skin.vertices.shape or not np.array_equal(
+        skin.triangles, template.skin.triangles
+    ):
+        raise FitError(
+            f"skin: {len(skin.vertices)} vertices and {len(skin.triangles)} triangles that are not those of template "
+            f"{template.name!r}; skins of another topology cannot be fitted yet"
+        )
+    prepared = _prepared.get(template)
+    if prepared is None:
+        prepared = _prepared[template] = _Prepared(template)
+    wrap, connectors = _warped(template, prepared, skin.vertices)
+    surface = template.skin_wrap.with_vertices(wrap)
+    crossing = TriangleTree(wrap, surface.triangles).self_crossings()
+    if len(crossing):
+        raise FitError(f"skin wrap: {len(crossing)} pairs of its triangles cross, the first is {crossing[0].tolist()}")
+    normals = inner.cone_normals(surface)
+    connectors, found = inner.repaired(wrap, connectors, normals, surface.triangles, prepared.edges)
+    if found.tets or found.crossings:
+        raise FitError(
+            f"layers: {found.tets} tets are flat or inverted and {found.crossings} pairs of triangles cross, "
+            f"{inner.ROUNDS} rounds of repair did not help"
+        )
+    return template.layered(skin, wrap, connectors)
+
+
+def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floats, Floats]:
+    moved = skin - template.skin.vertices
+    coefficients = prepared.warp.coefficients(moved[prepared.centres])
+    left = template.wrap_from_skin @ (moved - prepared.at_skin @ coefficients)
+    outer = template.skin_wrap.vertices
+    shift = prepared.at_wraps @ coefficients
+    n = len(outer)
+    return outer + shift[:n] + left, template.connectors + shift[n:] - shift[:n]

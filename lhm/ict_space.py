@@ -1,0 +1,75 @@
+"""ICT-FaceKit's identity space (MIT; Li et al., CVPR 2020), from one .npz file.
+
+Arrays read: `vertices` (n, 3) [cm], `triangles`, `triangle_part` into `part_names`, `identity_deltas` (k, n, 3),
+scaled so that codes are standard normal, `expression_deltas`, and their ARKit names in `expression_arkit`.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from .cut import cut_and_close, largest_piece
+from .errors import InputError, MeshError
+from .identities import ARKIT, CAP, EYES, MOUTH, OUTSIDE, LinearSpace
+from .mesh import Ints, Surface
+
+MM = 10.0
+CODE_SIZE = 50
+NECK_CUT = 280.0  # [mm] below the top: above the shoulders, as the default head
+_SKIN = {"face": OUTSIDE, "head_neck": OUTSIDE, "mouth_socket": MOUTH, "eye_socket_l": EYES, "eye_socket_r": EYES}
+_NEEDED = (
+    "vertices",
+    "triangles",
+    "triangle_part",
+    "part_names",
+    "identity_deltas",
+    "expression_deltas",
+    "expression_arkit",
+)
+
+
+def load(path: str | os.PathLike[str]) -> LinearSpace:
+    """Face, head, neck, mouth lining and eye sockets, closed at the neck; teeth, gums, tongue and eyes left out.
+
+    Raises InputError naming the file if it is missing, damaged or lacks an array.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with np.load(path) as file:
+            data = {name: file[name] for name in _NEEDED}
+    except KeyError as error:
+        raise InputError(f"{path}: not ICT-FaceKit's data, {error.args[0]}") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not an .npz file, or damaged ({error})") from None
+    names = data["part_names"].tolist()
+    part_of = np.array([_SKIN.get(name, -1) for name in names])[data["triangle_part"]]
+    triangles = data["triangles"].astype(np.int64)
+    try:
+        height = data["vertices"][:, 1] * MM
+        above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
+        cut, closed = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
+        mean = Surface(cut @ data["vertices"].astype(np.float64) * MM, closed)
+    except (MeshError, ValueError, IndexError) as error:
+        raise InputError(f"{path}: {error}") from None
+    identity = np.stack([cut @ delta.astype(np.float64) for delta in data["identity_deltas"][:CODE_SIZE]]) * MM
+    expressions = np.zeros((len(ARKIT), *mean.vertices.shape))
+    for name, delta in zip(data["expression_arkit"].tolist(), data["expression_deltas"], strict=True):
+        expressions[ARKIT.index(name)] += cut @ delta.astype(np.float64) * MM
+    missing = tuple(sorted(set(ARKIT) - set(data["expression_arkit"].tolist())))
+    parts = np.full(len(data["vertices"]), OUTSIDE)
+    for part in (MOUTH, EYES):
+        parts[_inside(triangles, part_of, part)] = part
+    kept = np.diff(cut.indptr) == 1
+    return LinearSpace(
+        "ict", mean, identity, expressions, np.where(kept, parts[cut.indices[cut.indptr[:-1]]], CAP), missing
+    )
+
+
+def _inside(triangles: Ints, part_of: Ints, part: int) -> Ints:
+    """Vertices that only triangles of `part` have."""
+    return np.setdiff1d(triangles[part_of == part], triangles[(part_of != part) & (part_of >= 0)])

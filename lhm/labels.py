@@ -1,0 +1,59 @@
+"""Which vertices of the skull wrap belong to the cranium, which to the mandible, and which to neither."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from .head import CRANIUM, FREE, MANDIBLE
+from .landmarks import Mask
+from .mesh import Floats, Ints
+
+FOLLOWS, STAYS = 0.85, 0.03
+FROM_LIPS = 12.0
+
+
+def rigid_motion(rest: Floats, moved: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and translation (3,) [mm] of the weighted least-squares fit moved = R rest + t (Procrustes)."""
+    weights = weights / weights.sum()
+    a, b = weights @ rest, weights @ moved
+    u, _, vt = np.linalg.svd((moved - b).T @ (weights[:, None] * (rest - a)))
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return rotation, b - rotation @ a
+
+
+def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
+    """How far each point follows the rigid motion of the jaw, phi = (moved . rigid) / rigid², shape (n,).
+
+    The motion is fitted to the candidates that move most, again and again to those that follow it.
+    """
+    moved = opened - rest
+    size = np.linalg.norm(moved, axis=1)
+    chosen = candidates & (size > 0.6 * size[candidates].max())
+    for _ in range(10):
+        rotation, translation = rigid_motion(rest, opened, chosen.astype(float))
+        rigid = rest @ rotation.T + translation - rest
+        share = np.einsum("nd,nd->n", moved, rigid) / np.maximum(np.einsum("nd,nd->n", rigid, rigid), 1e-9)
+        off = np.linalg.norm(moved - rigid, axis=1)
+        chosen = candidates & (off < 0.1 * size + 0.3) & (size > 0.4 * size[candidates].max())
+    return share
+
+
+def bone_labels(rest: Floats, opened: Floats, regions: dict[str, Mask], from_lips: Floats, edges: csr_matrix) -> Ints:
+    """FREE, CRANIUM or MANDIBLE per vertex, shape (n,), from how the skin over it follows jawOpen.
+
+    `rest`, `opened`: the skin wrap [mm] without and with jawOpen; `from_lips` [mm]: distance to the lips' rim.
+    Mandible: follows the jaw, 12 mm from the lips, not in the mouth, one ring eroded. Cranium: hardly moves, and the
+    neck's cut and the eye sockets.
+    """
+    inside = regions["mouth"] | regions["eyes"] | regions["neck"]
+    far = from_lips > FROM_LIPS
+    share = jaw_share(rest, opened, far & ~inside)
+    mandible = (share > FOLLOWS) & far & ~inside
+    mandible &= (edges @ (~mandible).astype(float)) == 0
+    size = np.linalg.norm(opened - rest, axis=1)
+    still = (size < STAYS * size.max()) & far & ~regions["mouth"]
+    bone = np.full(len(rest), FREE)
+    bone[still | ((regions["neck"] | regions["eyes"]) & far & (share < FOLLOWS))] = CRANIUM
+    bone[mandible] = MANDIBLE
+    return bone

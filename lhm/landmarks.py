@@ -1,0 +1,70 @@
+"""Places and regions of a skin that follow from its parts: the lips' rim, the lids, the eyes' centres, masks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from .identities import CAP, EYES, MOUTH, OUTSIDE
+from .mesh import Floats, Ints, Surface
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Skin vertices on the rim between visible skin and a pocket, and points [mm] derived from them."""
+
+    rim: Ints
+    lids: Ints
+    mouth: Floats
+    eyes: Floats
+
+    @property
+    def face_width(self) -> float:
+        """Half the distance between the eyes [mm], the unit of the face."""
+        return 0.5 * float(np.linalg.norm(self.eyes[0] - self.eyes[1]))
+
+
+def landmarks(skin: Surface, parts: Ints) -> Landmarks:
+    """Find them on a neutral skin whose vertices' parts are known; +x is the subject's left."""
+    rim, lids = (_rim(skin.triangles, parts, part) for part in (MOUTH, EYES))
+    sockets = skin.vertices[parts == EYES]
+    middle = 0.5 * (skin.vertices[:, 0].min() + skin.vertices[:, 0].max())
+    eyes = np.stack([sockets[side].mean(axis=0) for side in (sockets[:, 0] > middle, sockets[:, 0] <= middle)])
+    return Landmarks(rim, lids, skin.vertices[rim].mean(axis=0), eyes)
+
+
+def _rim(triangles: Ints, parts: Ints, part: int) -> Ints:
+    mixed = triangles[(parts[triangles] == part).any(axis=1)]
+    return np.unique(mixed[parts[mixed] == OUTSIDE])
+
+
+def distance_to(points: Floats, places: Floats) -> Floats:
+    """Distance [mm] of each point to the nearest of `places`, shape (k,)."""
+    return cKDTree(places).query(points)[0]
+
+
+def regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
+    """Masks over the skin's vertices: lips, mouth, eyes, lids, neck, face.
+
+    "face": visible skin in front of the eyes' plane moved back by the face's width, above the chin's underside;
+    "neck": the lid over the cut and all within 25 mm of it; "lips" within 9 mm of the rim, "lids" within 6 mm.
+    """
+    x, unit = skin.vertices, marks.face_width
+    centre = marks.eyes.mean(axis=0)
+    drop = centre[1] - marks.mouth[1]
+    visible = parts == OUTSIDE
+    front = (x[:, 2] > centre[2] - 0.6 * unit) & (np.abs(x[:, 0] - centre[0]) < 2.2 * unit)
+    height = (x[:, 1] > centre[1] - 1.75 * drop) & (x[:, 1] < centre[1] + 0.9 * drop)
+    return {
+        "lips": visible & (distance_to(x, x[marks.rim]) < 9.0),
+        "lids": visible & (distance_to(x, x[marks.lids]) < 6.0),
+        "mouth": parts == MOUTH,
+        "eyes": parts == EYES,
+        "neck": (parts == CAP) | (distance_to(x, x[parts == CAP]) < 25.0),
+        "face": visible & front & height,
+    }

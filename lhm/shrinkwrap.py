@@ -1,0 +1,82 @@
+"""Shrink a sphere onto a closed skin with an open mouth (SoftDECA 3.1.1: wraps by shrinking a sphere)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from .distance import SignedDistance
+from .mesh import Floats, Ints, Surface
+from .progress import OnProgress, silent
+from .sphere import geodesic_sphere, subdivide
+
+CLEARANCE = 0.3  # [mm] the wrap ends this far outside of the skin
+COARSE, COARSE_STEPS, FINE_STEPS = 11, 500, 260
+
+
+def neighbours(triangles: Ints, n: int) -> csr_matrix:
+    """The edges of a closed surface as a symmetric matrix of ones, shape (n, n)."""
+    i, j, k = triangles.T
+    rows, columns = np.concatenate([i, j, k]), np.concatenate([j, k, i])
+    matrix = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
+
+
+def concentrated(sphere: Floats, towards: Floats, factor: float) -> Floats:
+    """Unit vectors moved by the Möbius map that shrinks lengths near the direction `towards` by `factor`."""
+    towards = towards / np.linalg.norm(towards)
+    height = sphere @ towards
+    lateral = sphere - height[:, None] * towards
+    # Stereographic projection from the opposite pole scales `lateral / (1 + height)`.
+    plane = lateral / np.maximum(1 + height, 1e-12)[:, None] / factor
+    r2 = np.einsum("kd,kd->k", plane, plane)
+    moved = (2 * plane + (1 - r2)[:, None] * towards) / (1 + r2)[:, None]
+    return np.where(height[:, None] < -1 + 1e-9, sphere, moved)
+
+
+def shrink(
+    skin: Surface,
+    spacing: Floats,
+    pockets: NDArray[np.bool_],
+    focus: Floats,
+    *,
+    concentration: float = 2.0,
+    progress: OnProgress = silent,
+) -> Surface:
+    """A sphere of 4,842 vertices shrunk onto a closed skin, into its pockets [mm].
+
+    `spacing` (skin vertices): wanted length of the wrap's edges there, relative; `pockets`: mask of those in
+    and around pockets; `focus` (3,): the point [mm] towards which the sphere's vertices are concentrated from the start.
+    """
+    low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
+    centre, radii = 0.5 * (low + high), 0.5 * (high - low)
+    sphere, triangles = geodesic_sphere(COARSE)
+    x = centre + 1.45 * radii * concentrated(sphere, (focus - centre) / radii, concentration)
+    distance = SignedDistance(skin)
+    for level, steps in enumerate((COARSE_STEPS, FINE_STEPS)):
+        if level:
+            x, triangles = subdivide(x, triangles)
+        ones = neighbours(triangles, len(x))
+        for step in range(steps):
+            x = _step(x, triangles, ones, distance, spacing, pockets)
+            if step % 20 == 0:
+                progress("wrapping the skin", (0.2 if level else 0.0) + (0.8 if level else 0.2) * step / steps)
+    return Surface(x, triangles)
+
+
+def _step(x, triangles, ones, distance, spacing, pockets):
+    own = Surface(x, triangles).vertex_normals
+    phi, direction, triangle, weights = distance(x)
+    corners = distance.tree.triangles[triangle]
+    stiffness = 1.0 / np.einsum("kc,kc->k", weights, spacing[corners])
+    total = stiffness * np.asarray(ones.sum(axis=1)).ravel() + ones @ stiffness
+    pulled = stiffness[:, None] * (ones @ x) + ones @ (stiffness[:, None] * x)
+    umbrella = pulled / total[:, None] - x
+    along = np.einsum("kd,kd->k", umbrella, own)[:, None] * own
+    # The wrap's own normal leads into pockets, away from the closest wall; elsewhere that would be a fold.
+    led = pockets[corners].any(axis=1) | (np.einsum("kd,kd->k", own, direction) > -0.2)
+    near = np.where(led, np.exp(-np.abs(phi) / 3.0), 1.0)[:, None]
+    outward = near * direction + (1 - near) * own
+    smooth = np.clip(along, -10.0, 10.0)
+    return x + 0.6 * (umbrella - along) + 0.03 * smooth - 0.7 * np.clip(phi - CLEARANCE, -2.0, 2.0)[:, None] * outward

@@ -1,0 +1,33 @@
+"""Geodesic spheres: the wraps' triangulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from .mesh import Floats, Ints
+
+
+def geodesic_sphere(frequency: int) -> tuple[Floats, Ints]:
+    """Unit icosphere whose edges are cut into `frequency` parts: 10 f² + 2 vertices, 20 f² triangles."""
+    base = trimesh.creation.icosahedron()
+    rows = [(i, j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
+    place = {ij: k for k, ij in enumerate(rows)}
+    weights = np.array([(frequency - i - j, i, j) for i, j in rows]) / frequency
+    local = [(place[i, j], place[i + 1, j], place[i, j + 1]) for i, j in rows if i + j < frequency]
+    local += [(place[i + 1, j], place[i + 1, j + 1], place[i, j + 1]) for i, j in rows if i + j < frequency - 1]
+    points = np.einsum("kc,fcd->fkd", weights, np.asarray(base.vertices)[base.faces]).reshape(-1, 3)
+    triangles = (np.array(local)[None] + len(rows) * np.arange(len(base.faces))[:, None, None]).reshape(-1, 3)
+    _, first, number = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
+    points = points[first]
+    return points / np.linalg.norm(points, axis=1, keepdims=True), number.ravel()[triangles]
+
+
+def subdivide(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Split every triangle into four at its edges' midpoints, which are numbered after the vertices."""
+    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, number = np.unique(edges, axis=0, return_inverse=True)
+    ab, bc, ca = (number.reshape(-1, 3) + len(vertices)).T
+    a, b, c = triangles.T
+    parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+    return np.vstack([vertices, vertices[unique].mean(axis=1)]), np.stack(parts, axis=1).reshape(-1, 3)
