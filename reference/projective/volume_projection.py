@@ -12,7 +12,7 @@ from numba import njit
 
 from .lanes import COMPILED, D0, D1, D2, DOUBT, LANES, S0, S1, S2, TARGET
 
-STEPS = 5
+STEPS = 7
 SCAN = 256
 
 
@@ -21,7 +21,8 @@ def project_volume(w):
     """Write s - t of every lane to D and return how many lanes are in doubt (marked there).
 
     Newton's method for ln(t0 t1 t2 / v) = 0, with ln by its Padé form, in the multiplier m from m = 0, all roots
-    with plus. A lane is in doubt where it has not converged, or where a nearer point may exist with a minus.
+    with plus; m stays above the least value for which t2 is real. A lane is in doubt where it has not converged, or
+    where t2 comes near s2 / 2, the end of that branch, beyond which the nearest point has a minus.
     """
     doubts = 0
     for k in range(LANES):
@@ -33,11 +34,11 @@ def project_volume(w):
         for _ in range(STEPS):
             product = t0 * t1 * t2
             slope = t1 * t2 * r1 * r2 + t0 * t2 * r0 * r2 + t0 * t1 * r0 * r1
-            m += 2.0 * (v - product) * product * r0 * r1 * r2 / ((v + product) * slope)
-            m = max(m, least)
+            change = 2.0 * (v - product) * product * r0 * r1 * r2 / ((v + product) * slope)
+            m = max(m + change, 0.5 * (m + least))
             r0, r1, r2 = sqrt(s0 * s0 + 4.0 * m), sqrt(s1 * s1 + 4.0 * m), sqrt(s2 * s2 + 4.0 * m)
             t0, t1, t2 = 0.5 * (s0 + r0), 0.5 * (s1 + r1), 0.5 * (s2 + r2)
-        sure = (abs(t0 * t1 * t2 - v) <= 1e-14 * v) and (t2 >= 0.6 * s2)
+        sure = (abs(t0 * t1 * t2 - v) <= 1e-14 * v) and (t2 >= 0.51 * s2)
         w[D0 + k], w[D1 + k], w[D2 + k] = -m / t0, -m / t1, -m / t2
         w[DOUBT + k] = 0.0 if sure else 1.0
         doubts += 0 if sure else 1
