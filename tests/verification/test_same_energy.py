@@ -1,0 +1,60 @@
+"""One energy, one minimiser: projective dynamics, FEniCSx and scikit-fem on a layered sphere that stands for a head."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softdeca.lhm.head import MANDIBLE
+from softdeca.reference import MissingDependencyError, Parameters, facial_scene, neo_hookean_scene, solve
+
+CASES = {
+    "smile and gravity": (Parameters(gravity=3.0), 0.0),
+    "jaw open": (Parameters(), 15.0),
+    "near-incompressible": (Parameters(volume_ratio=75.0), 5.0),
+    "swollen": (Parameters(soft_volume=1.3, target_stiffness=1.0), 0.0),
+    "limited strain": (Parameters(strain_limit=1.1, skin_growth=1.2), 5.0),
+}
+
+
+def expression(head, jaw_degrees):
+    """The skin [mm] with one cheek pulled, and all over the mandible turned about an axis from ear to ear."""
+    X = head.skin.vertices
+    cheek = np.exp(-np.sum((X - [60.0, 0.0, 70.0]) ** 2, axis=1) / (2 * 40.0**2))
+    turned = Rotation.from_euler("x", jaw_degrees, degrees=True).apply(X)
+    share = np.clip((-X[:, 1] - 20.0) / 40.0, 0.0, 1.0)
+    assert (share[head.bone == MANDIBLE] == 1.0).all()
+    return X + cheek[:, None] * [3.0, 8.0, -2.0] + share[:, None] * (turned - X)
+
+
+def largest_difference(scene, solver, other, tolerance):
+    """Of two solvers, relative to the largest displacement."""
+    answers = []
+    for name in (solver, other):
+        try:
+            answers.append(solve(scene, solver=name, tolerance=tolerance, max_iterations=3000))
+        except MissingDependencyError as missing:
+            pytest.skip(str(missing))
+    assert all(answer.converged for answer in answers), [str(answer.reason) for answer in answers]
+    moved = np.linalg.norm(answers[1].positions - scene.vertices, axis=1).max()
+    assert moved > 1.0
+    return np.linalg.norm(answers[0].positions - answers[1].positions, axis=1).max() / moved
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_skfem_and_fenicsx_agree(sphere_head, name):
+    parameters, jaw = CASES[name]
+    scene = facial_scene(sphere_head, parameters, expression(sphere_head, jaw))
+    assert largest_difference(scene, "skfem", "fenicsx", 1e-11) < 1e-8
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_projective_and_skfem_agree(sphere_head, name):
+    parameters, jaw = CASES[name]
+    scene = facial_scene(sphere_head, parameters, expression(sphere_head, jaw))
+    assert largest_difference(scene, "projective", "skfem", 1e-11) < 1e-8
+
+
+@pytest.mark.parametrize("jaw", [0.0, 15.0])
+def test_neo_hookean_agrees(sphere_head, jaw):
+    scene = neo_hookean_scene(facial_scene(sphere_head, Parameters(gravity=2.0), expression(sphere_head, jaw)))
+    assert largest_difference(scene, "skfem", "fenicsx", 1e-11) < 1e-8
