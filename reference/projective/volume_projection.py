@@ -47,7 +47,7 @@ def project_volume(w):
 
 @njit(inline="always", **COMPILED)
 def _on_path(s0, s1, s2, t2):
-    """The stationary points as a path: m and the other two roots (with plus) for a given t2."""
+    """The stationary points as a path: the other two roots (with plus) for a given t2."""
     m = t2 * (t2 - s2)
     t0 = 0.5 * (s0 + sqrt(max(s0 * s0 + 4.0 * m, 0.0)))
     t1 = 0.5 * (s1 + sqrt(max(s1 * s1 + 4.0 * m, 0.0)))
