@@ -12,6 +12,8 @@ import numpy as np
 from ...lhm.mesh import Floats
 
 SMALL = 1e-9
+TINY = 1e-300
+ROOT_ITERATIONS = 80
 
 
 def signed_svd(F: Floats) -> tuple[Floats, Floats, Floats]:
@@ -83,13 +85,29 @@ def _excess(sigma: Floats, target: Floats, s3: Floats) -> Floats:
 
 
 def _root(sigma: Floats, target: Floats, low: Floats, high: Floats) -> Floats:
-    """The root s3 of the product's excess in [low, high], where it is <= 0 and >= 0, by bisection."""
+    """The root s3 of the product's excess in [low, high], where it is <= 0 and >= 0, to the last digits.
+
+    Newton's method, and bisection where a step leaves the bracket or is more than half of the one before.
+    """
     low, high = low.copy(), high.copy()
-    for _ in range(60):
-        middle = (low + high) / 2
-        below = _excess(sigma, target, middle) < 0
-        low[below], high[~below] = middle[below], middle[~below]
-    return (low + high) / 2
+    s3 = (low + high) / 2
+    step = high - low
+    for _ in range(ROOT_ITERATIONS):
+        s = _on_curve(sigma, s3)
+        product = np.prod(s, axis=1)
+        below = product < target
+        low[below], high[~below] = s3[below], s3[~below]
+        # d ln s_i / d s_3 on the curve, from s_i (s_i - sigma_i) = s_3 (s_3 - sigma_3).
+        split = s[:, :2] * (2 * s[:, :2] - sigma[:, :2])
+        growth = 1 / s3 + (2 * s3 - sigma[:, 2]) * np.sum(1 / np.maximum(split, TINY), axis=1)
+        newton = (target - product) / np.where(growth > 0, product * growth, TINY)
+        settled = np.abs(newton) <= 1e-14 * s3
+        inside = (s3 + newton > low) & (s3 + newton < high) & (np.abs(newton) <= np.abs(step) / 2)
+        step = np.where(settled, 0.0, np.where(inside, newton, (low + high) / 2 - s3))
+        if settled.all():
+            return s3 + newton
+        s3 = s3 + step
+    return s3
 
 
 def _nearest_root(sigma: Floats, target: Floats) -> Floats:
