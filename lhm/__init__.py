@@ -1,6 +1,7 @@
 """The layered head model: surfaces, wraps, fitting, identities and expressions. Geometry only, no physics."""
 
 from . import expressions, identities
+from .check import HeadReport, check_head
 from .errors import FitError, InputError, MeshError, SoftdecaError
 from .fit import fit_head
 from .head import LayeredHead
@@ -9,6 +10,7 @@ from .template import Template, load_template
 
 __all__ = [
     "FitError",
+    "HeadReport",
     "InputError",
     "LayeredHead",
     "MeshError",
@@ -16,6 +18,7 @@ __all__ = [
     "Surface",
     "Template",
     "TetMesh",
+    "check_head",
     "expressions",
     "fit_head",
     "identities",

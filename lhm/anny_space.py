@@ -17,10 +17,11 @@ from .cache import cached
 from .cut import cut_and_close, largest_piece
 from .errors import InputError, MissingDependencyError
 from .identities import ARKIT, CAP, EYES, MOUTH, OUTSIDE, LinearSpace
+from .lips import lips_together
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 
-FORMAT = 3
+FORMAT = 4
 MM = 100.0  # MakeHuman's unit is the decimetre.
 BODY_VERTICES = 13380
 NECK_CUT = 5.90  # [dm] height of the cut on the base mesh, 259 mm below its top
@@ -98,7 +99,6 @@ def _build(folder: Path, progress: OnProgress) -> dict[str, np.ndarray]:
     for pair in _pairs():
         negative, positive = (sum(_read_target(targets / f) for f in files) for files in pair)
         directions.append((positive - negative) / 2)
-    identity = _principal(mean, np.stack([_DEVIATION * (cut @ d) for d in directions]))
 
     progress("default head: expressions", 0.6)
     units = folder / "faceunits01" / "targets" / "faceunits"
@@ -109,13 +109,14 @@ def _build(folder: Path, progress: OnProgress) -> dict[str, np.ndarray]:
         parts[inside] = part
     kept = np.diff(cut.indptr) == 1
     head_parts = np.where(kept, parts[cut.indices[cut.indptr[:-1]]], CAP)
-    middle = mean[:, 1].max() - 1.3
-    mean = (mean - [0.0, middle, 0.0]) * MM
+    mean = (mean - [0.0, mean[:, 1].max() - 1.3, 0.0]) * MM
+    shapes = MM * _DEVIATION * np.stack([cut @ direction for direction in directions])
+    identity = _principal(mean, lips_together(mean, triangles, head_parts, shapes))
     progress("default head", 1.0)
     return {
         "mean": mean,
         "triangles": triangles,
-        "identity": identity * MM,
+        "identity": identity,
         "expressions": expressions * MM,
         "parts": head_parts,
     }

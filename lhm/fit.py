@@ -53,7 +53,8 @@ def fit_head(template: Template, skin: Surface) -> LayeredHead:
     if prepared is None:
         prepared = _prepared[template] = _Prepared(template)
     wrap, connectors = _warped(template, prepared, skin.vertices)
-    surface = template.skin_wrap.with_vertices(wrap)
+    surface = inner.uncreased(template.skin_wrap.with_vertices(wrap), prepared.edges)
+    wrap = surface.vertices
     crossing = TriangleTree(wrap, surface.triangles).self_crossings()
     if len(crossing):
         raise FitError(f"skin wrap: {len(crossing)} pairs of its triangles cross, the first is {crossing[0].tolist()}")

@@ -15,6 +15,7 @@ import numpy as np
 from .cut import cut_and_close, largest_piece
 from .errors import InputError, MeshError
 from .identities import ARKIT, CAP, EYES, MOUTH, OUTSIDE, LinearSpace
+from .lips import lips_together
 from .mesh import Ints, Surface
 
 MM = 10.0
@@ -56,7 +57,6 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
         mean = Surface(cut @ data["vertices"].astype(np.float64) * MM, closed)
     except (MeshError, ValueError, IndexError) as error:
         raise InputError(f"{path}: {error}") from None
-    identity = np.stack([cut @ delta.astype(np.float64) for delta in data["identity_deltas"][:CODE_SIZE]]) * MM
     expressions = np.zeros((len(ARKIT), *mean.vertices.shape))
     for name, delta in zip(data["expression_arkit"].tolist(), data["expression_deltas"], strict=True):
         expressions[ARKIT.index(name)] += cut @ delta.astype(np.float64) * MM
@@ -65,9 +65,10 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
     for part in (MOUTH, EYES):
         parts[_inside(triangles, part_of, part)] = part
     kept = np.diff(cut.indptr) == 1
-    return LinearSpace(
-        "ict", mean, identity, expressions, np.where(kept, parts[cut.indices[cut.indptr[:-1]]], CAP), missing
-    )
+    parts = np.where(kept, parts[cut.indices[cut.indptr[:-1]]], CAP)
+    shapes = np.stack([cut @ delta.astype(np.float64) for delta in data["identity_deltas"][:CODE_SIZE]]) * MM
+    identity = lips_together(mean.vertices, closed, parts, shapes)
+    return LinearSpace("ict", mean, identity, expressions, parts, missing)
 
 
 def _inside(triangles: Ints, part_of: Ints, part: int) -> Ints:

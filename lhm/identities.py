@@ -100,3 +100,13 @@ def ICTFaceKit(path) -> LinearSpace:
     from .ict_space import load
 
     return load(path)
+
+
+def from_text(text: str) -> LinearSpace:
+    """The space that a command line names: "anny", or "ict:FILE"; InputError for anything else."""
+    kind, _, path = text.partition(":")
+    if kind == "anny" and not path:
+        return Anny()
+    if kind == "ict" and path:
+        return ICTFaceKit(path)
+    raise InputError(f"identities {text!r}: expected 'anny' or 'ict:FILE'")

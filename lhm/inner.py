@@ -16,6 +16,8 @@ MUSCLE = 0.6  # the muscle wrap lies at this fraction of the way from skin to sk
 LEAST_VOLUME = 0.04  # of a tet, over a third of its outer triangle's area times its connectors' length
 LEAST_LENGTH = 0.4  # [mm]
 SLOPE = 0.8
+LEAST_COSINE = 0.3
+CREASE_ROUNDS = 12
 ROUNDS = 60
 
 
@@ -40,6 +42,35 @@ def cone_normals(surface: Surface, rounds: int = 60) -> Floats:
         normals = normals + pull * faces[owner[pick]]
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return normals
+
+
+def least_cosine(surface: Surface, normals: Floats) -> Floats:
+    """The smallest cosine between a vertex's direction and the normals of its triangles, shape (n,)."""
+    faces = surface.face_normals
+    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    cosine = np.einsum("mcd,md->mc", normals[surface.triangles], faces)
+    least = np.ones(len(surface.vertices))
+    np.minimum.at(least, surface.triangles.ravel(), cosine.ravel())
+    return least
+
+
+def uncreased(surface: Surface, edges: csr_matrix) -> Surface:
+    """A wrap whose crossings with itself and sharpest creases are smoothed away, where a few rounds suffice.
+
+    Vertices of crossing triangles, and those from which no direction enters all their triangles at an angle whose
+    sine is LEAST_COSINE, move half a Laplacian step with their neighbours.
+    """
+    mean = diags(1 / np.asarray(edges.sum(axis=1)).ravel()) @ edges
+    for _ in range(CREASE_ROUNDS):
+        x = surface.vertices
+        crossing = TriangleTree(x, surface.triangles).self_crossings()
+        hit = (least_cosine(surface, cone_normals(surface)) < LEAST_COSINE).astype(float)
+        hit[surface.triangles[crossing].ravel()] = 1.0
+        if not hit.any():
+            break
+        moved = np.maximum(hit, edges @ hit > 0)[:, None] * 0.5
+        surface = surface.with_vertices(x + moved * (mean @ x - x))
+    return surface
 
 
 def smoothed(values: Floats, edges: csr_matrix, amount: float) -> Floats:

@@ -47,7 +47,8 @@ def shrink(
     """A sphere of 4,842 vertices shrunk onto a closed skin, into its pockets [mm].
 
     `spacing` (skin vertices): wanted length of the wrap's edges there, relative; `pockets`: mask of those in
-    and around pockets; `focus` (3,): the point [mm] towards which the sphere's vertices are concentrated from the start.
+    and around pockets; `focus` (3,): the point [mm] towards which the sphere's vertices are
+    concentrated from the start.
     """
     low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
     centre, radii = 0.5 * (low + high), 0.5 * (high - low)

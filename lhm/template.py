@@ -20,7 +20,7 @@ from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 from .shrinkwrap import neighbours, shrink
 
-FORMAT = 1
+FORMAT = 2
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 
@@ -96,12 +96,13 @@ def _build(space: LinearSpace, progress: OnProgress) -> dict[str, np.ndarray]:
     triangle, skin_weights, _ = TriangleTree(wrap.vertices, wrap.triangles).closest(opened.vertices)
     carried = _barycentric(wrap_ids, wrap_weights, (len(wrap.vertices), len(skin.vertices)))
     rest = wrap.with_vertices(wrap.vertices - carried @ ((1 - REST_OPENING) * jaw + wide))
+    edges = neighbours(rest.triangles, len(rest.vertices))
+    rest = inner.uncreased(rest, edges)
     crossing = TriangleTree(rest.vertices, rest.triangles).self_crossings()
     if len(crossing):
         raise FitError(f"template {space.name!r}: the skin wrap crosses itself at {len(crossing)} pairs of triangles")
 
     progress("layers", 0.7)
-    edges = neighbours(rest.triangles, len(rest.vertices))
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
     normals = inner.cone_normals(rest)
     connectors = _connectors(rest, normals, edges, parts[nearest], marks)

@@ -1,0 +1,101 @@
+"""Surfaces from files, and what a skin has to be before a head is fitted to it."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .errors import InputError, MeshError
+from .mesh import Ints, Surface
+
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+SUFFIXES = (".obj", ".ply", ".stl", ".npz")
+LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
+
+
+def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
+    """A triangle mesh from OBJ, PLY, STL, or NPZ with `vertices` and `triangles`; vertices keep their order.
+
+    `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, empty,
+    damaged, no mesh, or holds values that are not finite.
+    """
+    path = Path(path)
+    if unit not in MILLIMETRES:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty")
+    vertices, triangles = _read_npz(path) if path.suffix.lower() == ".npz" else _read_mesh(path)
+    try:
+        return Surface(np.asarray(vertices, dtype=np.float64) * MILLIMETRES[unit], triangles)
+    except (MeshError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        with np.load(path) as file:
+            return file["vertices"], file["triangles"]
+    except KeyError:
+        raise InputError(f"{path}: expected arrays `vertices` and `triangles`") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: not an .npz file, or damaged ({error})") from None
+
+
+def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    # An STL file has no indices: its corners have to be merged. Elsewhere the order of vertices is kept.
+    merged = path.suffix.lower() == ".stl"
+    try:
+        mesh = trimesh.load(path, force="mesh", process=merged, maintain_order=not merged)
+    except Exception as error:  # trimesh's readers raise whatever the broken text makes them raise
+        raise InputError(f"{path}: not a readable mesh ({type(error).__name__}: {str(error)[:80]})") from None
+    triangles = np.asarray(getattr(mesh, "faces", ()))
+    if triangles.ndim != 2 or not len(triangles):
+        raise InputError(f"{path}: no triangles found; is it a mesh?")
+    return np.asarray(mesh.vertices), triangles
+
+
+def check_skin(surface: Surface) -> None:
+    """Raise MeshError unless a skin is one closed, consistently oriented surface of a head's size.
+
+    The message says how many holes there are, which edge has more than two triangles, how many pieces, or what the
+    extent [mm] is where the unit seems wrong.
+    """
+    triangles = surface.triangles
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    unique, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    if (count > 2).any():
+        first = unique[count > 2][0]
+        raise MeshError(f"skin: {(count > 2).sum()} edges have more than two triangles, the first is {first.tolist()}")
+    if (count == 1).any():
+        holes = _pieces(unique[count == 1])
+        raise MeshError(
+            f"skin: the surface is open, with {holes} {'hole' if holes == 1 else 'holes'}; it must be closed"
+        )
+    if len(np.unique(edges, axis=0)) != len(edges):
+        raise MeshError("skin: neighbouring triangles are oriented against one another")
+    pieces = _pieces(unique)
+    if pieces > 1:
+        raise MeshError(f"skin: {pieces} separate pieces; it must be one (leave out eyeballs, teeth and tongue)")
+    extent = np.ptp(surface.vertices[np.unique(triangles)], axis=0)
+    if extent.min() < LEAST_EXTENT or extent.max() > GREATEST_EXTENT:
+        size = " x ".join(f"{length:.4g}" for length in extent)
+        raise MeshError(
+            f"skin: its extent is {size} mm, a head's lies within {LEAST_EXTENT:g}..{GREATEST_EXTENT:g}: units off?"
+        )
+
+
+def _pieces(edges: Ints) -> int:
+    used, number = np.unique(edges, return_inverse=True)
+    ends = number.reshape(edges.shape)
+    graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(used), len(used)))
+    return int(connected_components(graph, directed=False)[0])
