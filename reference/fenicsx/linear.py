@@ -14,7 +14,6 @@ from .dolfinx_version import COMM, PETSc
 # The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,
 # and Newton stalls without a word.
 _MULTIGRID = {
-    "pc_gamg_threshold": 0.01,
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
     "mg_levels_esteig_ksp_max_it": 30,
