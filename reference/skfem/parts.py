@@ -6,7 +6,6 @@ applied to each element's tangent (project_spd, or nothing). x holds positions [
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import Protocol
 
@@ -40,14 +39,17 @@ class Part(Protocol):
 
 
 class Discretisation:
-    """Linear tets over a scene's mesh; `dofs` (n, 3) is where scikit-fem numbers the components of each vertex."""
+    """Linear tets over a scene's mesh; `dofs` (n, 3) is where scikit-fem numbers the components of each vertex.
+
+    scikit-fem does not count vertices behind the last one of a tet: their `dofs` follow after its own.
+    """
 
     def __init__(self, scene: Scene):
-        logging.getLogger("skfem").setLevel(logging.ERROR)
         points, corners = (np.ascontiguousarray(array.T) for array in (scene.vertices, scene.tets))
         self.basis = Basis(MeshTet(points, corners), ElementVector(ElementTetP1()), intorder=1)
-        self.dofs: Ints = self.basis.nodal_dofs.T
-        self.size = int(self.basis.N)
+        self.size = 3 * len(scene.vertices)
+        behind = np.arange(self.basis.N, self.size).reshape(-1, 3)
+        self.dofs: Ints = np.concatenate([self.basis.nodal_dofs.T, behind])
 
     def flat(self, values: Floats) -> Floats:
         """Values per vertex, shape (n, 3), by degree of freedom."""
@@ -71,6 +73,7 @@ class Tets:
 
     def __init__(self, scene: Scene, at: Discretisation):
         self._basis = at.basis
+        self._size = at.size
         self._volumes = at.basis.dx[:, 0]
         self._laws: list[tuple[Law, Ints]] = []
         for term in scene.terms:
@@ -79,7 +82,7 @@ class Tets:
                 self._laws.append((_law(term, len(tets)), tets))
 
     def _deformation_gradients(self, x: Floats) -> Floats:
-        return self._basis.interpolate(x).grad[..., 0].transpose(2, 0, 1)
+        return self._basis.interpolate(x[: self._basis.N]).grad[..., 0].transpose(2, 0, 1)
 
     def value(self, x: Floats) -> float:
         """See Part."""
@@ -92,7 +95,8 @@ class Tets:
         P = np.zeros_like(F)
         for law, tets in self._laws:
             P[tets] += law.stress(F[tets])
-        return _virtual_work.assemble(self._basis, stress=P.transpose(1, 2, 0)[..., None])
+        forces = _virtual_work.assemble(self._basis, stress=P.transpose(1, 2, 0)[..., None])
+        return np.pad(forces, (0, self._size - len(forces)))
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part."""
@@ -102,7 +106,9 @@ class Tets:
             tangent[tets] += law.tangent(F[tets])
         # scikit-fem has the elements and the quadrature points last.
         tangent = np.ascontiguousarray(treat(tangent).transpose(1, 2, 3, 4, 0))[..., None]
-        return _stiffness.assemble(self._basis, tangent=tangent).tocsr()
+        matrix = _stiffness.assemble(self._basis, tangent=tangent).tocsr()
+        matrix.resize(self._size, self._size)
+        return matrix
 
 
 def _law(term, count: int) -> Law:

@@ -70,6 +70,19 @@ def test_solves_every_term_tightly_and_holds_what_is_fixed(scene):
     assert solution.energy == solution.history.energy[-1] < solution.history.energy[0]
 
 
+@pytest.mark.parametrize("place", [0, 20])
+def test_vertices_of_no_tet_stay_or_follow_their_springs(place):
+    """Two vertices beside a cube, numbered first or in its midst and last: one is idle, one hangs on a spring."""
+    X, tets = meshes.block(2)
+    X = np.vstack([X[:place], [[5.0, 5.0, 5.0]], X[place:], [[7.0, 7.0, 7.0]]])
+    spring = Target([len(X) - 1], [[8.0, 7.0, 6.0]], 3.0)
+    scene = Scene(X, tets + (tets >= place), [Strain(1.0), spring])
+    solution = solve(scene, solver="skfem", tolerance=1e-9)
+    assert solution.converged
+    assert np.abs(solution.positions[:-1] - X[:-1]).max() < 1e-12
+    assert np.allclose(solution.positions[-1], [8.0, 7.0, 6.0])
+
+
 def test_a_free_body_turns_rigidly_to_its_targets(sphere_head):
     """Three targets that a rotation reaches: the energy is zero there, and nothing else holds the body."""
     R = Rotation.from_rotvec([0.3, -0.8, 0.4]).as_matrix()
