@@ -21,7 +21,7 @@ from .lips import lips_together
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 
-FORMAT = 4
+FORMAT = 5
 MM = 100.0  # MakeHuman's unit is the decimetre.
 BODY_VERTICES = 13380
 NECK_CUT = 5.90  # [dm] height of the cut on the base mesh, 259 mm below its top
@@ -54,7 +54,7 @@ _PAIRS = {
     "ears/*-ear-": "scale-decr:scale-incr wing-decr:wing-incr trans-down:trans-up",
     "neck/neck-": "double-decr:double-incr scale-depth-decr:scale-depth-incr scale-horiz-decr:scale-horiz-incr",
 }
-_DEVIATION = 0.4
+_DEVIATION = 0.25
 _PEOPLES = ("african", "asian", "caucasian")
 
 
@@ -79,7 +79,7 @@ def _build(folder: Path, progress: OnProgress) -> dict[str, np.ndarray]:
     base, quads, quad_parts = _read_base(folder)
     above = (base[quads, 1] > NECK_CUT).all(axis=1)
     triangles = np.vstack([quads[above][:, [0, 1, 2]], quads[above][:, [0, 2, 3]]])
-    cut, triangles = cut_and_close(largest_piece(triangles), len(base))
+    cut, triangles, kept = cut_and_close(largest_piece(triangles), len(base))
 
     progress("default head: identities", 0.1)
     macro = {
@@ -107,8 +107,7 @@ def _build(folder: Path, progress: OnProgress) -> dict[str, np.ndarray]:
     for part in (MOUTH, EYES):
         inside = np.setdiff1d(quads[quad_parts == part], quads[quad_parts != part])
         parts[inside] = part
-    kept = np.diff(cut.indptr) == 1
-    head_parts = np.where(kept, parts[cut.indices[cut.indptr[:-1]]], CAP)
+    head_parts = np.append(parts[kept], np.full(cut.shape[0] - len(kept), CAP))
     mean = (mean - [0.0, mean[:, 1].max() - 1.3, 0.0]) * MM
     shapes = MM * _DEVIATION * np.stack([cut @ direction for direction in directions])
     identity = _principal(mean, lips_together(mean, triangles, head_parts, shapes))

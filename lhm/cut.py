@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix, vstack
+from scipy.sparse import csr_matrix, identity, vstack
 from scipy.sparse.csgraph import connected_components
 
 from .errors import MeshError
 from .mesh import Ints
 
 RINGS = 5
+EVEN = 6
 
 
 def boundary_loops(triangles: Ints) -> list[Ints]:
@@ -51,6 +52,15 @@ def close_loop(loop: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
     return vstack([*new, centre]).tocsr(), np.vstack(triangles)
 
 
+def even_loop(loop: Ints, n_vertices: int) -> csr_matrix:
+    """Weights (n, n) that smooth the saw teeth of a loop that follows the edges of a mesh; the rest stays."""
+    weights = identity(n_vertices, format="lil")
+    for before, vertex, after in zip(np.roll(loop, 1), loop, np.roll(loop, -1), strict=True):
+        weights[vertex, [before, vertex, after]] = (0.25, 0.5, 0.25)
+    once = weights.tocsr()
+    return once**EVEN
+
+
 def largest_piece(triangles: Ints) -> Ints:
     """The triangles of the largest piece connected through vertices."""
     n = int(triangles.max()) + 1
@@ -60,9 +70,11 @@ def largest_piece(triangles: Ints) -> Ints:
     return triangles[kept == np.bincount(kept).argmax()]
 
 
-def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
-    """Drop unused vertices and close the one open boundary: weights (new, n_vertices), triangles of the new vertices.
+def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints, Ints]:
+    """Drop unused vertices and close the one open boundary.
 
+    Returns weights (new vertices, n_vertices), triangles of the new vertices, and the old indices of the vertices
+    kept, which come first and in their order; the lid's follow.
     Raises MeshError unless there is exactly one boundary loop.
     """
     used = np.unique(triangles)
@@ -74,4 +86,5 @@ def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
         raise MeshError(f"expected one open boundary at the neck, found {len(loops)}")
     lid, more = close_loop(loops[0], len(used))
     kept = csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), n_vertices))
-    return vstack([kept, lid @ kept]).tocsr(), np.vstack([triangles, more])
+    kept = even_loop(loops[0], len(used)) @ kept
+    return vstack([kept, lid @ kept]).tocsr(), np.vstack([triangles, more]), used

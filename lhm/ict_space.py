@@ -53,7 +53,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
     try:
         height = data["vertices"][:, 1] * MM
         above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
-        cut, closed = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
+        cut, closed, kept = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
         mean = Surface(cut @ data["vertices"].astype(np.float64) * MM, closed)
     except (MeshError, ValueError, IndexError) as error:
         raise InputError(f"{path}: {error}") from None
@@ -64,8 +64,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
     parts = np.full(len(data["vertices"]), OUTSIDE)
     for part in (MOUTH, EYES):
         parts[_inside(triangles, part_of, part)] = part
-    kept = np.diff(cut.indptr) == 1
-    parts = np.where(kept, parts[cut.indices[cut.indptr[:-1]]], CAP)
+    parts = np.append(parts[kept], np.full(cut.shape[0] - len(kept), CAP))
     shapes = np.stack([cut @ delta.astype(np.float64) for delta in data["identity_deltas"][:CODE_SIZE]]) * MM
     identity = lips_together(mean.vertices, closed, parts, shapes)
     return LinearSpace("ict", mean, identity, expressions, parts, missing)
