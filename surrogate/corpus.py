@@ -97,17 +97,19 @@ class Corpus:
     def _simulate(self, pending: list[int], fit: Fit, workers: int) -> Iterator[int]:
         if workers == 1 or len(pending) < 2:
             for identity in pending:
-                yield self._make(identity, fit)
+                yield self.make(identity, fit)
             return
         context = multiprocessing.get_context("spawn")
         try:
-            with ProcessPoolExecutor(min(workers, len(pending)), mp_context=context) as pool:
-                for future in as_completed([pool.submit(self._make, identity, fit) for identity in pending]):
+            count = min(workers, len(pending))
+            with ProcessPoolExecutor(count, context, initializer=_Worker.begin, initargs=(self, fit)) as pool:
+                for future in as_completed([pool.submit(_Worker.make, identity) for identity in pending]):
                     yield future.result()
         except BrokenProcessPool:
             raise SoftdecaError("corpus: a worker process died; run again to go on where it stopped") from None
 
-    def _make(self, identity: int, fit: Fit) -> int:
+    def make(self, identity: int, fit: Fit) -> int:
+        """Simulate one identity and write its shard; returns the identity."""
         write_shard(self.shard_path(identity), simulate_identity(self.plan, identity, self.space, fit), self.owner)
         return identity
 
@@ -163,3 +165,18 @@ class Corpus:
             blended=blended,
             simulated=blended + np.concatenate([s.corrected[m] for s, m in pairs]).astype(np.float32),
         )
+
+
+class _Worker:
+    """What a worker process keeps between identities, so that template and space travel to it once."""
+
+    corpus: Corpus
+    fit: Fit
+
+    @classmethod
+    def begin(cls, corpus: Corpus, fit: Fit):
+        cls.corpus, cls.fit = corpus, staticmethod(fit)
+
+    @classmethod
+    def make(cls, identity: int) -> int:
+        return cls.corpus.make(identity, cls.fit)

@@ -30,6 +30,8 @@ class Hypernetwork(nn.Module):
     table (latent, faces, 9) and positions (faces, config.position) are where B and π start.
     """
 
+    scale: torch.Tensor
+
     def __init__(self, config: HypernetworkConfig, *, code_size: int, n_parameters: int, table, positions):
         super().__init__()
         self.config = config
@@ -39,9 +41,8 @@ class Hypernetwork(nn.Module):
         self.expression = nn.Sequential(
             nn.Linear(WEIGHTS, wide), nn.ELU(), nn.Linear(wide, wide), nn.ELU(), nn.Linear(wide, latent)
         )
-        self.gain = nn.Sequential(
-            nn.Linear(n_parameters + code_size, config.gain_hidden), nn.ELU(), nn.Linear(config.gain_hidden, latent)
-        )
+        gains = nn.Linear(config.gain_hidden, latent)
+        self.gain = nn.Sequential(nn.Linear(n_parameters + code_size, config.gain_hidden), nn.ELU(), gains)
         # B and the MLP's answer in units of the table's size: Adam steps all weights alike, whatever their scale.
         table = torch.as_tensor(table, dtype=torch.float32)
         self.register_buffer("scale", table.square().mean().sqrt().clamp(min=1e-9))
@@ -55,8 +56,8 @@ class Hypernetwork(nn.Module):
         self.last = nn.Linear(hidden, latent * 9, bias=False)
         with torch.no_grad():
             self.last.weight.zero_()
-            self.gain[-1].weight.mul_(0.1)
-            self.gain[-1].bias.zero_()
+            gains.weight.mul_(0.1)
+            gains.bias.zero_()
 
     def forward(self, weights, code, parameters):
         """J - I, shape (batch, faces, 9), from weights (batch, 52), code (batch, c) and parameters (batch, k).

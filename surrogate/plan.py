@@ -63,7 +63,7 @@ class CorpusPlan:
     frames: int = 14  # per identity
     frames_per_parameter_set: int = 2  # these share one factorisation
     parameter_names: tuple[str, ...] = ("soft_stiffness", "skin_stiffness", "target_stiffness", "gravity")
-    tolerance: float = 1e-4  # of the solver's gradient norm: answers within about 0.01 mm
+    tolerance: float = 3e-4  # of the solver's gradient norm: answers within 0.02 mm, 0.0003 mm in the mean
     max_iterations: int = 400
 
     def __post_init__(self):

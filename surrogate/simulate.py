@@ -70,9 +70,7 @@ class _Simulator:
         scene = facial_scene(head, parameters, blended)
         if self._prepared is None or self._prepared[0] != parameters:
             self._prepared = parameters, prepare(scene, solver="projective")
-        solution = self._prepared[1].solve(
-            scene, start=_start(head, blended), tolerance=plan.tolerance, max_iterations=plan.max_iterations
-        )
+        solution = self._prepared[1].solve(scene, tolerance=plan.tolerance, max_iterations=plan.max_iterations)
         wrap = solution.positions[: len(head.skin_wrap.vertices)]
         corrected = (head.skin_after(blended, wrap) - blended).astype(np.float16)
         norms = solution.history.gradient_norm
@@ -88,9 +86,3 @@ class _Simulator:
             status = ACCEPTED
         ratio = float(norms[-1] / norms[0]) if norms[0] > 0 else 0.0
         return corrected, status, solution.iterations, ratio, smallest
-
-
-def _start(head: LayeredHead, blended: Floats) -> Floats:
-    """All layers moved as the skin wrap's target moves: nearer to the answer than rest."""
-    moved = head.wrap_targets(blended) - head.skin_wrap.vertices
-    return head.vertices + np.tile(moved, (3, 1))

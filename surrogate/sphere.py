@@ -74,7 +74,7 @@ class Spheres:
     def fit(self, skin: Surface) -> LayeredHead:
         """Two layers of 8 and 7 mm under a skin of this space."""
         unit, triangles = self._unit
-        wraps = [Surface(scale * skin.vertices, triangles) for scale in (1.0, 0.92, 0.85)]
+        outer, muscle, skull = (Surface(scale * skin.vertices, triangles) for scale in (1.0, 0.92, 0.85))
         bone = np.where(unit[:, 1] > 0.0, CRANIUM, np.where(unit[:, 1] < -0.8, MANDIBLE, FREE))
         weights = identity(len(unit), format="csr")
-        return LayeredHead(skin, *wraps, bone, weights, weights)
+        return LayeredHead(skin, outer, muscle, skull, bone, weights, weights)

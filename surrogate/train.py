@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..lhm.atomic import replaced
 from ..lhm.errors import InputError
-from ..lhm.mesh import Ints
 from ..lhm.progress import OnProgress, silent
+from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary
 from .deformation import DeformationTransfer
 from .hypernetwork import Hypernetwork, smooth_positions, transfer_delta
@@ -240,17 +238,3 @@ def split_identities(samples: Samples, config: TrainConfig) -> tuple[Samples, Sa
     chosen = np.random.default_rng(config.seed).permutation(people)[:held]
     out = np.isin(samples.identity, chosen)
     return samples.take(~out), samples.take(out)
-
-
-def still_vertices(samples: Samples, share: float = 0.05) -> Ints:
-    """The vertices that simulation moves least away from the blendshapes: `share` of each connected part's."""
-    motion = np.sqrt(((samples.simulated - samples.blended) ** 2).sum(axis=2).mean(axis=0))
-    triangles = samples.reference.triangles
-    pairs = (np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel())
-    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(len(motion),) * 2)
-    count, part = connected_components(graph, directed=False)
-    still = []
-    for number in range(count):
-        members = np.flatnonzero(part == number)
-        still.append(members[np.argsort(motion[members], kind="stable")[: max(1, round(share * len(members)))]])
-    return np.sort(np.concatenate(still))

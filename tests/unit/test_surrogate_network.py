@@ -9,6 +9,7 @@ import torch
 from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.anchors import still_vertices
 from softdeca.surrogate.baselines import Ridge
 from softdeca.surrogate.checkpoint import Checkpoint, HypernetworkConfig
 from softdeca.surrogate.corpus import Corpus
@@ -246,3 +247,20 @@ def test_ridge_recovers_a_linear_law(samples):
     linear = (train_set.weights @ modes).reshape(train_set.blended.shape).astype(np.float32)
     law = type(train_set)(**{**vars(train_set), "simulated": train_set.blended + linear})
     assert np.abs(Ridge.fit(law).predict(law) - law.simulated).mean() < 0.02 * np.abs(linear).mean()
+
+
+def test_anchors_are_the_stillest_of_each_part(samples):
+    train_set = samples["train"]
+    motion = np.linalg.norm(train_set.simulated - train_set.blended, axis=2)
+    stillest = np.argsort(np.sqrt((motion**2).mean(axis=0)))[:4]
+    assert set(still_vertices(train_set, 0.1)) == set(stillest)
+    n = 42
+    apart = Surface(
+        np.vstack([SPACE.mean.vertices, SPACE.mean.vertices + 300.0]),
+        np.vstack([SPACE.mean.triangles, SPACE.mean.triangles + n]),
+    )
+    far = np.concatenate([train_set.simulated, train_set.blended + 9.0], axis=1)
+    both = np.concatenate([train_set.blended] * 2, axis=1)
+    two = type(train_set)(**{**vars(train_set), "reference": apart, "blended": both, "simulated": far})
+    anchors = still_vertices(two, 0.1)
+    assert set(anchors[:4]) == set(stillest) and len(anchors) == 8 and anchors[4:].min() >= n

@@ -1,0 +1,24 @@
+"""The anchors of a transfer: vertices that simulation leaves where the blendshapes put them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..lhm.mesh import Ints
+from .samples import Samples
+
+
+def still_vertices(samples: Samples, share: float = 0.05) -> Ints:
+    """The vertices that simulation moves least away from the blendshapes: `share` of each connected part's."""
+    motion = np.sqrt(((samples.simulated - samples.blended) ** 2).sum(axis=2).mean(axis=0))
+    triangles = samples.reference.triangles
+    pairs = (np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel())
+    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(len(motion),) * 2)
+    count, part = connected_components(graph, directed=False)
+    still = []
+    for number in range(count):
+        members = np.flatnonzero(part == number)
+        still.append(members[np.argsort(motion[members], kind="stable")[: max(1, round(share * len(members)))]])
+    return np.sort(np.concatenate(still))
