@@ -1,4 +1,4 @@
-"""The reference: hyperelastic finite elements on FEniCSx, with PD's own energies by quadrature-point stress and tangent.
+"""The reference: hyperelastic finite elements on FEniCSx, and PD's own energies by quadrature-point tangents.
 
 Serial: meshes live on COMM_SELF, so that several solves may run in several processes. Importing this package without
 dolfinx raises MissingDependencyError.

@@ -10,6 +10,7 @@ import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,7 @@ def parse_version(text: str) -> tuple[int, int]:
 
 VERSION = parse_version(dolfinx.__version__)
 COMM = MPI.COMM_SELF
+_fem: Any = fem  # names and signatures differ by version
 
 if VERSION < (0, 6):
     _OPTIONS = {"jit": "jit_params"}
@@ -104,8 +106,8 @@ def cell_tets(domain) -> Ints:
 def vector_space(domain):
     """Continuous piecewise linear vectors."""
     if VERSION < (0, 6):
-        return fem.VectorFunctionSpace(domain, ("Lagrange", 1))
-    return fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        return _fem.VectorFunctionSpace(domain, ("Lagrange", 1))
+    return _fem.functionspace(domain, ("Lagrange", 1, (3,)))
 
 
 def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
@@ -116,7 +118,7 @@ def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
     import basix.ufl
 
     element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, scheme="default", degree=degree)
-    return fem.functionspace(domain, element)
+    return _fem.functionspace(domain, element)
 
 
 def quadrature_rule(degree: int) -> tuple[Floats, Floats]:
@@ -128,13 +130,13 @@ def quadrature_rule(degree: int) -> tuple[Floats, Floats]:
 def compile_form(form: ufl.Form):
     """Compile a form, or take it from dolfinx's cache on disk."""
     with _quiet():
-        return fem.form(form, **_COMPILER)
+        return _fem.form(form, **_COMPILER)
 
 
 def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
     """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
     with _quiet():
-        compiled = fem.Expression(expression, points, **_COMPILER)
+        compiled = _fem.Expression(expression, points, **_COMPILER)
     first = () if VERSION < (0, 7) else (domain,)
     return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), len(points), -1)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import ufl
@@ -23,11 +24,11 @@ class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells; mu and lmbda are read when assembled."""
 
     cells: Ints
-    mu: object
-    lmbda: object
-    energy: object
-    gradient: object
-    tangent: object
+    mu: Any
+    lmbda: Any
+    energy: Any
+    gradient: Any
+    tangent: Any
 
     @classmethod
     def of(cls, displacement, cells: Ints) -> HyperelasticForms:

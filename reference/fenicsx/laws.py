@@ -22,7 +22,7 @@ class PrincipalLaw(Protocol):
     """psi, its gradient and its Hessian [kPa] at singular values s (m, 3)."""
 
     def evaluate(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """psi (m,), p (m, 3), h (m, 3, 3)."""
+        """Give psi (m,), p (m, 3), h (m, 3, 3)."""
         ...
 
 

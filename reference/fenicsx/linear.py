@@ -1,13 +1,13 @@
-"""Linear solvers for a symmetric matrix with held components: conjugate gradients with algebraic multigrid, and MUMPS."""
+"""Linear solvers for a symmetric matrix with held dofs: conjugate gradients with algebraic multigrid, and MUMPS."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from .dolfinx_version import COMM, PETSc
 
@@ -37,7 +37,7 @@ class LinearSolver(Protocol):
     """Solves A x = b with the present values of the matrix that it was made for."""
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
-        """x with a residual below `relative` times b's norm, if A is positive definite."""
+        """Give x with a residual below `relative` times b's norm, if A is positive definite."""
         ...
 
 
@@ -112,18 +112,11 @@ def _solve(ksp: PETSc.KSP, b: Floats) -> tuple[Floats, str]:
     return x, names.get(ksp.reason, str(ksp.reason))
 
 
-LINEAR_SOLVERS = {"cg": ConjugateGradients, "mumps": Mumps}
-
-
-def linear_solver(name: str, matrix: PETSc.Mat) -> LinearSolver:
-    """One of LINEAR_SOLVERS by name; SceneError for another."""
-    if name not in LINEAR_SOLVERS:
-        raise SceneError(f"solver 'fenicsx': unknown linear_solver {name!r}; there are {', '.join(LINEAR_SOLVERS)}")
-    return LINEAR_SOLVERS[name](matrix)
+LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}
 
 
 def hold(matrix: PETSc.Mat, held: Ints, values: Floats, b: Floats):
-    """Replace the equations of held dofs (k,) by x = values (k,), in matrix and right-hand side (3n,), symmetrically."""
+    """Replace held dofs' equations (k,) by x = values (k,), in matrix and right-hand side (3n,), symmetrically."""
     x = np.zeros_like(b)
     x[held] = values
     scale = matrix.getDiagonal().norm(PETSc.NormType.INFINITY) or 1.0

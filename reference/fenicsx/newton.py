@@ -22,6 +22,8 @@ from .problem import Problem, State
 
 EXACT_BELOW = 0.1  # of the first gradient norm
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
+STRAIGHT = 0.75  # of the predicted decrease (a parabola's is 1/2): beyond it a longer step pays
+LONGEST_STEP = 64.0
 SMALLEST_STEP = 2.0**-30
 SHARE = 0.25  # of the negative curvature, that a Hessian which is not positive definite gives up
 SUCCESSES = 2  # with a share of it, after which more is tried
@@ -40,7 +42,7 @@ class Work:
 
 @dataclass(eq=False)
 class Newton:
-    """A problem, which dofs are held (sorted, flat), and the linear solvers: the usual one and the one that it falls to.
+    """A problem, the dofs that are held (sorted, flat), the usual linear solver and the one that it falls back to.
 
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
@@ -88,8 +90,13 @@ class Newton:
         spread[self.held] = values  # an iterative solver leaves its residual there
         return spread.reshape(jump.shape), norm
 
-    def minimise(self, state: State, *, threshold: Callable[[float], float], max_iterations: int):
-        """From a state of finite energy to (state, reason, iterations); threshold maps the first gradient norm to the last."""
+    def minimise(
+        self, state: State, *, threshold: Callable[[float], float], max_iterations: int
+    ) -> tuple[State, Reason, int]:
+        """Iterate from a state of finite energy; give the last state, the reason to stop, and the iterations made.
+
+        `threshold` gives the gradient norm to stop at, from the first one.
+        """
         gradient = self.free_gradient(state)
         norm = first = float(np.linalg.norm(gradient))
         last = threshold(first)
@@ -173,10 +180,22 @@ class Newton:
         return 1e-14 * (self.problem.energy_scale + abs(state.energy))
 
     def _line_search(self, state: State, direction: Floats, slope: float) -> State | None:
+        """The state after a step that lowers the energy enough, or None."""
         step, rounding = 1.0, self._rounding(state)
         while step >= SMALLEST_STEP:
             after = self.at(state.u + step * direction)
             if after.energy <= state.energy + SUFFICIENT * step * slope + rounding:
-                return after
+                straight = state.energy - after.energy > STRAIGHT * abs(slope) > rounding
+                return self._lengthen(state, direction, after) if straight else after
             step *= 0.5
         return None
+
+    def _lengthen(self, state: State, direction: Floats, after: State) -> State:
+        """Double a full step while the energy falls: where tissue buckles, the projected Hessian is far too stiff."""
+        step = 2.0
+        while step <= LONGEST_STEP:
+            longer = self.at(state.u + step * direction)
+            if not longer.energy < after.energy:
+                break
+            after, step = longer, 2.0 * step
+        return after

@@ -9,7 +9,7 @@ from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
-from .linear import LINEAR_SOLVERS, linear_solver
+from .linear import LINEAR_SOLVERS
 from .newton import Newton
 from .numbering import Numbering
 from .problem import Problem, State
@@ -51,8 +51,8 @@ class PreparedFenicsx:
         self.scene = scene
         self._numbering = Numbering(scene)
         self._problem = Problem(scene, self._numbering)
-        self._linear = linear_solver(linear, self._problem.matrix)
-        self._direct = linear_solver("mumps", self._problem.matrix)
+        self._linear = LINEAR_SOLVERS[linear](self._problem.matrix)
+        self._direct = LINEAR_SOLVERS["mumps"](self._problem.matrix)
 
     def solve(
         self,
@@ -100,7 +100,7 @@ class _Solve:
         held = self._numbering.to_dofs(held)
         self._u = self._numbering.to_dofs(start) - self._numbering.X
         self._goal = np.where(held, self._numbering.to_dofs(positions) - self._numbering.X, self._u)
-        held |= self._problem.unsupported[:, None]
+        held = held | self._problem.unsupported[:, None]
         self._recorder = Recorder(on_iteration)
         self._assemblies = self._problem.assemblies
         self._newton = Newton(self._problem, np.flatnonzero(held), prepared._linear, prepared._direct, self._report)
@@ -123,19 +123,19 @@ class _Solve:
             if lifted is None:
                 return self._solution(state, Reason.LINE_SEARCH, iterations)
             tolerance = self._tolerance if fraction == 1.0 else LOAD_STEP_TOLERANCE
+
+            def threshold(first: float, force: float = force, tolerance: float = tolerance) -> float:
+                return stop_threshold(self._scene, max(first, force), tolerance)
+
             state, reason, made = self._newton.minimise(
-                lifted,
-                threshold=lambda first, force=force, tolerance=tolerance: stop_threshold(
-                    self._scene, max(first, force), tolerance
-                ),
-                max_iterations=self._limit - iterations,
+                lifted, threshold=threshold, max_iterations=self._limit - iterations
             )
             iterations += made
             if fraction == 1.0 or reason is not Reason.CONVERGED:
                 return self._solution(state, reason, iterations)
 
     def _lift(self, state: State) -> tuple[State | None, float, float]:
-        """The state with held dofs moved as far towards their goal as leaves the energy finite: it, how far, the force."""
+        """Move held dofs towards their goal as far as the energy stays finite; give the state, how far, and the force."""
         jump = np.zeros_like(state.u)
         held = self._newton.held
         jump.flat[held] = self._goal.flat[held] - state.u.flat[held]
@@ -159,7 +159,7 @@ class _Solve:
         if reason is Reason.CONVERGED:
             positions[held] = values[held]
         work = self._newton.work
-        detail = {
+        detail: dict[str, float] = {
             "linear_iterations": work.linear_iterations,
             "linear_solves": work.linear_solves,
             "fallback_solves": work.fallback_solves,

@@ -49,7 +49,7 @@ class Problem:
         solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
         empty = np.empty(0, dtype=np.int64)
         cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
-        self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes) if len(cells) else None
+        self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes)
         n = len(numbering.X)
         triangles = [numbering.dofs_of(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._blocks = [BlockMatrix(t, n) for t in triangles]
@@ -85,7 +85,6 @@ class Problem:
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
     def _law(self, scene: Scene, term: Strain | Volume | Hyperelastic) -> Law:
-        assert self._quadrature is not None
         tets = scene.tets_of(term)
         cells = self.numbering.cell[tets]
         q = self._quadrature.per_cell
@@ -115,18 +114,20 @@ class State:
         self._place()
         self._frame: tuple[Floats, Floats, Floats] | None = None
         if problem._laws:
-            self._frame = self._svd()
             self._psi, self._p, self._h = self._principal(problem._laws)
         self.energy = self._energy()
 
     def _place(self):
         self._problem._displacement.x.array[:] = self.u.ravel()
 
-    def _svd(self):
-        return principal.signed_svd(self._problem._quadrature.deformation_gradient())
+    def _svd(self) -> tuple[Floats, Floats, Floats]:
+        """U, s, V of F at the quadrature points."""
+        if self._frame is None:
+            self._frame = principal.signed_svd(self._problem._quadrature.deformation_gradient())
+        return self._frame
 
     def _principal(self, laws: list[Law]) -> tuple[Floats, Floats, Floats]:
-        s = self._frame[1]
+        s = self._svd()[1]
         psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
         for points, law in laws:
             for total, part in zip((psi, p, h), law.evaluate(s[points]), strict=True):
@@ -152,7 +153,7 @@ class State:
         total = -problem.loads
         flat = total.reshape(-1)
         if problem._laws:
-            U, _, V = self._frame
+            U, _, V = self._svd()
             problem._quadrature.add_gradient(principal.stress(U, V, self._p), flat)
         for forms in problem._hyperelastic:
             forms.add_gradient(flat)
@@ -167,7 +168,7 @@ class State:
         problem = self._problem
         matrix = self._begin()
         if problem._laws:
-            U, s, V = self._frame
+            U, s, V = self._svd()
             tangent = principal.tangent(U, V, principal.modes(s, self._p, self._h))
             problem._quadrature.add_tangent(tangent, matrix)
         for forms in problem._hyperelastic:
@@ -183,8 +184,7 @@ class State:
         matrix = self._begin()
         laws = [*problem._laws, *problem._stand_ins]
         if laws:
-            self._frame = self._frame or self._svd()
-            U, s, V = self._frame
+            U, s, V = self._svd()
             _, p, h = self._principal(laws)
             tangent = principal.tangent(U, V, principal.modes(s, p, h).softened(kept))
             problem._quadrature.add_tangent(tangent, matrix)

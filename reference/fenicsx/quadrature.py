@@ -55,6 +55,6 @@ class QuadratureForms:
 
 
 def _flat(v):
-    """grad v as a vector of nine, row by row."""
+    """The gradient of v as a vector of nine, row by row."""
     gradient = ufl.grad(v)
     return ufl.as_vector([gradient[i, j] for i in range(3) for j in range(3)])
