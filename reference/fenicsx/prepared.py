@@ -20,6 +20,7 @@ VARYING = {
     Fixed: ("values",),
     Gravity: ("acceleration", "density"),
     Traction: ("vector",),
+    Strain: ("limit",),
     Volume: ("target",),
     SurfaceStrain: ("growth",),
 }
@@ -135,7 +136,7 @@ class _Solve:
                 return self._solution(state, reason, iterations)
 
     def _lift(self, state: State) -> tuple[State | None, float, float]:
-        """Move held dofs towards their goal as far as the energy stays finite; give the state, how far, and the force."""
+        """Move held dofs towards their goal while the energy stays finite; give the state, how far, and the force."""
         jump = np.zeros_like(state.u)
         held = self._newton.held
         jump.flat[held] = self._goal.flat[held] - state.u.flat[held]
