@@ -97,7 +97,7 @@ def _build(folder: Path, progress: OnProgress) -> dict[str, np.ndarray]:
     directions += [macro[p, s, "young"] - average["young"] for p in _PEOPLES for s in ("female", "male")]
     directions = [np.mean(directions[:3], axis=0), *directions[3:], 0.5 * (average["old"] - average["young"])]
     for pair in _pairs():
-        negative, positive = (sum(_read_target(targets / f) for f in files) for files in pair)
+        negative, positive = (np.sum([_read_target(targets / f) for f in files], axis=0) for files in pair)
         directions.append((positive - negative) / 2)
 
     progress("default head: expressions", 0.6)

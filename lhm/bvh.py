@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -125,11 +125,12 @@ class TriangleTree:
 
     vertices: Floats
     triangles: Ints
+    corners: Floats = field(init=False, repr=False)
+    _nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
     def __post_init__(self):
-        corners = np.ascontiguousarray(self.vertices[self.triangles])
-        object.__setattr__(self, "corners", corners)
-        object.__setattr__(self, "_nodes", _build(corners.min(axis=1), corners.max(axis=1)))
+        object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.triangles]))
+        object.__setattr__(self, "_nodes", _build(self.corners.min(axis=1), self.corners.max(axis=1)))
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
         """Triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each of `points`."""

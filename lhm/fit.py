@@ -7,7 +7,6 @@ import weakref
 import numpy as np
 
 from . import inner
-from .bvh import TriangleTree
 from .errors import FitError
 from .head import LayeredHead
 from .mesh import Floats, Surface
@@ -39,8 +38,8 @@ def fit_head(template: Template, skin: Surface) -> LayeredHead:
 
     All wraps are moved by one smooth warp of space from the template's skin to the given one (Eq. 3); what the warp
     leaves of the skin's displacement is added to each column of the layers through the wrap's tie to the skin. Where
-    a layer then crosses another or a tet is flat, connectors are shortened. Raises FitError naming the gate that
-    failed: another topology, a skin that makes the wrap cross itself, or defects that are left.
+    a layer then crosses another or a tet is flat, connectors are shortened and the wrap is smoothed. Raises FitError
+    naming the gate that failed: another topology, a wrap that crosses itself, or defects that are left.
     """
     if skin.vertices.shape != template.skin.vertices.shape or not np.array_equal(
         skin.triangles, template.skin.triangles
@@ -53,19 +52,9 @@ def fit_head(template: Template, skin: Surface) -> LayeredHead:
     if prepared is None:
         prepared = _prepared[template] = _Prepared(template)
     wrap, connectors = _warped(template, prepared, skin.vertices)
-    surface = inner.uncreased(template.skin_wrap.with_vertices(wrap), prepared.edges)
-    wrap = surface.vertices
-    crossing = TriangleTree(wrap, surface.triangles).self_crossings()
-    if len(crossing):
-        raise FitError(f"skin wrap: {len(crossing)} pairs of its triangles cross, the first is {crossing[0].tolist()}")
-    normals = inner.cone_normals(surface)
-    connectors, found = inner.repaired(wrap, connectors, normals, surface.triangles, prepared.edges)
-    if found.tets or found.crossings:
-        raise FitError(
-            f"layers: {found.tets} tets are flat or inverted and {found.crossings} pairs of triangles cross, "
-            f"{inner.ROUNDS} rounds of repair did not help"
-        )
-    return template.layered(skin, wrap, connectors)
+    surface = template.skin_wrap.with_vertices(wrap)
+    surface, connectors = inner.valid_layers(surface, connectors, prepared.edges)
+    return template.layered(skin, surface.vertices, connectors)
 
 
 def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
 from .bvh import TriangleTree
+from .errors import FitError
 from .layers import prism_tets
 from .mesh import Floats, Ints, Surface, tet_volumes
 
@@ -18,7 +19,8 @@ LEAST_LENGTH = 0.4  # [mm]
 SLOPE = 0.8
 LEAST_COSINE = 0.3
 CREASE_ROUNDS = 12
-ROUNDS = 60
+ROUNDS = 20
+ATTEMPTS = 6
 
 
 def cone_normals(surface: Surface, rounds: int = 60) -> Floats:
@@ -89,7 +91,10 @@ class Defects:
 
 
 def defects(skin: Floats, muscle: Floats, skull: Floats, triangles: Ints) -> Defects:
-    """Vertices of the triangulation whose tets are flat or inverted, or whose wraps cross themselves or one another."""
+    """Vertices whose tets are flat or inverted, or else whose wraps cross one another or themselves.
+
+    Crossings are looked for once no tet is flat. The skin wrap is taken not to cross itself.
+    """
     n = len(skin)
     stacked = np.vstack([skin, muscle, skull])
     tets = np.vstack([prism_tets(triangles, 0, n), prism_tets(triangles, n, 2 * n)])
@@ -98,8 +103,9 @@ def defects(skin: Floats, muscle: Floats, skull: Floats, triangles: Ints) -> Def
     nominal = np.concatenate([np.repeat(nominal * share, 3) for share in (MUSCLE, 1 - MUSCLE)])
     bad = tet_volumes(stacked, tets) < LEAST_VOLUME * nominal
     marked = [tets[bad].ravel() % n]
-    trees = [TriangleTree(x, triangles) for x in (skin, muscle, skull)]
     count = 0
+    # Crossings are the dear part, and most go with the tets that are flat.
+    trees = [] if bad.any() else [TriangleTree(x, triangles) for x in (skin, muscle, skull)]
     for i, inner in enumerate(trees):
         pairs = [inner.self_crossings()] if i else []
         pairs += [outer.crossings(inner) for outer in trees[:i]]
@@ -135,3 +141,25 @@ def repaired(
         for _ in range(3):
             np.minimum.at(length, i, length[j] + reach)
     return connectors, found
+
+
+def valid_layers(surface: Surface, connectors: Floats, edges: csr_matrix) -> tuple[Surface, Floats]:
+    """A skin wrap without crossings and connectors (n, 3) [mm] under it without defects, close to those given.
+
+    Where shortening connectors does not help, the skin wrap itself is smoothed there, and again. Raises FitError
+    naming what is left after ATTEMPTS.
+    """
+    mean = diags(1 / np.asarray(edges.sum(axis=1)).ravel()) @ edges
+    for _ in range(ATTEMPTS):
+        surface = uncreased(surface, edges)
+        crossing = TriangleTree(surface.vertices, surface.triangles).self_crossings()
+        if len(crossing):
+            raise FitError(f"skin wrap: {len(crossing)} pairs of triangles cross, the first is {crossing[0].tolist()}")
+        connectors, found = repaired(surface.vertices, connectors, cone_normals(surface), surface.triangles, edges)
+        if not found.tets and not found.crossings:
+            return surface, connectors
+        hit = np.zeros(len(connectors))
+        hit[found.vertices] = 0.5
+        moved = np.maximum(hit, 0.25 * (edges @ hit > 0))[:, None]
+        surface = surface.with_vertices(surface.vertices + moved * (mean @ surface.vertices - surface.vertices))
+    raise FitError(f"layers: {found.tets} tets are flat or inverted, {found.crossings} pairs of triangles cross")

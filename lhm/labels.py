@@ -9,7 +9,7 @@ from .head import CRANIUM, FREE, MANDIBLE
 from .landmarks import Mask
 from .mesh import Floats, Ints
 
-FOLLOWS, STAYS = 0.85, 0.03
+FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
 FROM_LIPS = 12.0
 
 
@@ -43,8 +43,8 @@ def bone_labels(rest: Floats, opened: Floats, regions: dict[str, Mask], from_lip
     """FREE, CRANIUM or MANDIBLE per vertex, shape (n,), from how the skin over it follows jawOpen.
 
     `rest`, `opened`: the skin wrap [mm] without and with jawOpen; `from_lips` [mm]: distance to the lips' rim.
-    Mandible: follows the jaw, 12 mm from the lips, not in the mouth, one ring eroded. Cranium: hardly moves, and the
-    neck's cut and the eye sockets.
+    Mandible: follows the jaw, 12 mm from the lips, not in the mouth, one ring eroded. Cranium: hardly moves; at
+    the neck's cut and in the eye sockets a little more is allowed.
     """
     inside = regions["mouth"] | regions["eyes"] | regions["neck"]
     far = from_lips > FROM_LIPS
@@ -52,8 +52,9 @@ def bone_labels(rest: Floats, opened: Floats, regions: dict[str, Mask], from_lip
     mandible = (share > FOLLOWS) & far & ~inside
     mandible &= (edges @ (~mandible).astype(float)) == 0
     size = np.linalg.norm(opened - rest, axis=1)
-    still = (size < STAYS * size.max()) & far & ~regions["mouth"]
+    held = (regions["neck"] | regions["eyes"]) & (size < HELD * size.max())
+    still = held | ((size < STAYS * size.max()) & ~regions["mouth"])
     bone = np.full(len(rest), FREE)
-    bone[still | ((regions["neck"] | regions["eyes"]) & far & (share < FOLLOWS))] = CRANIUM
+    bone[still & far] = CRANIUM
     bone[mandible] = MANDIBLE
     return bone

@@ -58,10 +58,10 @@ def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         mesh = trimesh.load(path, force="mesh", process=merged, maintain_order=not merged)
     except Exception as error:  # trimesh's readers raise whatever the broken text makes them raise
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__}: {str(error)[:80]})") from None
-    triangles = np.asarray(getattr(mesh, "faces", ()))
+    triangles, vertices = (np.asarray(getattr(mesh, name, ())) for name in ("faces", "vertices"))
     if triangles.ndim != 2 or not len(triangles):
         raise InputError(f"{path}: no triangles found; is it a mesh?")
-    return np.asarray(mesh.vertices), triangles
+    return vertices, triangles
 
 
 def check_skin(surface: Surface) -> None:

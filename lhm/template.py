@@ -20,7 +20,7 @@ from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 from .shrinkwrap import neighbours, shrink
 
-FORMAT = 2
+FORMAT = 4
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 
@@ -30,7 +30,7 @@ class Template:
     """The mean skin [mm], the wraps over one triangulation, their labels and their ties to the skin.
 
     `skin`: the mean; `skin_wrap` and `connectors` (n, 3) [mm] to the skull wrap; `bone`, `regions`, `wrap_from_skin`
-    and `skin_from_wrap` as in LayeredHead; `skin_marks`: the skin's landmarks.
+    and `skin_from_wrap` as in LayeredHead; `marks`: the mean skin's landmarks.
     """
 
     name: str
@@ -51,9 +51,16 @@ class Template:
     def layered(self, skin: Surface, wrap: Floats, connectors: Floats) -> LayeredHead:
         """A head of this template's triangulation from its skin, skin wrap and connectors (n, 3) [mm]."""
         muscle, skull = wrap + inner.MUSCLE * connectors, wrap + connectors
-        wraps = [self.skin_wrap.with_vertices(x) for x in (wrap, muscle, skull)]
-        ties = (self.wrap_from_skin, self.skin_from_wrap)
-        return LayeredHead(skin, *wraps, self.bone, *ties, self.regions)
+        return LayeredHead(
+            skin,
+            self.skin_wrap.with_vertices(wrap),
+            self.skin_wrap.with_vertices(muscle),
+            self.skin_wrap.with_vertices(skull),
+            self.bone,
+            self.wrap_from_skin,
+            self.skin_from_wrap,
+            self.regions,
+        )
 
 
 def load_template(space: LinearSpace | None = None, *, progress: OnProgress = silent) -> Template:
@@ -98,19 +105,15 @@ def _build(space: LinearSpace, progress: OnProgress) -> dict[str, np.ndarray]:
     rest = wrap.with_vertices(wrap.vertices - carried @ ((1 - REST_OPENING) * jaw + wide))
     edges = neighbours(rest.triangles, len(rest.vertices))
     rest = inner.uncreased(rest, edges)
-    crossing = TriangleTree(rest.vertices, rest.triangles).self_crossings()
-    if len(crossing):
-        raise FitError(f"template {space.name!r}: the skin wrap crosses itself at {len(crossing)} pairs of triangles")
 
     progress("layers", 0.7)
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
     normals = inner.cone_normals(rest)
     connectors = _connectors(rest, normals, edges, parts[nearest], marks)
-    connectors, found = inner.repaired(rest.vertices, connectors, normals, rest.triangles, edges)
-    if found.tets or found.crossings:
-        raise FitError(
-            f"template {space.name!r}: {found.tets} flat tets, {found.crossings} crossing triangles are left"
-        )
+    try:
+        rest, connectors = inner.valid_layers(rest, connectors, edges)
+    except FitError as error:
+        raise FitError(f"template {space.name!r}: {error}") from None
     masks = {name: mask[nearest] for name, mask in regions(skin, parts, marks).items()}
     from_lips = distance_to(rest.vertices, skin.vertices[marks.rim])
     bone = bone_labels(rest.vertices, rest.vertices + carried @ jaw, masks, from_lips, edges)

@@ -1,0 +1,74 @@
+"""ARKit's names, weights and blending on a made-up space of four vertices."""
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError, Surface, expressions
+from softdeca.lhm.identities import LinearSpace, from_text
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+@pytest.fixture
+def space():
+    deltas = np.zeros((52, 4, 3))
+    deltas[expressions.index("jawOpen"), 0] = [0, -2, 0]
+    deltas[expressions.index("browInnerUp"), 1] = [0, 1, 0]
+    mean = Surface(CORNERS, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    return LinearSpace("corner", mean, np.ones((2, 4, 3)), deltas, np.zeros(4, int))
+
+
+def test_names_are_apples_52_in_alphabetical_order():
+    assert len(set(expressions.ARKIT)) == 52
+    assert list(expressions.ARKIT) == sorted(expressions.ARKIT)
+    assert expressions.ARKIT[0] == "browDownLeft" and expressions.ARKIT[-1] == "tongueOut"
+
+
+def test_unknown_names_are_refused_with_near_misses():
+    assert expressions.ARKIT[expressions.index("jawOpen")] == "jawOpen"
+    with pytest.raises(InputError, match="'JawOpen'.*jawOpen"):
+        expressions.index("JawOpen")
+    with pytest.raises(InputError, match="'smile'"):
+        expressions.weights_of({"smile": 1.0})
+
+
+def test_blend_is_linear_in_the_weights(space):
+    weights = expressions.weights_of({"jawOpen": 0.5, "browInnerUp": 1.0})
+    expected = CORNERS + 1.0 + [[0, -1, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]]
+    np.testing.assert_allclose(expressions.blend(space, [0.25, 0.75], weights), expected[None])
+    assert expressions.blend(space, [0, 0], np.zeros((3, 52))).shape == (3, 4, 3)
+
+
+def test_weights_are_clipped_with_a_count_and_checked(space):
+    weights = np.zeros((2, 52))
+    weights[0, 3], weights[1, 4] = 1.05, -0.2
+    with pytest.warns(UserWarning, match="2 of 104"):
+        skins = expressions.blend(space, [0, 0], weights)
+    assert np.isfinite(skins).all()
+    weights[1, 24] = np.nan
+    with pytest.raises(InputError, match="jawOpen in frame 1"):
+        expressions.blend(space, [0, 0], weights)
+    with pytest.raises(InputError, match=r"\(51,\)"):
+        expressions.blend(space, [0, 0], np.zeros(51))
+
+
+def test_codes_are_checked_and_samples_clipped(space):
+    with pytest.raises(InputError, match=r"\(2,\)"):
+        space.skin(np.zeros(3))
+    with pytest.raises(InputError, match="coefficient 1"):
+        space.skin([0.0, np.inf])
+    codes = np.array([space.sample(np.random.default_rng(seed))[0] for seed in range(300)])
+    assert np.abs(codes).max() == 2.5 and 0.8 < codes.std() < 1.1
+
+
+def test_names_of_spaces_are_checked(tmp_path):
+    with pytest.raises(InputError, match="'deca'"):
+        from_text("deca")
+    with pytest.raises(InputError, match="nowhere.npz: no such file"):
+        from_text(f"ict:{tmp_path}/nowhere.npz")
+    (tmp_path / "broken.npz").write_bytes(b"PK no zip")
+    with pytest.raises(InputError, match="broken.npz"):
+        from_text(f"ict:{tmp_path}/broken.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(InputError, match="other.npz.*vertices"):
+        from_text(f"ict:{tmp_path}/other.npz")
