@@ -77,7 +77,13 @@ class Parameters:
     )
     muscle_volume_ratio: float = _parameter(1.0, 0.3, 3.0, "1", "w_vol of muscle over soft tissue's (Eq. 12)", log=True)
     muscle_strain_ratio: float = _parameter(
-        0.05, 0.01, 0.3, "1", "w_mstr / w_str: makes the interior unique, which Eq. 12 alone does not", log=True
+        0.3,
+        0.05,
+        1.0,
+        "1",
+        "w_mstr / w_str: Eq. 12 alone leaves the interior without shear stiffness; at 0.05 thin layers buckle into "
+        "several minima, from 0.3 on random starts end in one; passive muscle is often given the fat's stiffness, 1",
+        log=True,
     )
     skin_stiffness: float = _parameter(
         60.0, 5.0, 300.0, "mN/mm", "w_S = 2 mu t: skin of mu = 20 kPa, 1.5 mm thick", log=True

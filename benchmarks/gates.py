@@ -1,0 +1,57 @@
+"""What a study has to show, as statements with a measured value and a bound."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+LOCAL_STEP_MS_PER_58K_TETS = 8.0
+
+
+def gates(results: Mapping) -> list[dict]:
+    """The statements of one study, each {what, value, bound, passed, answer}.
+
+    `answer` says that a miss is a wrong answer; the others are figures of speed, which a busy machine changes.
+    """
+    cases = results["cases"]
+
+    def largest(what: str) -> float:
+        return max(case["comparisons"][what]["relative"] for case in cases)
+
+    unfinished = sum(not run["done"] for case in cases for run in case["runs"])
+    outside = sum(not row["passed"] for row in results["verification"])
+    return [
+        _at_most("PD to FEniCSx-Newton, same energy, of the largest displacement",
+                 largest("PD to FEniCSx, same energy"), 1e-6),
+        _at_most("scikit-fem to FEniCSx, PD's energy, of the largest displacement",
+                 largest("scikit-fem to FEniCSx, PD's energy"), 1e-8),
+        _at_most("scikit-fem to FEniCSx, neo-Hookean, of the largest displacement",
+                 largest("scikit-fem to FEniCSx, neo-Hookean"), 1e-8),
+        _above("smallest volume ratio of a tet over all scenes (none inverted)",
+               min(case["smallest_volume_ratio"] for case in cases), 0.0),
+        _at_most("solver runs that did not reach what was asked", unfinished, 0),
+        _at_most("verification problems outside their bound", outside, 0),
+        _above("blendshapes' error over the surrogate's, unseen identities", results["surrogate"]["test"]["gain"], 2.0),
+        _at_most("accelerated PD's iterations to 0.01 mm over plain PD's, worst scene",
+                 _iteration_ratio(cases), 0.2, answer=False),
+        _at_most("a local step per 58 k tets, float64, one core [ms]",
+                 results["local_step_ms"] * 58_080 / results["tets"], LOCAL_STEP_MS_PER_58K_TETS, answer=False),
+    ]  # fmt: skip
+
+
+def _iteration_ratio(cases: Sequence[Mapping]) -> float | None:
+    ratios = []
+    for case in cases:
+        counts = case["iterations_to_001_mm"]
+        if counts["pd"] is None or counts["plain"] is None:
+            return None
+        ratios.append(counts["pd"] / max(counts["plain"], 1))
+    return max(ratios)
+
+
+def _at_most(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:
+    passed = value is not None and value <= bound
+    return {"what": what, "value": value, "bound": f"at most {bound:g}", "passed": passed, "answer": answer}
+
+
+def _above(what: str, value: float, bound: float) -> dict:
+    return {"what": what, "value": value, "bound": f"above {bound:g}", "passed": value > bound, "answer": True}

@@ -1,0 +1,146 @@
+"""Rendered heads, off screen: light skin, errors as colours, layers cut open. PNG as bytes."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats, Ints, Surface
+
+SKIN = "#d8a48f"
+SOFT = "#e9c46a"
+MUSCLE = "#b5413b"
+BONE = "#e8e4d8"
+VIEW = (0.45, 0.08, 1.0)
+"""From the front, a little from the subject's left; x is the subject's left, y up, z forward."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One view: a surface with a caption, coloured by values [mm], shape (n,), from 0 to `top` where given."""
+
+    caption: str
+    surface: Surface
+    values: Floats | None = None
+    top: float = 1.0
+
+
+def _pyvista():
+    # VTK looks for an X server first, and says so on stderr, although it then renders without one.
+    os.environ.setdefault(
+        "VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow" if _has_egl() else "vtkOSOpenGLRenderWindow"
+    )
+    import pyvista
+
+    pyvista.OFF_SCREEN = True
+    return pyvista
+
+
+def _has_egl() -> bool:
+    from ctypes.util import find_library
+
+    return find_library("EGL") is not None
+
+
+def _poly(pyvista, vertices: Floats, triangles: Ints):
+    faces = np.hstack([np.full((len(triangles), 1), 3), triangles])
+    return pyvista.PolyData(np.asarray(vertices), faces.ravel())
+
+
+def _look(plotter, centre: Floats, height: float, view: Sequence[float]):
+    direction = np.asarray(view) / np.linalg.norm(view)
+    plotter.camera.parallel_projection = True
+    plotter.camera.focal_point = centre
+    plotter.camera.position = centre + 1000.0 * direction
+    plotter.camera.up = (0.0, 1.0, 0.0)
+    plotter.camera.parallel_scale = 0.5 * height
+    plotter.reset_camera_clipping_range()
+
+
+def _png(plotter) -> bytes:
+    buffer = io.BytesIO()
+    plotter.screenshot(buffer)
+    plotter.close()
+    return buffer.getvalue()
+
+
+def strip(panels: Sequence[Panel], *, view: Sequence[float] = VIEW, size: int = 340) -> bytes:
+    """Panels side by side at one scale, with a colour bar under each coloured one."""
+    pyvista = _pyvista()
+    plotter = pyvista.Plotter(
+        off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
+    )
+    points = panels[0].surface.vertices
+    centre, height = (points.max(0) + points.min(0)) / 2, 1.12 * np.ptp(points[:, 1])
+    for column, panel in enumerate(panels):
+        plotter.subplot(0, column)
+        mesh = _poly(pyvista, panel.surface.vertices, panel.surface.triangles)
+        if panel.values is None:
+            plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
+        else:
+            bar = {
+                "title": f"mm, {column + 1}",
+                "n_labels": 3,
+                "fmt": "%.2g",
+                "title_font_size": 1,
+                "label_font_size": 14,
+            }
+            bar |= {"width": 0.7, "height": 0.05, "position_x": 0.15, "position_y": 0.02, "color": "black"}
+            plotter.add_mesh(
+                mesh,
+                scalars=panel.values,
+                cmap="viridis",
+                clim=(0.0, panel.top),
+                smooth_shading=True,
+                scalar_bar_args=bar,
+            )
+        plotter.add_text(panel.caption, position="upper_edge", font_size=9, color="black")
+        plotter.set_background("white")
+        _look(plotter, centre, height, view)
+    return _png(plotter)
+
+
+def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 520) -> bytes:
+    """The head's left half with its layers open at the mid-plane, beside the skull wrap's labels."""
+    pyvista = _pyvista()
+    vertices = head.vertices if positions is None else positions
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(3 * size, size), border=False)
+    skin = head.skin_wrap.vertices
+    centre, height = (skin.max(0) + skin.min(0)) / 2, 1.1 * np.ptp(skin[:, 1])
+    middle = vertices[head.tets].mean(axis=1)[:, 0] < centre[0]
+    layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
+    plotter.subplot(0, 0)
+    for which, colour in ((0, SOFT), (1, MUSCLE)):
+        tets = head.tets[middle & (layer == which)]
+        cells = np.hstack([np.full((len(tets), 1), 4), tets]).ravel()
+        grid = pyvista.UnstructuredGrid(cells, np.full(len(tets), pyvista.CellType.TETRA), np.asarray(vertices))
+        plotter.add_mesh(grid, color=colour, show_edges=True, edge_color="#55443a", line_width=0.5)
+    plotter.add_text("soft tissue and muscle, cut at the mid-plane", position="upper_edge", font_size=9, color="black")
+    _look(plotter, centre, height, (1.0, 0.05, 0.15))
+    n = len(head.bone)
+    for column, (name, colours) in enumerate(
+        (("skin wrap", np.zeros(n)), ("skull wrap: cranium, mandible, free", head.bone)), start=1
+    ):
+        plotter.subplot(0, column)
+        first = 0 if column == 1 else 2 * n
+        mesh = _poly(pyvista, vertices[first : first + n], head.skin_wrap.triangles)
+        palette = [SKIN, BONE, "#7aa6c2"] if column == 2 else [SKIN]
+        plotter.add_mesh(
+            mesh,
+            scalars=colours,
+            cmap=palette,
+            show_edges=True,
+            edge_color="#776655",
+            line_width=0.4,
+            show_scalar_bar=False,
+            interpolate_before_map=False,
+        )
+        plotter.add_text(name, position="upper_edge", font_size=9, color="black")
+        _look(plotter, centre, height, VIEW)
+    plotter.set_background("white", all_renderers=True)
+    return _png(plotter)

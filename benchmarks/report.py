@@ -1,0 +1,97 @@
+"""One self-contained HTML page from a results file and its pictures; it computes nothing that is not in them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from . import plots
+
+
+def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
+    """The report of one study; pictures are PNG, by name."""
+    cases, surrogate = results["cases"], results["surrogate"]
+    form = [case["skin"]["PD to neo-Hookean"]["mean"] for case in cases]
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["cell"] = _cell
+    template = environment.from_string(Path(__file__).with_name("report.html").read_text())
+    return template.render(
+        **results,
+        pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
+        agreement=max(case["comparisons"]["PD to FEniCSx, same energy"]["relative"] for case in cases),
+        model_form={"min": min(form), "max": max(form)},
+        failed=[gate["what"] for gate in results["gates"] if not gate["passed"]],
+        work_precision=plots.work_precision(cases),
+        training=plots.training(surrogate["history"]),
+        gate_rows=[(g["what"], g["value"], g["bound"], g["passed"]) for g in results["gates"]],
+        head_rows=list(results["head"].items()),
+        verification_rows=[
+            (r["problem"], r["solver"], r["value"], r["reference"], r["error"], r["bound"], r["passed"])
+            for r in results["verification"]
+        ],
+        solver_rows=[row for case in cases for row in _solver_rows(case)],
+        difference_rows=[row for case in cases for row in _difference_rows(case)],
+        surrogate_rows=_surrogate_rows(surrogate),
+        machine_rows=_machine_rows(results),
+    )
+
+
+def _cell(value) -> str | Markup:
+    if isinstance(value, bool):
+        return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.1e}"
+    return str(value)
+
+
+def _solver_rows(case: Mapping) -> list[Sequence]:
+    rows = []
+    for run in case["runs"]:
+        norms = run["history"]["gradient_norm"]
+        counts = ", ".join(f"{name} {value:g}" for name, value in run["detail"].items())
+        rows.append(
+            (
+                case["name"],
+                run["label"],
+                run["energy_law"],
+                run["iterations"],
+                run["prepare_seconds"],
+                run["seconds"],
+                norms[-1] / norms[0] if norms[0] > 0 else 0.0,
+                run["done"],
+                counts,
+            )
+        )
+    return rows
+
+
+def _difference_rows(case: Mapping) -> list[Sequence]:
+    return [
+        (case["name"], f"{where}: {what}", d["mean"], d["rms"], d["p95"], d["max"], d["relative"])
+        for where, group in (("all vertices", "comparisons"), ("skin", "skin"))
+        for what, d in case[group].items()
+    ]
+
+
+def _surrogate_rows(surrogate: Mapping) -> list[Sequence]:
+    methods = (
+        ("surrogate", "surrogate", surrogate["frame_ms"]),
+        ("ridge regression", "ridge", None),
+        ("blendshapes (T = S)", "blendshapes", surrogate["blend_ms"]),
+    )
+    return [
+        (name, surrogate["test"][key]["mean"], surrogate["test"][key]["p95"], surrogate["test"][key]["max"], ms)
+        for name, key, ms in methods
+    ]
+
+
+def _machine_rows(results: Mapping) -> list[Sequence]:
+    rows = [(name, value) for name, value in results["machine"].items() if name != "versions"]
+    rows += [(f"{name} version", value) for name, value in results["machine"]["versions"].items()]
+    return rows + [(f"seconds: {name}", float(value)) for name, value in results["seconds"].items()]

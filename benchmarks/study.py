@@ -1,0 +1,195 @@
+"""The main study: one head, its expressions, every solver and the surrogate; run -> JSON and pictures -> HTML."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..lhm import check_head, expressions, fit_head, identities, load_template
+from ..lhm.atomic import replaced
+from ..lhm.errors import InputError
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats
+from ..lhm.progress import OnProgress
+from ..reference import Parameters, facial_scene, prepare
+from ..reference.projective import local_step_seconds
+from ..surrogate.runtime import Surrogate
+from . import learned, machine
+from .cases import Case, CaseResult, run_case
+from .differences import difference, distances
+from .gates import gates
+from .pictures import Panel, cut_away, strip
+from .report import page
+from .verification import verify
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """What to study.
+
+    identities is 'anny' or 'ict:FILE'; expressions are sums of ARKit names, each optionally scaled, as
+    'mouthSmileLeft*0.5+jawOpen'; gravity [g] of the scene that has no expression.
+    """
+
+    identities: str = "anny"
+    out: Path = Path("out/study")
+    expressions: tuple[str, ...] = (
+        "jawOpen",
+        "mouthSmileLeft+mouthSmileRight",
+        "mouthPucker",
+        "cheekPuff",
+        "browInnerUp",
+    )
+    gravity: float = 3.0
+
+
+def parse_expression(text: str) -> Floats:
+    """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
+    named: dict[str, float] = {}
+    for part in text.split("+"):
+        name, _, factor = part.strip().partition("*")
+        try:
+            weight = float(factor) if factor else 1.0
+        except ValueError:
+            raise InputError(f"expression {text!r}: {factor!r} is no number") from None
+        if not 0.0 <= weight <= 1.0:
+            raise InputError(f"expression {text!r}: the weight of {name} is {weight:g}, outside [0, 1]")
+        if name in named:
+            raise InputError(f"expression {text!r}: {name} appears twice")
+        named[name] = weight
+    return expressions.weights_of(named)
+
+
+def run_study(config: StudyConfig, progress: OnProgress) -> dict:
+    """Run all of it; write results.json, PNG pictures and index.html into config.out; return the results."""
+    cases = [Case(text, parse_expression(text), Parameters()) for text in config.expressions]
+    cases.append(Case(f"gravity {config.gravity:g} g", np.zeros(52), Parameters(gravity=config.gravity)))
+    space = identities.from_text(config.identities)
+    with _alone_in(config.out):
+        return _run(config, space, cases, progress)
+
+
+def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress) -> dict:
+    clock = _Clock()
+    template = load_template(space, progress=progress)
+    code = np.zeros(space.code_size)
+    head = fit_head(template, space.skin(code))
+    shapes = expressions.blend(space, code, np.array([case.weights for case in cases]))
+    clock.lap("head")
+    done: list[CaseResult] = []
+    for i, (case, shape) in enumerate(zip(cases, shapes, strict=True)):
+
+        def tell(what: str, done_cases: int = i) -> None:
+            progress(f"scenes: {what}", done_cases / len(cases))
+
+        done.append(run_case(head, case, shape, tell))
+        progress(f"scenes: {case.name}", 1.0)
+    clock.lap("scenes")
+    scene = facial_scene(head, cases[0].parameters, shapes[0])
+    local_step = local_step_seconds(prepare(scene, solver="projective"), repeats=30)
+    verification = verify(progress)
+    clock.lap("verification")
+    surrogate, rig = learned.study(space, template, config.out / "surrogate", progress)
+    skins = [_compare_surrogate(rig, head, code, case, result) for case, result in zip(cases, done, strict=True)]
+    clock.lap("corpus, training and test of the surrogate")
+    results = {
+        "title": f"projective dynamics, FEniCSx and a surrogate on one head ({space.name})",
+        "identities": space.name,
+        "machine": machine.describe(),
+        "head": asdict(check_head(head)),
+        "cases": [result.record for result in done],
+        "tets": len(head.tets),
+        "local_step_ms": 1e3 * local_step,
+        "verification": verification,
+        "surrogate": surrogate,
+        "seconds": clock.laps,
+    }
+    results["gates"] = gates(results)
+    images = _draw(head, done, skins, progress)
+    clock.lap("pictures")
+    with replaced(config.out / "results.json") as path:
+        path.write_text(json.dumps(results, indent=1, allow_nan=False))
+    with replaced(config.out / "index.html") as path:
+        path.write_text(page(results, images))
+    return results
+
+
+def _compare_surrogate(rig: Surrogate, head: LayeredHead, code: Floats, case: Case, result: CaseResult) -> Floats:
+    """The surrogate's skin [mm] of a case; its figures and those of plain blendshapes are added to the record."""
+    bound = rig.bind(head.skin, code, case.parameters)
+    rest = head.skin.vertices
+    skin = np.asarray(bound.frame(case.weights), dtype=np.float64)
+    result.record["skin"] |= {
+        "surrogate to PD": asdict(difference(skin, result.pd_skin, rest)),
+        "surrogate to FEniCSx, PD's energy": asdict(difference(skin, result.fem_skin, rest)),
+        "surrogate to FEniCSx, neo-Hookean": asdict(difference(skin, result.neo_hookean_skin, rest)),
+    }
+    for label, step, answer in (
+        ("surrogate", bound.frame, skin),
+        ("blendshapes (T = S)", bound.blend, result.expression),
+    ):
+        result.record["points"].append(
+            {
+                "label": label,
+                "milliseconds": _median_ms(lambda step=step: step(case.weights)),
+                "rms": difference(answer, result.fem_skin, rest).rms,
+            }
+        )
+    return skin
+
+
+def _median_ms(step: Callable[[], object], repeats: int = 50) -> float:
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        step()
+        times.append(time.perf_counter() - begin)
+    return 1e3 * float(np.median(times))
+
+
+def _draw(head: LayeredHead, done: Sequence[CaseResult], skins: Sequence[Floats], progress: OnProgress):
+    """PNG pictures by name: the head, and a strip per case."""
+    images = {"head": cut_away(head)}
+    for i, (result, skin) in enumerate(zip(done, skins, strict=True)):
+        progress("pictures", i / len(done))
+        simulated = head.skin.with_vertices(result.pd_skin)
+        errors = [distances(other, result.pd_skin) for other in (result.expression, result.neo_hookean_skin, skin)]
+        top = max(0.05, float(np.percentile(errors[0], 99.5)))
+        captions = ("blendshapes - PD", "neo-Hookean - PD", "surrogate - PD")
+        panels = [Panel("target", head.skin.with_vertices(result.expression)), Panel("simulated (PD)", simulated)]
+        panels += [Panel(text, simulated, error, top) for text, error in zip(captions, errors, strict=True)]
+        images[result.record["name"]] = strip(panels)
+    progress("pictures", 1.0)
+    return images
+
+
+class _Clock:
+    """Seconds since the last lap, by name."""
+
+    def __init__(self):
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = round(now - self._last, 2)
+        self._last = now
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Hold the folder against a second study; InputError if one runs there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / ".lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{folder}: another study runs there; wait for it or give another --out") from None
+        yield
