@@ -33,7 +33,7 @@ def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
         arrays = make()
     try:
         with replaced(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
+            np.savez(file, **arrays)
     except OSError:
         pass
     return arrays
