@@ -31,7 +31,7 @@ class HypernetworkConfig:
     expression_hidden: int = 128  # f_w runs once per frame, so its width costs nothing
     position: int = 32  # π(i): smooth fields over the face; more only learns slower
     gain_hidden: int = 16  # gains are smooth in few parameters
-    hidden: int = 32  # of f_ph's MLP, which runs on every face in training: time grows with its square
+    hidden: int = 16  # of f_ph's MLP, which runs on every face in training: time grows with its square
 
     def __post_init__(self):
         for name, value in vars(self).items():

@@ -38,9 +38,8 @@ class Hypernetwork(nn.Module):
         hidden, wide, latent = config.hidden, config.expression_hidden, config.latent
         # A linear path beside f_w's hidden layers: most of what tissue does is linear in the weights.
         self.expression_linear = nn.Linear(WEIGHTS, latent, bias=False)
-        self.expression = nn.Sequential(
-            nn.Linear(WEIGHTS, wide), nn.ELU(), nn.Linear(wide, wide), nn.ELU(), nn.Linear(wide, latent)
-        )
+        bent = nn.Linear(wide, latent)
+        self.expression = nn.Sequential(nn.Linear(WEIGHTS, wide), nn.ELU(), nn.Linear(wide, wide), nn.ELU(), bent)
         gains = nn.Linear(config.gain_hidden, latent)
         self.gain = nn.Sequential(nn.Linear(n_parameters + code_size, config.gain_hidden), nn.ELU(), gains)
         # B and the MLP's answer in units of the table's size: Adam steps all weights alike, whatever their scale.
@@ -55,6 +54,7 @@ class Hypernetwork(nn.Module):
         self.middle = nn.Linear(hidden, hidden)
         self.last = nn.Linear(hidden, latent * 9, bias=False)
         with torch.no_grad():
+            bent.weight.mul_(0.1)
             self.last.weight.zero_()
             gains.weight.mul_(0.1)
             gains.bias.zero_()

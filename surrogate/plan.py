@@ -65,6 +65,9 @@ class CorpusPlan:
     parameter_names: tuple[str, ...] = ("soft_stiffness", "skin_stiffness", "target_stiffness", "gravity")
     tolerance: float = 3e-4  # of the solver's gradient norm: answers within 0.02 mm, 0.0003 mm in the mean
     max_iterations: int = 400
+    inverted_share: float = (
+        1e-3  # of all tets, and none in soft tissue: muscle has little strain stiffness at the mouth
+    )
 
     def __post_init__(self):
         for name in ("identities", "expressions", "parameter_sets"):

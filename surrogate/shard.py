@@ -24,7 +24,7 @@ class Shard:
 
     skin (n, 3) [mm]; code (c,); expressions, parameter_sets (m,): numbers of the plan; weights (m, 52); parameters
     (m, k); moved = S_t - skin and corrected = T_t - S_t (m, n, 3) [mm]; status (m,): "accepted", or why not;
-    iterations, gradient_ratio (norm over its start), smallest_volume_ratio (m,): what the solver reached.
+    iterations, gradient_ratio (norm over its start), smallest_volume_ratio, inverted (tets) (m,): the solver's record.
     """
 
     skin: Floats
@@ -39,6 +39,7 @@ class Shard:
     iterations: NDArray[np.int64]
     gradient_ratio: Floats
     smallest_volume_ratio: Floats
+    inverted: NDArray[np.int64]
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
