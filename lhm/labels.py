@@ -8,18 +8,12 @@ from scipy.sparse import csr_matrix
 from .head import CRANIUM, FREE, MANDIBLE
 from .landmarks import Mask
 from .mesh import Floats, Ints
+from .rigid import rigid_motion
 
 FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
 FROM_LIPS = 12.0
-
-
-def rigid_motion(rest: Floats, moved: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) [mm] of the weighted least-squares fit moved = R rest + t (Procrustes)."""
-    weights = weights / weights.sum()
-    a, b = weights @ rest, weights @ moved
-    u, _, vt = np.linalg.svd((moved - b).T @ (weights[:, None] * (rest - a)))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return rotation, b - rotation @ a
+SHEAR = 0.3
+"""Skin that departs from the rigid jaw by more than this share of the depth would invert the tissue under it."""
 
 
 def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
@@ -31,7 +25,7 @@ def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
     size = np.linalg.norm(moved, axis=1)
     chosen = candidates & (size > 0.6 * size[candidates].max())
     for _ in range(10):
-        rotation, translation = rigid_motion(rest, opened, chosen.astype(float))
+        rotation, translation = rigid_motion(rest[chosen], opened[chosen])
         rigid = rest @ rotation.T + translation - rest
         share = np.einsum("nd,nd->n", moved, rigid) / np.maximum(np.einsum("nd,nd->n", rigid, rigid), 1e-9)
         off = np.linalg.norm(moved - rigid, axis=1)
@@ -39,11 +33,14 @@ def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
     return share
 
 
-def bone_labels(rest: Floats, opened: Floats, regions: dict[str, Mask], from_lips: Floats, edges: csr_matrix) -> Ints:
+def bone_labels(
+    rest: Floats, opened: Floats, depths: Floats, regions: dict[str, Mask], from_lips: Floats, edges: csr_matrix
+) -> Ints:
     """FREE, CRANIUM or MANDIBLE per vertex, shape (n,), from how the skin over it follows jawOpen.
 
-    `rest`, `opened`: the skin wrap [mm] without and with jawOpen; `from_lips` [mm]: distance to the lips' rim.
-    Mandible: follows the jaw, 12 mm from the lips, not in the mouth, one ring eroded. Cranium: hardly moves; at
+    `rest`, `opened`: the skin wrap [mm] without and with jawOpen; `depths` [mm]: from there to the skull wrap;
+    `from_lips` [mm]: distance to the lips' rim. Mandible: follows the jaw, 12 mm from the lips, not in the mouth, one
+    ring eroded, and departs from the jaw's rigid motion by little of the depth. Cranium: hardly moves; at
     the neck's cut and in the eye sockets a little more is allowed.
     """
     inside = regions["mouth"] | regions["eyes"] | regions["neck"]
@@ -51,6 +48,8 @@ def bone_labels(rest: Floats, opened: Floats, regions: dict[str, Mask], from_lip
     share = jaw_share(rest, opened, far & ~inside)
     mandible = (share > FOLLOWS) & far & ~inside
     mandible &= (edges @ (~mandible).astype(float)) == 0
+    rotation, translation = rigid_motion(rest[mandible], opened[mandible])
+    mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
     held = (regions["neck"] | regions["eyes"]) & (size < HELD * size.max())
     still = held | ((size < STAYS * size.max()) & ~regions["mouth"])

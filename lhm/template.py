@@ -20,7 +20,7 @@ from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 from .shrinkwrap import neighbours, shrink
 
-FORMAT = 4
+FORMAT = 5
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 
@@ -116,7 +116,8 @@ def _build(space: LinearSpace, progress: OnProgress) -> dict[str, np.ndarray]:
         raise FitError(f"template {space.name!r}: {error}") from None
     masks = {name: mask[nearest] for name, mask in regions(skin, parts, marks).items()}
     from_lips = distance_to(rest.vertices, skin.vertices[marks.rim])
-    bone = bone_labels(rest.vertices, rest.vertices + carried @ jaw, masks, from_lips, edges)
+    depths = np.linalg.norm(connectors, axis=1)
+    bone = bone_labels(rest.vertices, rest.vertices + carried @ jaw, depths, masks, from_lips, edges)
     progress("layers", 1.0)
     return {
         "wrap": rest.vertices,

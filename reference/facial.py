@@ -13,18 +13,11 @@ import numpy as np
 from ..lhm.errors import SceneError
 from ..lhm.head import CRANIUM, MANDIBLE, LayeredHead
 from ..lhm.mesh import Floats
+from ..lhm.rigid import rigid_motion
 from . import terms
 from .materials import NeoHookean
 from .parameters import STANDARD_GRAVITY, TISSUE_DENSITY, Parameters
 from .scene import Scene
-
-
-def rigid_motion(rest: Floats, moved: Floats) -> tuple[Floats, Floats]:
-    """Rotation R (3, 3) and translation t (3,) [mm] that best take points (n, 3) to others (Kabsch 1976)."""
-    centre, target = rest.mean(axis=0), moved.mean(axis=0)
-    u, _, vt = np.linalg.svd((moved - target).T @ (rest - centre))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return rotation, target - rotation @ centre
 
 
 def bone_positions(head: LayeredHead, wrap_targets: Floats) -> tuple[np.ndarray, Floats]:

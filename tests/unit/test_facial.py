@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError
+from softdeca.lhm.rigid import rigid_motion
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
-from softdeca.reference.facial import bone_positions, rigid_motion
+from softdeca.reference.facial import bone_positions
 
 
 def test_parameters_name_what_is_out_of_range():
