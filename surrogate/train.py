@@ -28,7 +28,7 @@ class TrainConfig:
 
     network: HypernetworkConfig = field(default_factory=HypernetworkConfig)
     seed: int = 0
-    steps: int = 1200  # the learning rate's decay ends here
+    steps: int = 2400  # the learning rate's decay ends here
     batch: int = 8  # frames per step; a larger one takes proportionally longer on a CPU
     learning_rate: float = 6e-3  # of AdamW, after 20 steps' warm-up
     final_rate: float = 1e-4
