@@ -51,7 +51,7 @@ def _cell(value) -> str | Markup:
 
 
 def _solver_rows(case: Mapping) -> list[Sequence]:
-    rows = []
+    rows: list[Sequence] = []
     for run in case["runs"]:
         norms = run["history"]["gradient_norm"]
         counts = ", ".join(f"{name} {value:g}" for name, value in run["detail"].items())
@@ -92,6 +92,6 @@ def _surrogate_rows(surrogate: Mapping) -> list[Sequence]:
 
 
 def _machine_rows(results: Mapping) -> list[Sequence]:
-    rows = [(name, value) for name, value in results["machine"].items() if name != "versions"]
+    rows: list[Sequence] = [(name, value) for name, value in results["machine"].items() if name != "versions"]
     rows += [(f"{name} version", value) for name, value in results["machine"]["versions"].items()]
     return rows + [(f"seconds: {name}", float(value)) for name, value in results["seconds"].items()]

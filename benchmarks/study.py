@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,8 @@ from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
-from ..reference import Parameters, facial_scene, prepare
-from ..reference.projective import local_step_seconds
+from ..reference import Parameters, facial_scene
+from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
 from . import learned, machine
 from .cases import Case, CaseResult, run_case
@@ -93,7 +94,7 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
         progress(f"scenes: {case.name}", 1.0)
     clock.lap("scenes")
     scene = facial_scene(head, cases[0].parameters, shapes[0])
-    local_step = local_step_seconds(prepare(scene, solver="projective"), repeats=30)
+    local_step = local_step_seconds(prepare(scene), repeats=30)
     verification = verify(progress)
     clock.lap("verification")
     surrogate, rig = learned.study(space, template, config.out / "surrogate", progress)
@@ -138,7 +139,7 @@ def _compare_surrogate(rig: Surrogate, head: LayeredHead, code: Floats, case: Ca
         result.record["points"].append(
             {
                 "label": label,
-                "milliseconds": _median_ms(lambda step=step: step(case.weights)),
+                "milliseconds": _median_ms(partial(step, case.weights)),
                 "rms": difference(answer, result.fem_skin, rest).rms,
             }
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,6 +10,8 @@ import numpy as np
 import platformdirs
 
 from .atomic import replaced
+from .errors import InputError
+from .npz import read_arrays
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -27,9 +28,8 @@ def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
     """
     path = folder() / f"{name}.npz"
     try:
-        with np.load(path) as file:
-            return {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return read_arrays(path)
+    except InputError:
         arrays = make()
     try:
         with replaced(path) as temporary, open(temporary, "wb") as file:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import meshio
@@ -14,6 +14,7 @@ from .atomic import replaced
 from .errors import InputError, MeshError
 from .head import LayeredHead
 from .mesh import Surface
+from .npz import read_arrays
 
 FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
@@ -30,33 +31,33 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
     with replaced(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, **arrays)
 
 
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: not a layered head, or damaged ({error})") from None
+    arrays = read_arrays(path, of="a layered head")
     if str(arrays.get("format")) != FORMAT:
         raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
-    skin = Surface(arrays["skin_vertices"], arrays["skin_triangles"])
-    wraps = [Surface(arrays[name], arrays["triangles"]) for name in _WRAPS]
-    shapes = {_WEIGHTS[0]: (len(arrays["bone"]), len(skin.vertices))}
-    shapes[_WEIGHTS[1]] = shapes[_WEIGHTS[0]][::-1]
-    weights = [
-        csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=shapes[name])
-        for name in _WEIGHTS
-    ]
-    regions = {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")}
     try:
-        return LayeredHead(skin, *wraps, arrays["bone"], *weights, regions)
-    except MeshError as error:
-        raise InputError(f"{path}: {error}") from None
+        return _head(arrays)
+    except KeyError as error:
+        raise InputError(f"{path}: not a layered head, array {error.args[0]!r} is missing") from None
+    except (MeshError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: damaged, {error}") from None
+
+
+def _head(arrays: Mapping[str, np.ndarray]) -> LayeredHead:
+    skin = Surface(arrays["skin_vertices"], arrays["skin_triangles"])
+    skin_wrap, muscle_wrap, skull_wrap = (Surface(arrays[name], arrays["triangles"]) for name in _WRAPS)
+    shape = (len(arrays["bone"]), len(skin.vertices))
+    wrap_from_skin, skin_from_wrap = (
+        csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
+        for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
+    )
+    regions = {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")}
+    bone = arrays["bone"]
+    return LayeredHead(skin, skin_wrap, muscle_wrap, skull_wrap, bone, wrap_from_skin, skin_from_wrap, regions)
 
 
 def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:

@@ -7,8 +7,7 @@ scaled so that codes are standard normal, `expression_deltas`, and their ARKit n
 from __future__ import annotations
 
 import os
-import zipfile
-from pathlib import Path
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from .errors import InputError, MeshError
 from .identities import ARKIT, CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 from .lips import lips_together
 from .mesh import Ints, Surface
+from .npz import read_arrays
 
 MM = 10.0
 CODE_SIZE = 50
@@ -38,25 +38,21 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
     Raises InputError naming the file if it is missing, damaged or lacks an array.
     """
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
+    data = read_arrays(path, *_NEEDED, of="ICT-FaceKit's data")
     try:
-        with np.load(path) as file:
-            data = {name: file[name] for name in _NEEDED}
-    except KeyError as error:
-        raise InputError(f"{path}: not ICT-FaceKit's data, {error.args[0]}") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not an .npz file, or damaged ({error})") from None
+        return _space(data)
+    except (MeshError, ValueError, IndexError, TypeError) as error:
+        raise InputError(f"{path}: not ICT-FaceKit's data ({error})") from None
+
+
+def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     names = data["part_names"].tolist()
     part_of = np.array([_SKIN.get(name, -1) for name in names])[data["triangle_part"]]
     triangles = data["triangles"].astype(np.int64)
-    try:
-        height = data["vertices"][:, 1] * MM
-        above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
-        cut, closed, kept = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
-        mean = Surface(cut @ data["vertices"].astype(np.float64) * MM, closed)
-    except (MeshError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: {error}") from None
+    height = data["vertices"][:, 1] * MM
+    above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
+    cut, closed, kept = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
+    mean = Surface(cut @ data["vertices"].astype(np.float64) * MM, closed)
     expressions = np.zeros((len(ARKIT), *mean.vertices.shape))
     for name, delta in zip(data["expression_arkit"].tolist(), data["expression_deltas"], strict=True):
         expressions[ARKIT.index(name)] += cut @ delta.astype(np.float64) * MM

@@ -91,7 +91,8 @@ class Surface:
     @property
     def vertex_areas(self) -> Floats:
         """A third of the incident areas [mm²], shape (n,)."""
-        return np.bincount(self.triangles.ravel(), np.repeat(self.areas / 3.0, 3), minlength=len(self.vertices))
+        thirds = np.repeat(self.areas / 3.0, 3)
+        return np.bincount(self.triangles.ravel(), thirds, len(self.vertices)).astype(np.float64, copy=False)
 
     @property
     def vertex_normals(self) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .errors import InputError, MeshError
 from .mesh import Ints, Surface
+from .npz import read_arrays
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SUFFIXES = (".obj", ".ply", ".stl", ".npz")
@@ -42,13 +42,8 @@ def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
 
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        with np.load(path) as file:
-            return file["vertices"], file["triangles"]
-    except KeyError:
-        raise InputError(f"{path}: expected arrays `vertices` and `triangles`") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not an .npz file, or damaged ({error})") from None
+    arrays = read_arrays(path, "vertices", "triangles", of="a surface")
+    return arrays["vertices"], arrays["triangles"]
 
 
 def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

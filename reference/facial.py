@@ -63,7 +63,8 @@ def facial_scene(head: LayeredHead, parameters: Parameters, targets: Floats) -> 
         terms.Fixed(bone, placed),
     ]
     if p.gravity != 1.0:
-        parts.append(terms.Gravity((0.0, -(p.gravity - 1.0) * STANDARD_GRAVITY, 0.0), TISSUE_DENSITY))
+        added = np.array([0.0, -(p.gravity - 1.0) * STANDARD_GRAVITY, 0.0])
+        parts.append(terms.Gravity(added, TISSUE_DENSITY))
     return Scene(head.vertices, head.tets, tuple(parts))
 
 

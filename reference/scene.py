@@ -133,7 +133,7 @@ class Scene:
         found = self.of(kind)
         if len(found) != 1:
             raise SceneError(f"the scene has {len(found)} {kind.__name__} terms; replace them in Scene.terms by hand")
-        return replace(self, terms=[replace(t, **changes) if t is found[0] else t for t in self.terms])
+        return replace(self, terms=tuple(replace(t, **changes) if t is found[0] else t for t in self.terms))
 
     def check_prepared_for(self, other: Scene, *, varying: dict[type[Term], tuple[str, ...]]):
         """Raise SceneError if `other` differs from this scene in more than the `varying` fields of its terms."""
@@ -146,7 +146,7 @@ class Scene:
         if [type(t) for t in other.terms] != [type(t) for t in self.terms]:
             raise SceneError("the scene's terms differ from the prepared ones: prepare it anew")
         for mine, its in zip(self.terms, other.terms, strict=True):
-            for key in mine.__dataclass_fields__:  # type: ignore[attr-defined]
+            for key in mine.__dataclass_fields__:
                 if key in varying.get(type(mine), ()):
                     continue
                 a, b = getattr(mine, key), getattr(its, key)

@@ -70,6 +70,7 @@ def _vector(name: str, values):
     return vector
 
 
+@dataclass(frozen=True, eq=False)
 class Term:
     """Base of all terms; `name` is what errors and reports call it."""
 
@@ -193,7 +194,7 @@ class Fixed(Term):
     def __post_init__(self):
         vertices = _ids("Fixed.vertices", self.vertices)
         components = (self.components,) if isinstance(self.components, (int, np.integer)) else self.components
-        components = tuple("xyz".index(c) if c in ("x", "y", "z") else c for c in components)
+        components = tuple("xyz".index(str(c)) if c in ("x", "y", "z") else c for c in components)
         if not components or any(c not in (0, 1, 2) for c in components) or len(set(components)) != len(components):
             raise SceneError(f"Fixed.components: expected some of 0, 1, 2, got {self.components!r}")
         values = None if self.values is None else _scene_points("Fixed.values", self.values, len(vertices))
