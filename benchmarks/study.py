@@ -55,9 +55,11 @@ def parse_expression(text: str) -> Floats:
     """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
     named: dict[str, float] = {}
     for part in text.split("+"):
-        name, _, factor = part.strip().partition("*")
+        name, star, factor = (piece.strip() for piece in part.partition("*"))
+        if not name:
+            raise InputError(f"expression {text!r}: a name is missing; expected as 'jawOpen*0.5+cheekPuff'")
         try:
-            weight = float(factor) if factor else 1.0
+            weight = float(factor) if star else 1.0
         except ValueError:
             raise InputError(f"expression {text!r}: {factor!r} is no number") from None
         if not 0.0 <= weight <= 1.0:

@@ -20,10 +20,11 @@ def verify(progress: OnProgress, *, solvers: tuple[str, ...] = SOLVERS) -> list[
     pairs = [(problem, solver) for problem in problems.ALL for solver in solvers if solver in problem.solvers]
     rows = []
     for i, (problem, solver) in enumerate(pairs):
-        progress(f"verification: {problem.name}", i / len(pairs))
+        progress(f"verification: {problem.name}, {solver}", i / len(pairs))
         try:
             rows.append(asdict(problems.run(problem, solver)))
         except MissingDependencyError:
             if len(solvers) == 1:
                 raise
+    progress("verification", 1.0)
     return rows

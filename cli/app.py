@@ -3,40 +3,39 @@
 import sys
 
 import click
-import typer
 
 from ..lhm.errors import SoftdecaError
 from . import bench, head, study
 
-app = typer.Typer(
-    help="A finite-element reference on FEniCSx, and a learned surrogate, for physics-based faces.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-app.command("study")(study.study)
-app.add_typer(head.app, name="head")
-app.add_typer(bench.app, name="bench")
+
+@click.group(context_settings={"show_default": True})
+def app() -> None:
+    """A finite-element reference on FEniCSx, and a learned surrogate, for physics-based faces."""
+
+
+app.add_command(study.study)
+app.add_command(head.head)
+app.add_command(bench.bench)
 
 
 def main() -> None:
     """Run the command; an error that a user can act on is one line, not a traceback."""
     try:
-        status = app(standalone_mode=False)
+        status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False)
     except SoftdecaError as error:
-        status = _fail(error)
+        status = _fail(str(error))
     except OSError as error:
-        where = f": {error.filename}" if error.filename else ""
-        status = _fail(f"{error.strerror or error}{where}")
-    except click.ClickException as error:
-        error.show()
-        status = error.exit_code
+        where = f"{error.filename}: " if error.filename else ""
+        status = _fail(f"{where}{error.strerror or error}")
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "softdeca"
+        status = _fail(f"{error.format_message()} (`{command} --help` says more)", status=error.exit_code)
     except (KeyboardInterrupt, click.Abort):
         print("softdeca: interrupted; what was finished is kept and used by the next run", file=sys.stderr)
         status = 130
     sys.exit(status)
 
 
-def _fail(message) -> int:
-    print(f"softdeca: error: {' '.join(str(message).split())}", file=sys.stderr)
-    return 1
+def _fail(message: str, *, status: int = 1) -> int:
+    print(f"softdeca: error: {' '.join(message.split())}", file=sys.stderr)
+    return status

@@ -3,74 +3,99 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
 
+import click
 import numpy as np
-import typer
 
 from ..lhm import check_head, fit_head, identities, load_template
 from ..lhm.atomic import replaced
-from ..lhm.errors import FitError
+from ..lhm.errors import FitError, InputError, MeshError
 from ..lhm.head import LayeredHead
 from ..lhm.head_file import export_vtk, load_head, save_head
-from ..lhm.surface_file import read_surface
+from ..lhm.mesh import Surface
+from ..lhm.surface_file import MILLIMETRES, check_skin, read_surface
 from .progress import shown
 
-app = typer.Typer(help="Fit and check layered heads.", no_args_is_help=True)
-AsJson = Annotated[bool, typer.Option("--json", help="print the report as JSON")]
+AFile = click.Path(path_type=Path)
+as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
 
 
-@app.command()
+@click.group(no_args_is_help=False)
+def head() -> None:
+    """Fit and check layered heads."""
+
+
+@head.command()
+@click.option("--identities", "space_name", default="anny", help="whose topology: 'anny' (default head) or 'ict:FILE'")
+@click.option("--skin", type=AFile, help="a neutral skin of that topology (OBJ, PLY, STL, NPZ); default: the mean")
+@click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of --skin")
+@click.option("--seed", type=click.IntRange(min=0), help="sample a random identity instead")
+@click.option("--out", type=AFile, default="out/head.npz", help="the head to write")
+@click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
+@click.option("--picture", type=AFile, help="also draw the layers into this PNG")
+@as_json_option
 def fit(
-    identity_space: Annotated[
-        str, typer.Option("--identities", help="whose topology: 'anny' (the default head) or 'ict:FILE'")
-    ] = "anny",
-    skin: Annotated[
-        Path | None,
-        typer.Option(help="a neutral skin of that topology (OBJ, PLY, STL); default: a sampled or mean one"),
-    ] = None,
-    unit: Annotated[str, typer.Option(help="unit of --skin: mm, cm or m")] = "mm",
-    seed: Annotated[int | None, typer.Option(help="sample a random identity; default: the mean")] = None,
-    out: Annotated[Path, typer.Option(help="the head to write")] = Path("out/head.npz"),
-    vtk: Annotated[Path | None, typer.Option(help="also write .vtu files into this folder")] = None,
-    picture: Annotated[Path | None, typer.Option(help="also draw the layers into this PNG")] = None,
-    as_json: AsJson = False,
+    space_name: str,
+    skin: Path | None,
+    unit: str,
+    seed: int | None,
+    out: Path,
+    vtk: Path | None,
+    picture: Path | None,
+    as_json: bool,
 ) -> int:
     """Fit the layered head (wraps and tets) to a skin, check it and write it."""
-    space = identities.from_text(identity_space)
-    surface = None if skin is None else read_surface(skin, unit=unit)
+    if skin is not None and seed is not None:
+        raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
+    given = None if skin is None else _neutral_skin(skin, unit)
     with shown() as progress:
+        progress("head: identity space", 0.0)
+        space = identities.from_text(space_name)
         template = load_template(space, progress=progress)
-        if surface is None:
+        if given is not None:
+            surface = given
+        else:
             surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
-        head = fit_head(template, surface)
-    status = _report(head, as_json)
-    save_head(out, head)
+        progress("head: layers fitted to the skin", 0.3)
+        fitted = fit_head(template, surface)
+        progress("head", 1.0)
+    _report(fitted, as_json)
+    save_head(out, fitted)
     if vtk is not None:
-        export_vtk(vtk, head)
+        export_vtk(vtk, fitted)
     if picture is not None:
         from ..benchmarks.pictures import cut_away
 
+        image = cut_away(fitted)
         with replaced(picture) as path:
-            path.write_bytes(cut_away(head))
-    return status
+            path.write_bytes(image)
+    return 0
 
 
-@app.command()
-def check(file: Annotated[Path, typer.Argument(help="a head written by `head fit`")], as_json: AsJson = False) -> int:
-    """Print every gate of a layered head with its figure; exit status 1 if one is not met."""
-    return _report(load_head(file), as_json)
+@head.command()
+@click.argument("file", type=AFile)
+@as_json_option
+def check(file: Path, as_json: bool) -> int:
+    """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
+    _report(load_head(file), as_json)
+    return 0
 
 
-def _report(head: LayeredHead, as_json: bool) -> int:
-    report = check_head(head)
+def _neutral_skin(file: Path, unit: str) -> Surface:
+    surface = read_surface(file, unit=unit)
+    try:
+        check_skin(surface)
+    except MeshError as error:
+        raise InputError(f"{file}: {error}") from None
+    return surface
+
+
+def _report(fitted: LayeredHead, as_json: bool) -> None:
+    report = check_head(fitted)
     if as_json:
-        typer.echo(json.dumps(asdict(report) | {"problems": list(report.problems)}, indent=1))
+        click.echo(json.dumps(asdict(report) | {"problems": list(report.problems)}, indent=1))
     else:
         for name, value in asdict(report).items():
-            typer.echo(
-                f"{name.replace('_', ' '):<40} {value:.4g}" if isinstance(value, float) else f"{name:<40} {value}"
-            )
+            click.echo(f"{name.replace('_', ' '):<40} {f'{value:.4g}' if isinstance(value, float) else value}")
     if report.problems:
         raise FitError("; ".join(report.problems))
-    return 0

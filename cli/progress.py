@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar on a terminal, a line per step elsewhere."""
+"""Progress on stderr: a bar per stage on a terminal, lines elsewhere. Of "stage: detail" the stage is what is timed."""
 
 import sys
 import time
@@ -6,35 +6,46 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from ..lhm.progress import OnProgress
+
+LEAST_PAUSE = 0.5  # [s] between two lines of one stage
 
 
 @contextmanager
 def shown() -> Iterator[OnProgress]:
     """A callback (what, fraction) that shows how far long work is."""
-    if sys.stderr.isatty():
-        columns = (TextColumn("{task.description:<48}"), BarColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=Console(stderr=True), transient=False) as bars:
-            tasks: dict[str, int] = {}
-
-            def draw(what: str, fraction: float) -> None:
-                if what not in tasks:
-                    tasks[what] = bars.add_task(what, total=1.0)
-                bars.update(tasks[what], completed=min(fraction, 1.0))  # type: ignore[arg-type]
-
-            yield draw
+    if not sys.stderr.isatty():
+        yield _Lines()
         return
-    begun: dict[str, float] = {}
-    said: dict[str, int] = {}
+    columns = (TextColumn("{task.description:<56}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        yield _Bars(bars)
 
-    def say(what: str, fraction: float) -> None:
-        now = time.monotonic()
-        begun.setdefault(what, now)
-        quarter = int(4 * fraction)
-        if quarter > said.get(what, -1):
-            said[what] = quarter
-            print(f"{what}: {25 * quarter} % ({now - begun[what]:.0f} s)", file=sys.stderr, flush=True)
 
-    yield say
+class _Bars:
+    def __init__(self, bars: Progress):
+        self._bars = bars
+        self._tasks: dict[str, TaskID] = {}
+
+    def __call__(self, what: str, fraction: float) -> None:
+        stage = what.partition(": ")[0]
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(what, total=1.0)
+        self._bars.update(self._tasks[stage], completed=min(fraction, 1.0), description=what)
+
+
+class _Lines:
+    def __init__(self):
+        self._begun: dict[str, float] = {}
+        self._said: dict[str, float] = {}
+
+    def __call__(self, what: str, fraction: float) -> None:
+        now, stage = time.monotonic(), what.partition(": ")[0]
+        self._begun.setdefault(stage, now)
+        if fraction < 1.0 and now - self._said.get(stage, -1e9) < LEAST_PAUSE:
+            return
+        self._said[stage] = now
+        seconds = now - self._begun[stage]
+        print(f"{what}: {100 * min(fraction, 1.0):.0f} % ({seconds:.0f} s)", file=sys.stderr, flush=True)

@@ -34,6 +34,6 @@ def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
     try:
         with replaced(path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **arrays)
-    except OSError:
+    except InputError:
         pass
     return arrays
