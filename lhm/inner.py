@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
+from . import climb
 from .bvh import TriangleTree
 from .errors import FitError
 from .layers import prism_tets
@@ -143,6 +144,24 @@ def repaired(
     return connectors, found
 
 
+def shaped(surface: Surface, connectors: Floats, edges: csr_matrix) -> Floats:
+    """Connectors (n, 3) [mm] under which the worst tets have a better shape, still without defects.
+
+    Where that would make wraps cross, connectors go half the way back, with their neighbours, and again.
+    """
+    better = climb.improved(surface.vertices, connectors, surface.triangles, muscle=MUSCLE, least=LEAST_LENGTH)
+    for _ in range(ATTEMPTS):
+        skin = surface.vertices
+        found = defects(skin, skin + MUSCLE * better, skin + better, surface.triangles)
+        if not found.tets and not found.crossings:
+            return better
+        kept = np.zeros(len(skin))
+        kept[found.vertices] = 1.0
+        kept = (kept > 0) | (edges @ kept > 0)
+        better = np.where(kept[:, None], 0.5 * (connectors + better), better)
+    return connectors
+
+
 def valid_layers(surface: Surface, connectors: Floats, edges: csr_matrix) -> tuple[Surface, Floats]:
     """A skin wrap without crossings and connectors (n, 3) [mm] under it without defects, close to those given.
 
@@ -157,7 +176,7 @@ def valid_layers(surface: Surface, connectors: Floats, edges: csr_matrix) -> tup
             raise FitError(f"skin wrap: {len(crossing)} pairs of triangles cross, the first is {crossing[0].tolist()}")
         connectors, found = repaired(surface.vertices, connectors, cone_normals(surface), surface.triangles, edges)
         if not found.tets and not found.crossings:
-            return surface, connectors
+            return surface, shaped(surface, connectors, edges)
         hit = np.zeros(len(connectors))
         hit[found.vertices] = 0.5
         moved = np.maximum(hit, 0.25 * (edges @ hit > 0))[:, None]

@@ -20,7 +20,7 @@ from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 from .shrinkwrap import neighbours, shrink
 
-FORMAT = 5
+FORMAT = 6
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 
