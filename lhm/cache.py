@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
-from .atomic import replaced
 from .errors import InputError
-from .npz import read_arrays
+from .npz import read_arrays, write_arrays
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -32,8 +31,7 @@ def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
     except InputError:
         arrays = make()
     try:
-        with replaced(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **arrays)
+        write_arrays(path, arrays)
     except InputError:
         pass
     return arrays

@@ -14,7 +14,7 @@ from .atomic import replaced
 from .errors import InputError, MeshError
 from .head import LayeredHead
 from .mesh import Surface
-from .npz import read_arrays
+from .npz import read_arrays, write_arrays
 
 FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
@@ -30,8 +30,7 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         weights = getattr(head, name)
         arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
-    with replaced(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:

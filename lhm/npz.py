@@ -1,13 +1,26 @@
-"""Arrays from .npz files, and files that are not what they should be."""
+"""Arrays in .npz files: written whole or not at all, and read with errors that name the file."""
 
 from __future__ import annotations
 
+import io
 import os
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from .atomic import replaced
 from .errors import InputError
+
+
+def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays by name, compressed; InputError if the file cannot be written, and then it is as it was."""
+    # By way of memory: zipfile, when a write fails, tries another on its way out and complains on stderr.
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    with replaced(path) as temporary:
+        temporary.write_bytes(buffer.getvalue())
 
 
 def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz file") -> dict[str, np.ndarray]:
@@ -17,6 +30,8 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file")
+    if not zipfile.is_zipfile(path):
+        raise InputError(f"{path}: not {of}, or damaged (no .npz file, or its end is missing)")
     try:
         with np.load(path, allow_pickle=False) as file:
             missing = [name for name in names if name not in file.files]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from os import PathLike
@@ -12,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.atomic import replaced
 from ..lhm.errors import InputError
 from ..lhm.mesh import Floats, Ints, Surface
+from ..lhm.npz import read_arrays, write_arrays
 from .samples import surface_hash
 
 FORMAT = "softdeca-surrogate-1"
@@ -101,27 +100,24 @@ class Checkpoint:
             "summary": asdict(self.summary),
         }
         arrays = {f"network.{name}": value for name, value in self.network.items()}
-        with replaced(path) as temporary, open(temporary, "wb") as file:
-            np.savez_compressed(
-                file,
-                meta=np.array(json.dumps(meta)),
-                vertices=self.reference.vertices,
-                triangles=self.reference.triangles,
-                anchors=self.anchors,
-                code_mean=self.code_mean,
-                code_scale=self.code_scale,
-                **arrays,
-            )
+        arrays |= {
+            "meta": np.array(json.dumps(meta)),
+            "vertices": self.reference.vertices,
+            "triangles": self.reference.triangles,
+            "anchors": self.anchors,
+            "code_mean": self.code_mean,
+            "code_scale": self.code_scale,
+        }
+        write_arrays(path, arrays)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Checkpoint:
         """Read what `save` wrote; InputError for a file that is missing, damaged, or something else."""
         path = Path(path)
         if not path.is_file():
-            raise InputError(f"checkpoint {path}: no such file; run `softdeca train` or `make study`")
+            raise InputError(f"checkpoint {path}: no such file; run `softdeca study`")
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
+            arrays = read_arrays(path, of="a checkpoint of softdeca")
             meta = json.loads(str(arrays.pop("meta")))
             if meta["format"] != FORMAT:
                 raise InputError(f"checkpoint {path}: its format is {meta['format']!r}, this version reads {FORMAT!r}")
@@ -142,7 +138,7 @@ class Checkpoint:
             )
         except InputError:
             raise
-        except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(f"checkpoint {path}: damaged, or no checkpoint of softdeca ({_short(error)})") from None
         if checkpoint.template != meta["template"]:
             raise InputError(f"checkpoint {path}: its mesh is not the one it names ({meta['template']}); train it anew")

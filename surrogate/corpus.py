@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import signal
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from os import PathLike
@@ -103,8 +104,13 @@ class Corpus:
         try:
             count = min(workers, len(pending))
             with ProcessPoolExecutor(count, context, initializer=_Worker.begin, initargs=(self, fit)) as pool:
-                for future in as_completed([pool.submit(_Worker.make, identity) for identity in pending]):
-                    yield future.result()
+                futures = [pool.submit(_Worker.make, identity) for identity in pending]
+                try:
+                    for future in as_completed(futures):
+                        yield future.result()
+                except BaseException:
+                    _Worker.stop_all(futures)
+                    raise
         except BrokenProcessPool:
             raise SoftdecaError("corpus: a worker process died; run again to go on where it stopped") from None
 
@@ -173,10 +179,30 @@ class _Worker:
     corpus: Corpus
     fit: Fit
 
+    stopped: bool = False
+
     @classmethod
     def begin(cls, corpus: Corpus, fit: Fit):
         cls.corpus, cls.fit = corpus, staticmethod(fit)
+        # Ctrl-C reaches every process of the terminal; the parent alone decides, and ends its workers by SIGTERM.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, cls._stop)
 
     @classmethod
     def make(cls, identity: int) -> int:
+        if cls.stopped:
+            raise SystemExit(1)
         return cls.corpus.make(identity, cls.fit)
+
+    @classmethod
+    def _stop(cls, *_):
+        # An exception rather than the end of the process, so that a file that is being written is removed.
+        cls.stopped = True
+        raise SystemExit(1)
+
+    @staticmethod
+    def stop_all(futures: list[Future]):
+        for future in futures:
+            future.cancel()
+        for child in multiprocessing.active_children():
+            child.terminate()

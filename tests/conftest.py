@@ -5,6 +5,8 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,3 +40,28 @@ def layered_sphere(subdivisions: int = 2, radii=(100.0, 92.0, 85.0)) -> LayeredH
 @pytest.fixture(scope="session")
 def sphere_head():
     return layered_sphere()
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended: exit status, and the lines of its two streams."""
+
+    status: int
+    out: str
+    errors: list[str]
+
+
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Run `softdeca ARGUMENTS` in this process; progress on stderr is left out of `errors`."""
+    from softdeca.cli import main
+
+    def run(*arguments) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["softdeca", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        return Ended(ended.value.code, out, [line for line in err.splitlines() if not line.endswith(" s)")])
+
+    return run

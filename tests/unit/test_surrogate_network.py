@@ -221,13 +221,13 @@ def test_bad_frames_are_named(surrogate, weights, blended, message):
 
 def test_files_that_are_no_checkpoint_are_named(checkpoint, tmp_path):
     path = tmp_path / "surrogate.npz"
-    with pytest.raises(InputError, match="no such file; run `softdeca train` or `make study`"):
+    with pytest.raises(InputError, match="no such file; run `softdeca study`"):
         Checkpoint.load(path)
     path.write_text("v 0 0 0\n")
-    with pytest.raises(InputError, match="no checkpoint of softdeca"):
+    with pytest.raises(InputError, match="checkpoint of softdeca"):
         Checkpoint.load(path)
     np.savez(path, vertices=np.zeros((3, 3)))
-    with pytest.raises(InputError, match="no checkpoint of softdeca"):
+    with pytest.raises(InputError, match="checkpoint of softdeca"):
         Checkpoint.load(path)
     checkpoint.save(path)
     path.write_bytes(path.read_bytes()[:-300])

@@ -1,0 +1,181 @@
+"""Bad input ends in one line that names the thing, an exit status that is not 0, and no file left half-written."""
+
+import fcntl
+
+import numpy as np
+import pytest
+import trimesh
+
+from softdeca.benchmarks.study import parse_expression
+from softdeca.lhm import SoftdecaError
+from softdeca.lhm.atomic import replaced
+from softdeca.lhm.head_file import load_head, save_head
+from softdeca.reference import Parameters, Scene, facial_scene, terms
+
+BALL = trimesh.creation.icosphere(2, radius=100)
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+def two_holes() -> trimesh.Trimesh:
+    height = BALL.triangles_center[:, 2]
+    kept = (height > height.min() + 1e-9) & (height < height.max() - 1e-9)
+    return trimesh.Trimesh(BALL.vertices, BALL.faces[kept], process=False)
+
+
+def ball(scale: float = 1.0) -> str:
+    return trimesh.exchange.obj.export_obj(trimesh.Trimesh(scale * BALL.vertices, BALL.faces, process=False), digits=12)
+
+
+SKINS = {
+    "nan.obj": (lambda: "v nan 0 0\n" + ball().replace("f ", "f 1 2 3\nf ", 1), "not finite"),
+    "holes.obj": (lambda: trimesh.exchange.obj.export_obj(two_holes()), "2 holes"),
+    "text.obj": (lambda: "Dear reader,\nthis is a letter.\n", "mesh"),
+    "empty.obj": (lambda: "", "empty"),
+    "missing.obj": (None, "no such file"),
+    "metres.obj": (lambda: ball(0.001), "units off"),
+    "sphere.obj": (ball, "another topology"),
+    "head.fbx": (lambda: "Kaydara", "unknown kind of file"),
+}
+
+
+@pytest.mark.parametrize("name", SKINS)
+def test_a_bad_skin_is_named_in_one_line(command, tmp_path, name):
+    write, message = SKINS[name]
+    if write is not None:
+        (tmp_path / name).write_text(write())
+    ended = command("head", "fit", "--skin", tmp_path / name, "--out", tmp_path / "out" / "head.npz")
+    assert ended.status == 1 and len(ended.errors) == 1, ended
+    assert ended.errors[0].startswith("softdeca: error: ") and message in ended.errors[0]
+    assert name in ended.errors[0] or "skin" in ended.errors[0]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["study", "--expressions", "jawOpeen"], "unknown ARKit expression 'jawOpeen'; did you mean jawOpen"),
+        (["study", "--expressions", "jawOpen*2"], "the weight of jawOpen is 2, outside [0, 1]"),
+        (["study", "--expressions", "jawOpen+jawOpen"], "jawOpen appears twice"),
+        (["study", "--expressions", "jawOpen*much"], "'much' is no number"),
+        (["study", "--expressions", "jawOpen*"], "'' is no number"),
+        (["study", "--expressions", "jawOpen*nan"], "outside [0, 1]"),
+        (["study", "--expressions", ""], "a name is missing"),
+        (["study", "--expressions", "jawOpen,,cheekPuff"], "a name is missing"),
+        (["study", "--identities", "deca"], "'deca'"),
+        (["study", "--identities", "ict:"], "'ict:'"),
+        (["bench", "verification", "--solver", "abaqus"], "unknown solver 'abaqus'"),
+        (["head", "fit", "--seed", "-1"], "--seed"),
+        (["head", "fit", "--seed", "1", "--skin", "a.obj"], "--skin and --seed"),
+        (["head", "fit", "--unit", "inch"], "'inch'"),
+        (["head"], "Missing command"),
+        (["heads"], "heads"),
+        (["--fast"], "--fast"),
+    ],
+)
+def test_a_wrong_argument_is_named_in_one_line(command, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    ended = command(*arguments)
+    assert ended.status in (1, 2) and len(ended.errors) == 1, ended
+    assert ended.errors[0].startswith("softdeca: error: ") and message in ended.errors[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_factor_scales_and_spaces_do_not_matter():
+    weights = parse_expression(" jawOpen * 0.5 + cheekPuff")
+    assert sorted(weights[weights > 0]) == [0.5, 1.0]
+
+
+@pytest.mark.parametrize("content", ["text", "truncated", "flipped", "other"])
+def test_bad_data_of_the_ict_space_are_named(command, tmp_path, content):
+    file = tmp_path / "ict.npz"
+    np.savez_compressed(file, vertices=np.arange(3000.0).reshape(-1, 3), triangles=np.zeros((5, 3), int))
+    whole = file.read_bytes()
+    flipped = whole[:200] + bytes(255 - b for b in whole[200:240]) + whole[240:]
+    file.write_bytes({"text": b"no zip", "truncated": whole[:100], "flipped": flipped, "other": whole}[content])
+    ended = command("head", "fit", "--identities", f"ict:{file}", "--out", tmp_path / "head.npz")
+    assert ended.status == 1 and len(ended.errors) == 1 and "ict.npz: not ICT-FaceKit's data" in ended.errors[0]
+    assert [p.name for p in tmp_path.iterdir()] == ["ict.npz"]
+
+
+def test_a_damaged_head_is_refused_wherever_the_damage_is(command, tmp_path, sphere_head):
+    file = tmp_path / "head.npz"
+    save_head(file, sphere_head)
+    whole = np.frombuffer(file.read_bytes(), np.uint8)
+    for start in np.linspace(0, len(whole) - 60, 25).astype(int):
+        damaged = whole.copy()
+        damaged[start : start + 50] ^= 0x5A
+        file.write_bytes(damaged.tobytes())
+        with pytest.raises(SoftdecaError, match=r"head\.npz: [^\n]*$"):
+            load_head(file)
+    ended = command("head", "check", file)
+    assert ended.status == 1 and len(ended.errors) == 1 and "head.npz" in ended.errors[0]
+
+
+def test_a_head_with_an_array_of_wrong_shape_or_missing_is_refused(tmp_path, sphere_head):
+    file = tmp_path / "head.npz"
+    save_head(file, sphere_head)
+    with np.load(file) as whole:
+        arrays = dict(whole)
+    for name in arrays:
+        for wrong in ({key: value for key, value in arrays.items() if key != name}, arrays | {name: np.arange(7)}):
+            np.savez(file, **wrong)
+            with pytest.raises(SoftdecaError, match=r"head\.npz: "):
+                load_head(file)
+
+
+@pytest.mark.parametrize("option", ["--out", "--vtk", "--picture"])
+def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, sphere_head, option):
+    # The fit itself is beside the point here: what is written is a sphere.
+    monkeypatch.setattr("softdeca.cli.head.load_template", lambda space, progress: None)
+    monkeypatch.setattr("softdeca.cli.head.fit_head", lambda template, skin: sphere_head)
+    (tmp_path / "way").write_text("a file")
+    wanted = {"--out": tmp_path / "head.npz"} | {option: tmp_path / "way" / "x.png"}
+    ended = command("head", "fit", *(word for pair in wanted.items() for word in pair))
+    assert ended.status == 1 and len(ended.errors) == 1 and str(tmp_path / "way") in ended.errors[0], ended
+    left = {p.name for p in tmp_path.iterdir()}
+    assert left == ({"way"} if option == "--out" else {"way", "head.npz"})
+
+
+def test_a_study_in_a_file_is_refused(command, tmp_path):
+    (tmp_path / "way").write_text("a file")
+    ended = command("study", "--out", tmp_path / "way")
+    assert ended.status == 1 and len(ended.errors) == 1 and "way" in ended.errors[0]
+    assert (tmp_path / "way").read_text() == "a file"
+
+
+def test_a_second_study_in_one_folder_is_refused(command, tmp_path):
+    with open(tmp_path / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        ended = command("study", "--out", tmp_path)
+    assert ended.status == 1 and len(ended.errors) == 1 and "another study runs there" in ended.errors[0]
+    assert [p.name for p in tmp_path.iterdir()] == [".lock"]
+
+
+def test_a_file_stays_as_it_was_when_its_writer_fails(tmp_path):
+    file = tmp_path / "answer.txt"
+    file.write_text("before")
+    for error in (RuntimeError, KeyboardInterrupt):
+        with pytest.raises(error), replaced(file) as temporary:
+            temporary.write_text("half")
+            raise error
+    assert file.read_text() == "before" and list(tmp_path.iterdir()) == [file]
+
+
+def fixed_at(vertex):
+    return Scene(CORNERS, [[0, 1, 2, 3]], [terms.Strain(1.0), terms.Fixed([vertex])])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda head: Scene(CORNERS, [[0, 2, 1, 3]], []), "scene: tets: 1 are inverted"),
+        (lambda head: fixed_at(4), r"term 1 \(Fixed\): vertex 4 is outside 0..3"),
+        (lambda head: fixed_at(-1), r"term 1 \(Fixed\): vertex -1 is outside 0..3"),
+        (lambda head: facial_scene(head, Parameters(), head.skin.vertices[:-1]), "targets: expected the skin's shape"),
+        (lambda head: facial_scene(head, Parameters(), head.skin.vertices * np.nan), "targets: .* not finite"),
+    ],
+)
+def test_a_bad_scene_is_named_in_one_line(sphere_head, make, message):
+    with pytest.raises(SoftdecaError, match=message) as caught:
+        make(sphere_head)
+    assert "\n" not in str(caught.value)
