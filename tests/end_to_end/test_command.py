@@ -1,0 +1,60 @@
+"""The command does what it says: exit status, results on stdout, files that the next command accepts."""
+
+import json
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+
+from softdeca.lhm.head_file import load_head, save_head
+
+
+@pytest.mark.parametrize("words", [(), ("study",), ("head", "fit"), ("head", "check"), ("bench", "verification")])
+def test_help_says_what_there_is(command, words):
+    ended = command(*words, "--help")
+    assert ended.status == 0 and ended.errors == []
+    assert ended.out.startswith(f"Usage: {' '.join(('softdeca', *words))} ")
+
+
+def test_verification_prints_json_that_parses_and_passes(command):
+    ended = command("bench", "verification", "--solver", "skfem", "--json")
+    rows = json.loads(ended.out)
+    assert ended.status == 0 and ended.errors == []
+    assert len(rows) > 30 and {row["solver"] for row in rows} == {"skfem"}
+    assert all(row["passed"] and row["error"] <= row["bound"] for row in rows)
+    # Two springs in series, of 1 and 100: the soft one takes 100/101 of the way, and so 0.0505 in all.
+    series = next(row for row in rows if row["problem"] == "two layers in series, 1:100")
+    assert series["value"] == pytest.approx(0.1 * (1 + 1 / 100) / 2, rel=1e-9)
+
+
+def test_a_head_that_is_fitted_is_accepted_and_drawn(command, tmp_path):
+    file, picture = tmp_path / "head.npz", tmp_path / "head.png"
+    fitted = command("head", "fit", "--seed", 3, "--out", file, "--vtk", tmp_path, "--picture", picture, "--json")
+    checked = command("head", "check", file, "--json")
+    assert fitted.status == checked.status == 0 and fitted.errors == checked.errors == []
+    assert json.loads(checked.out) == json.loads(fitted.out)
+    assert json.loads(checked.out)["problems"] == [] and json.loads(checked.out)["tets"] == 58080
+    assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 50_000
+    surfaces = {"skin.vtu", "skin_wrap.vtu", "muscle_wrap.vtu", "skull_wrap.vtu", "tissue.vtu"}
+    assert {p.name for p in tmp_path.iterdir()} == {"head.npz", "head.png"} | surfaces
+    np.testing.assert_allclose(meshio.read(tmp_path / "tissue.vtu").points, load_head(file).vertices)
+
+
+def test_an_own_skin_in_metres_gives_the_head_in_millimetres(command, tmp_path):
+    whole = command("head", "fit", "--out", tmp_path / "head.npz")
+    skin = load_head(tmp_path / "head.npz").skin
+    np.savez(tmp_path / "skin.npz", vertices=skin.vertices / 1000, triangles=skin.triangles)
+    ended = command("head", "fit", "--skin", tmp_path / "skin.npz", "--unit", "m", "--out", tmp_path / "own.npz")
+    assert whole.status == ended.status == 0
+    own = load_head(tmp_path / "own.npz")
+    np.testing.assert_allclose(own.vertices, load_head(tmp_path / "head.npz").vertices, atol=1e-6)
+
+
+def test_a_head_that_misses_a_gate_is_not_accepted(command, tmp_path, sphere_head):
+    wrap = sphere_head.skin_wrap
+    muscle, skull = (wrap.with_vertices(wrap.vertices * factor) for factor in (0.9995, 0.999))
+    save_head(tmp_path / "thin.npz", replace(sphere_head, muscle_wrap=muscle, skull_wrap=skull))
+    ended = command("head", "check", tmp_path / "thin.npz")
+    assert ended.status == 1 and len(ended.errors) == 1
+    assert "least thickness: 0.1 mm (at least 0.2)" in ended.errors[0]
