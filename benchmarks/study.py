@@ -93,7 +93,7 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
             progress(f"scenes: {what}", done_cases / len(cases))
 
         done.append(run_case(head, case, shape, tell))
-        progress(f"scenes: {case.name}", 1.0)
+        progress(f"scenes: {case.name}", (i + 1) / len(cases))
     clock.lap("scenes")
     scene = facial_scene(head, cases[0].parameters, shapes[0])
     local_step = local_step_seconds(prepare(scene), repeats=30)
