@@ -26,7 +26,7 @@ def work_precision(cases: Sequence[Mapping]) -> str:
         axis.set_visible(False)
     for axis, case in zip(axes.ravel(), cases, strict=False):
         for run in case["runs"]:
-            if run.get("error_mm") and run["energy_law"] == "pd":
+            if run["energy_law"] == "PD" and run["start"] == "rest":
                 points = [
                     (1e3 * t, e)
                     for t, e in zip(run["history"]["time"], run["error_mm"], strict=True)

@@ -60,6 +60,7 @@ def _solver_rows(case: Mapping) -> list[Sequence]:
                 case["name"],
                 run["label"],
                 run["energy_law"],
+                run["start"],
                 run["iterations"],
                 run["prepare_seconds"],
                 run["seconds"],

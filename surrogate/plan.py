@@ -62,7 +62,7 @@ class CorpusPlan:
     parameter_sets: tuple[int, int] = (140, 28)
     frames: int = 14  # per identity
     frames_per_parameter_set: int = 2  # these share one factorisation
-    parameter_names: tuple[str, ...] = ("soft_stiffness", "skin_stiffness", "target_stiffness", "gravity")
+    parameter_names: tuple[str, ...] = ("soft_stiffness", "target_stiffness", "gravity")
     tolerance: float = 3e-4  # of the solver's gradient norm: answers within 0.02 mm, 0.0003 mm in the mean
     max_iterations: int = 400
     inverted_share: float = (
@@ -119,8 +119,8 @@ class CorpusPlan:
         return np.random.default_rng([self.seed, *key])
 
     def to_json(self) -> str:
-        """The plan as one line of JSON."""
-        return json.dumps(asdict(self), sort_keys=True)
+        """The plan, and the parameters that it leaves at their defaults, as one line of JSON."""
+        return json.dumps(asdict(self) | {"defaults": Parameters().vector().tolist()}, sort_keys=True)
 
     @property
     def digest(self) -> str:
