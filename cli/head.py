@@ -8,7 +8,7 @@ import click
 import numpy as np
 
 from ..lhm import check_head, fit_head, identities, load_template
-from ..lhm.atomic import replaced
+from ..lhm.atomic import write_whole
 from ..lhm.errors import FitError, InputError, MeshError
 from ..lhm.head import LayeredHead
 from ..lhm.head_file import export_vtk, load_head, save_head
@@ -66,9 +66,7 @@ def fit(
     if picture is not None:
         from ..benchmarks.pictures import cut_away
 
-        image = cut_away(fitted)
-        with replaced(picture) as path:
-            path.write_bytes(image)
+        write_whole(picture, cut_away(fitted))
     return 0
 
 

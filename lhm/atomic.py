@@ -35,6 +35,15 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror or error}{where})") from None
 
 
+def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file that was made in memory; InputError if it cannot be written, and then it is as it was.
+
+    The way for zip, HDF5 and the like: their libraries cannot end a file on a full disk without a noise or a crash.
+    """
+    with replaced(path) as temporary:
+        temporary.write_bytes(content)
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

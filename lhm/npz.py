@@ -10,17 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from .atomic import replaced
+from .atomic import write_whole
 from .errors import InputError
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays by name, compressed; InputError if the file cannot be written, and then it is as it was."""
-    # By way of memory: zipfile, when a write fails, tries another on its way out and complains on stderr.
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    with replaced(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
+    write_whole(path, buffer.getvalue())
 
 
 def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz file") -> dict[str, np.ndarray]:

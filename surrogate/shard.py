@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -10,12 +11,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.atomic import replaced
+from ..lhm.atomic import write_whole
 from ..lhm.errors import InputError
 from ..lhm.mesh import Floats
 
 ACCEPTED = "accepted"
-_REMEDY = "`softdeca corpus generate` makes it anew"
+_REMEDY = "the next study makes it anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,19 +60,21 @@ class Shard:
 
 def write_shard(path: Path, shard: Shard, owner: str) -> None:
     """Write a shard of the corpus `owner` (the digest of its plan and template); `path` is whole or as it was."""
-    with replaced(path) as temporary, h5py.File(temporary, "w") as file:
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
         file.attrs["owner"] = owner
         file.attrs["checksum"] = shard.checksum
         for item in fields(shard):
             array = getattr(shard, item.name)
             large = array.ndim == 3
             file.create_dataset(item.name, data=array, compression="gzip" if large else None, shuffle=large)
+    write_whole(path, buffer.getvalue())
 
 
 def read_shard(path: Path, owner: str) -> Shard:
     """Read a shard and check it; InputError for one that is missing, truncated, damaged or of another corpus."""
     if not path.is_file():
-        raise InputError(f"shard {path}: missing; run `softdeca corpus generate`")
+        raise InputError(f"shard {path}: missing; the next study makes it")
     try:
         with h5py.File(path, "r") as file:
             found, checksum = str(file.attrs["owner"]), str(file.attrs["checksum"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 from dataclasses import asdict, dataclass, field
 from os import PathLike
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..lhm.atomic import replaced
+from ..lhm.atomic import write_whole
 from ..lhm.errors import InputError
 from ..lhm.progress import OnProgress, silent
 from .anchors import still_vertices
@@ -183,20 +184,19 @@ class _Loop:
 
     def keep(self, path):
         """Write all that `restore` needs, whole or not at all."""
-        with replaced(path) as temporary:
-            torch.save(
-                {
-                    "config": repr(self.config),
-                    "step": self.step,
-                    "seconds": self.seconds,
-                    "history": [asdict(point) for point in self.history],
-                    "network": self.network.state_dict(),
-                    "optimiser": self.optimiser.state_dict(),
-                    "best": self.best,
-                    "best_error": self.best_error,
-                },
-                temporary,
-            )
+        state = {
+            "config": repr(self.config),
+            "step": self.step,
+            "seconds": self.seconds,
+            "history": [asdict(point) for point in self.history],
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "best": self.best,
+            "best_error": self.best_error,
+        }
+        buffer = io.BytesIO()
+        torch.save(state, buffer)
+        write_whole(path, buffer.getvalue())
 
     def restore(self, path):
         """Go on where `keep` was called last; InputError for a file of another training."""

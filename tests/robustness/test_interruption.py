@@ -1,6 +1,7 @@
 """Ctrl-C, a full disk and missing packages: one line, the right exit status, and no file left half-written."""
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -87,6 +88,15 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
     assert ended.returncode == 1 and len(said) == 1
     assert said[0].startswith(f"softdeca: error: {tmp_path / 'head.npz'}: cannot be written")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_corpus_on_a_full_disk_keeps_whole_shards_only(tmp_path):
+    (tmp_path / "make.py").write_text(CORPUS)
+    arguments = ["bash", "-c", f"ulimit -f 20; exec {sys.executable} {tmp_path}/make.py {tmp_path}/corpus"]
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
+    last = ended.stderr.rstrip().splitlines()[-1]
+    assert ended.returncode == 1 and re.search(r"InputError: .*identity-\d+\.h5: cannot be written \(File too", last)
+    assert [p.name for p in (tmp_path / "corpus").iterdir()] == ["corpus.json"]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")

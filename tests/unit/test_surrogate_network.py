@@ -23,6 +23,7 @@ from softdeca.surrogate.train import TrainConfig, split_identities, train
 
 SPACE = Spheres(1)
 PLAN = CorpusPlan(identities=(16, 3), expressions=(160, 30), parameter_sets=(80, 15), frames=10)
+COUNT = len(PLAN.parameter_names)
 SMALL = HypernetworkConfig(latent=24, expression_hidden=32, position=8, gain_hidden=8, hidden=8)
 CONFIG = TrainConfig(network=SMALL, steps=400, validate_every=50)
 
@@ -194,8 +195,8 @@ def bind(surrogate, **changes):
         ({"code": np.zeros(3)}, "code: expected 4"),
         ({"code": np.full(4, np.nan)}, "code: expected 4 finite"),
         ({"parameters": Parameters(soft_volume=1.2)}, "soft_volume = 1.2: .* trained at 1 only"),
-        ({"parameters": np.zeros((5, 4))}, r"shape \(80, 4\)"),
-        ({"parameters": np.zeros((80, 4))}, r"soft_stiffness = 0 is outside \[1, 20\]"),
+        ({"parameters": np.zeros((5, COUNT))}, rf"shape \(80, {COUNT}\)"),
+        ({"parameters": np.zeros((80, COUNT))}, r"soft_stiffness = 0 is outside \[1, 20\]"),
         ({"expressions": np.zeros((51, 42, 3))}, "expressions: expected shape"),
     ],
 )
