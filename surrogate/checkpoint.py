@@ -99,7 +99,7 @@ class Checkpoint:
             "config": asdict(self.config),
             "summary": asdict(self.summary),
         }
-        arrays = {f"network.{name}": value for name, value in self.network.items()}
+        arrays: dict[str, np.ndarray] = {f"network.{name}": value for name, value in self.network.items()}
         arrays |= {
             "meta": np.array(json.dumps(meta)),
             "vertices": self.reference.vertices,

@@ -30,11 +30,12 @@ def apart(mm: float, relative: float) -> dict:
     return {"mean": mm, "rms": mm, "p95": 2 * mm, "max": 3 * mm, "relative": relative}
 
 
-def solved(label: str, law: str = "pd") -> dict:
+def solved(label: str, law: str = "PD") -> dict:
     return {
         "label": label,
         "solver": "projective",
         "energy_law": law,
+        "start": "rest",
         "prepare_seconds": 0.1,
         "seconds": 0.3,
         "iterations": 2,
