@@ -26,7 +26,7 @@ def study(space, template, folder: Path, progress: OnProgress) -> tuple[dict, Su
 
     The default space's checkpoint also becomes the one that `Surrogate.load()` finds.
     """
-    corpus = Corpus(folder / f"corpus-{space.name}-{PLAN.digest}", PLAN, space)
+    corpus = Corpus(folder / f"corpus-{space.name}-{template.digest}-{PLAN.digest}", PLAN, space)
     status = corpus.generate(partial(fit_head, template), workers=min(2, os.cpu_count() or 1), on_progress=progress)
     training = corpus.samples("train")
     checkpoint = _trained(corpus, training, progress)

@@ -85,7 +85,7 @@ def strip(panels: Sequence[Panel], *, view: Sequence[float] = VIEW, size: int = 
         else:
             bar = {
                 "title": f"mm, {column + 1}",
-                "n_labels": 3,
+                "n_labels": 2,
                 "fmt": "%.2g",
                 "title_font_size": 1,
                 "label_font_size": 14,

@@ -41,7 +41,7 @@ def work_precision(cases: Sequence[Mapping]) -> str:
         axis.grid(alpha=0.25, which="major")
         axis.tick_params(labelsize=8)
     for axis in axes[:, 0]:
-        axis.set_ylabel("RMS error on the skin [mm]")
+        axis.set_ylabel("RMS error [mm]")
     for axis in axes[-1]:
         axis.set_xlabel("time [ms]")
     handles, labels = axes[0, 0].get_legend_handles_labels()

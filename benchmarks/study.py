@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -118,7 +119,7 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     images = _draw(head, done, skins, progress)
     clock.lap("pictures")
     with replaced(config.out / "results.json") as path:
-        path.write_text(json.dumps(results, indent=1, allow_nan=False))
+        path.write_text(json.dumps(_finite(results), indent=1, allow_nan=False))
     with replaced(config.out / "index.html") as path:
         path.write_text(page(results, images))
     return results
@@ -171,6 +172,15 @@ def _draw(head: LayeredHead, done: Sequence[CaseResult], skins: Sequence[Floats]
         images[result.record["name"]] = strip(panels)
     progress("pictures", 1.0)
     return images
+
+
+def _finite(value):
+    """The same with None, which JSON can say, for every number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class _Clock:

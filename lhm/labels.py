@@ -12,7 +12,7 @@ from .rigid import rigid_motion
 
 FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
 FROM_LIPS = 12.0
-SHEAR = 0.3
+SHEAR = 0.5
 """Skin that departs from the rigid jaw by more than this share of the depth would invert the tissue under it."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -20,7 +21,7 @@ from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 from .shrinkwrap import neighbours, shrink
 
-FORMAT = 6
+FORMAT = 7
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 
@@ -42,6 +43,15 @@ class Template:
     skin_from_wrap: csr_matrix = field(repr=False)
     regions: Mapping[str, Mask] = field(repr=False)
     marks: Landmarks = field(repr=False)
+
+    @property
+    def digest(self) -> str:
+        """A name for the layers: 12 hexadecimal digits that change with the mean skin, the wraps or the labels."""
+        content = hashlib.sha256()
+        wrap = self.skin_wrap
+        for array in (self.skin.vertices, wrap.vertices, wrap.triangles, self.connectors, self.bone):
+            content.update(np.ascontiguousarray(array).tobytes())
+        return content.hexdigest()[:12]
 
     @property
     def head(self) -> LayeredHead:

@@ -57,10 +57,10 @@ class CorpusPlan:
     """
 
     seed: int = 0
-    identities: tuple[int, int] = (20, 4)
-    expressions: tuple[int, int] = (280, 56)
-    parameter_sets: tuple[int, int] = (140, 28)
-    frames: int = 14  # per identity
+    identities: tuple[int, int] = (32, 6)
+    expressions: tuple[int, int] = (576, 108)
+    parameter_sets: tuple[int, int] = (288, 54)
+    frames: int = 18  # per identity
     frames_per_parameter_set: int = 2  # these share one factorisation
     parameter_names: tuple[str, ...] = ("soft_stiffness", "target_stiffness", "gravity")
     tolerance: float = 3e-4  # of the solver's gradient norm: answers within 0.02 mm, 0.0003 mm in the mean
