@@ -77,7 +77,8 @@ def sample_weights(rng: np.random.Generator) -> Floats:
         for name, factor in zip(unit, spread, strict=True):
             weights[index(name)] = amplitude * factor
     weights[index("mouthClose")] = min(weights[index("mouthClose")], weights[index("jawOpen")])
-    return weights
+    # mouthClose alone leaves nothing, which is no expression: draw again.
+    return weights if weights.any() else sample_weights(rng)
 
 
 def contradict(a: str, b: str) -> bool:

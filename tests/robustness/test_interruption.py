@@ -54,6 +54,7 @@ def interrupted(process, beginning):
 
 
 def test_ctrl_c_ends_a_study_in_one_line(tmp_path):
+    pytest.importorskip("dolfinx")
     arguments = [*COMMAND, "study", "--out", tmp_path / "study"]
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         rest, seconds = interrupted(process, "scenes")

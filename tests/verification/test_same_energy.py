@@ -18,7 +18,7 @@ CASES = {
 
 def expression(head, jaw_degrees):
     """The skin [mm] with one cheek pulled, and all over the mandible turned about an axis from ear to ear."""
-    X = head.skin.vertices
+    X = np.array(head.skin.vertices)  # some releases of scipy refuse read-only points
     cheek = np.exp(-np.sum((X - [60.0, 0.0, 70.0]) ** 2, axis=1) / (2 * 40.0**2))
     turned = Rotation.from_euler("x", jaw_degrees, degrees=True).apply(X)
     share = np.clip((-X[:, 1] - 20.0) / 40.0, 0.0, 1.0)
