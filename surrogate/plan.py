@@ -57,9 +57,9 @@ class CorpusPlan:
     """
 
     seed: int = 0
-    identities: tuple[int, int] = (32, 6)
-    expressions: tuple[int, int] = (576, 108)
-    parameter_sets: tuple[int, int] = (288, 54)
+    identities: tuple[int, int] = (40, 6)
+    expressions: tuple[int, int] = (720, 108)
+    parameter_sets: tuple[int, int] = (360, 54)
     frames: int = 18  # per identity
     frames_per_parameter_set: int = 2  # these share one factorisation
     parameter_names: tuple[str, ...] = ("soft_stiffness", "target_stiffness", "gravity")
