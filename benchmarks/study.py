@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from ..lhm import check_head, expressions, fit_head, identities, load_template
-from ..lhm.atomic import replaced
 from ..lhm.errors import InputError
+from ..lhm.files.atomic import replaced
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress

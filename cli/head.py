@@ -8,12 +8,12 @@ import click
 import numpy as np
 
 from ..lhm import check_head, fit_head, identities, load_template
-from ..lhm.atomic import write_whole
 from ..lhm.errors import FitError, InputError, MeshError
+from ..lhm.files.atomic import write_whole
+from ..lhm.files.head_file import export_vtk, load_head, save_head
+from ..lhm.files.surface_file import MILLIMETRES, check_skin, read_surface
 from ..lhm.head import LayeredHead
-from ..lhm.head_file import export_vtk, load_head, save_head
 from ..lhm.mesh import Surface
-from ..lhm.surface_file import MILLIMETRES, check_skin, read_surface
 from .progress import shown
 
 AFile = click.Path(path_type=Path)

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from .bvh import TriangleTree
+from .geometry.bvh import TriangleTree
+from .geometry.quality import smallest_dihedrals
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from .landmarks import Mask
 from .mesh import Floats, Ints
-from .quality import smallest_dihedrals
+from .wraps.landmarks import Mask
 
 LEAST_THICKNESS = 0.2
 LEAST_LIP_PATH = 30.0  # around the corner of a small mouth it is 39 mm, across lips that are bridged under 15

@@ -6,13 +6,13 @@ import weakref
 
 import numpy as np
 
-from . import inner
 from .errors import FitError
+from .geometry.warp import TriharmonicWarp, farthest_points
 from .head import LayeredHead
 from .mesh import Floats, Surface
-from .shrinkwrap import neighbours
 from .template import Template
-from .warp import TriharmonicWarp, farthest_points
+from .wraps import inner
+from .wraps.shrinkwrap import neighbours
 
 CENTRES = 1000
 

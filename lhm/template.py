@@ -9,17 +9,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from . import depth, inner
-from .bvh import TriangleTree
-from .cache import cached
+from .arkit import ARKIT
 from .errors import FitError
+from .files.cache import cached
+from .geometry.bvh import TriangleTree
 from .head import LayeredHead
-from .identities import ARKIT, EYES, MOUTH, Anny, LinearSpace
-from .labels import bone_labels
-from .landmarks import Landmarks, Mask, distance_to, landmarks, regions
+from .identities import Anny
+from .identities.space import EYES, MOUTH, LinearSpace
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
-from .shrinkwrap import neighbours, shrink
+from .wraps import depth, inner
+from .wraps.labels import bone_labels
+from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
+from .wraps.shrinkwrap import neighbours, shrink
 
 FORMAT = 7
 REST_OPENING = 0.03

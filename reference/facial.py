@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..lhm.errors import SceneError
+from ..lhm.geometry.rigid import rigid_motion
 from ..lhm.head import CRANIUM, MANDIBLE, LayeredHead
 from ..lhm.mesh import Floats
-from ..lhm.rigid import rigid_motion
 from . import terms
 from .materials import NeoHookean
 from .parameters import STANDARD_GRAVITY, TISSUE_DENSITY, Parameters

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.errors import InputError
+from ..lhm.files.npz import read_arrays, write_arrays
 from ..lhm.mesh import Floats, Ints, Surface
-from ..lhm.npz import read_arrays, write_arrays
 from .samples import surface_hash
 
 FORMAT = "softdeca-surrogate-1"

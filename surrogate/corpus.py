@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.atomic import replaced
 from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.files.atomic import replaced
 from ..lhm.progress import OnProgress, silent
 from .plan import CorpusPlan, IdentitySpace, Split
 from .samples import Samples, surface_hash

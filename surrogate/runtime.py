@@ -11,8 +11,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm import cache, identities
+from ..lhm import identities
 from ..lhm.errors import InputError
+from ..lhm.files import cache
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
 from .checkpoint import Checkpoint

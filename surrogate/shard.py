@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.atomic import write_whole
 from ..lhm.errors import InputError
+from ..lhm.files.atomic import write_whole
 from ..lhm.mesh import Floats
 
 ACCEPTED = "accepted"

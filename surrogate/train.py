@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..lhm.atomic import write_whole
 from ..lhm.errors import InputError
+from ..lhm.files.atomic import write_whole
 from ..lhm.progress import OnProgress, silent
 from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary

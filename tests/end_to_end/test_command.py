@@ -7,7 +7,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.files.head_file import load_head, save_head
 
 
 @pytest.mark.parametrize("words", [(), ("study",), ("head", "fit"), ("head", "check"), ("bench", "verification")])

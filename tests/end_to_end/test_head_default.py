@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import FitError, Surface, check_head, expressions, fit_head, identities, load_template
-from softdeca.lhm.surface_file import check_skin
+from softdeca.lhm.files.surface_file import check_skin
 
 
 @pytest.fixture(scope="module", params=["anny", "ict"])

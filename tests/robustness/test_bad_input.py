@@ -8,8 +8,8 @@ import trimesh
 
 from softdeca.benchmarks.study import parse_expression
 from softdeca.lhm import SoftdecaError
-from softdeca.lhm.atomic import replaced
-from softdeca.lhm.head_file import load_head, save_head
+from softdeca.lhm.files.atomic import replaced
+from softdeca.lhm.files.head_file import load_head, save_head
 from softdeca.reference import Parameters, Scene, facial_scene, terms
 
 BALL = trimesh.creation.icosphere(2, radius=100)

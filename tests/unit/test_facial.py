@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError
-from softdeca.lhm.rigid import rigid_motion
+from softdeca.lhm.geometry.rigid import rigid_motion
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
 from softdeca.reference.facial import bone_positions
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError
-from softdeca.lhm.head_file import export_vtk, load_head, save_head
+from softdeca.lhm.files.head_file import export_vtk, load_head, save_head
 
 
 def test_a_head_survives_the_file(tmp_path, sphere_head):

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm.bvh import TriangleTree
-from softdeca.lhm.cut import boundary_loops, cut_and_close
-from softdeca.lhm.depth import inscribed_radius
-from softdeca.lhm.distance import SignedDistance, across_edges
 from softdeca.lhm.errors import MeshError
-from softdeca.lhm.labels import jaw_share
+from softdeca.lhm.geometry.bvh import TriangleTree
+from softdeca.lhm.geometry.distance import SignedDistance, across_edges
+from softdeca.lhm.geometry.quality import smallest_dihedrals
+from softdeca.lhm.geometry.rigid import rigid_motion
+from softdeca.lhm.geometry.sphere import geodesic_sphere, subdivide
+from softdeca.lhm.geometry.triangles import triangles_cross
+from softdeca.lhm.geometry.warp import TriharmonicWarp, farthest_points
+from softdeca.lhm.identities.cut import boundary_loops, cut_and_close
 from softdeca.lhm.mesh import Surface
-from softdeca.lhm.quality import smallest_dihedrals
-from softdeca.lhm.rigid import rigid_motion
-from softdeca.lhm.sphere import geodesic_sphere, subdivide
-from softdeca.lhm.triangles import triangles_cross
-from softdeca.lhm.warp import TriharmonicWarp, farthest_points
+from softdeca.lhm.wraps.depth import inscribed_radius
+from softdeca.lhm.wraps.labels import jaw_share
 
 FLAT = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError, MeshError, Surface
-from softdeca.lhm.cache import cached
-from softdeca.lhm.surface_file import check_skin, read_surface
+from softdeca.lhm.files.cache import cached
+from softdeca.lhm.files.surface_file import check_skin, read_surface
 
 BALL = trimesh.creation.icosphere(2, radius=100)
 

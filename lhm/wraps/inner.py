@@ -8,11 +8,11 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
+from ..errors import FitError
+from ..geometry.bvh import TriangleTree
+from ..layers import prism_tets
+from ..mesh import Floats, Ints, Surface, tet_volumes
 from . import climb
-from .bvh import TriangleTree
-from .errors import FitError
-from .layers import prism_tets
-from .mesh import Floats, Ints, Surface, tet_volumes
 
 MUSCLE = 0.6  # the muscle wrap lies at this fraction of the way from skin to skull
 LEAST_VOLUME = 0.04  # of a tet, over a third of its outer triangle's area times its connectors' length

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
-from .errors import InputError
+from ..errors import InputError
 from .npz import read_arrays, write_arrays
 
 Arrays = Mapping[str, np.ndarray]

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 from scipy.spatial.distance import cdist
 
-from .mesh import Floats, Ints
+from ..mesh import Floats, Ints
 
 
 def farthest_points(points: Floats, count: int, first: Ints) -> Ints:

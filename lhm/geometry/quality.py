@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .mesh import Floats, Ints
+from ..mesh import Floats, Ints
 
 
 def smallest_dihedrals(vertices: Floats, tets: Ints) -> Floats:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..mesh import Floats, Ints, Surface
 from .bvh import TriangleTree
-from .mesh import Floats, Ints, Surface
 
 
 class SignedDistance:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from .mesh import Floats, Ints
+from ..mesh import Floats, Ints
 from .triangles import closest_on_triangle, triangles_cross
 
 LEAF = 4

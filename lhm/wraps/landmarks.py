@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from .identities import CAP, EYES, MOUTH, OUTSIDE
-from .mesh import Floats, Ints, Surface
+from ..identities.space import CAP, EYES, MOUTH, OUTSIDE
+from ..mesh import Floats, Ints, Surface
 
 Mask = NDArray[np.bool_]
 

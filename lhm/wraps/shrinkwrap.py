@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from .distance import SignedDistance
-from .mesh import Floats, Ints, Surface
-from .progress import OnProgress, silent
-from .sphere import geodesic_sphere, subdivide
+from ..geometry.distance import SignedDistance
+from ..geometry.sphere import geodesic_sphere, subdivide
+from ..mesh import Floats, Ints, Surface
+from ..progress import OnProgress, silent
 
 CLEARANCE = 0.3  # [mm] the wrap ends this far outside of the skin
 COARSE, COARSE_STEPS, FINE_STEPS = 11, 500, 260

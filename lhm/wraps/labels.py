@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .head import CRANIUM, FREE, MANDIBLE
+from ..geometry.rigid import rigid_motion
+from ..head import CRANIUM, FREE, MANDIBLE
+from ..mesh import Floats, Ints
 from .landmarks import Mask
-from .mesh import Floats, Ints
-from .rigid import rigid_motion
 
 FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
 FROM_LIPS = 12.0

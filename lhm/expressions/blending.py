@@ -8,11 +8,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .errors import InputError
-from .identities import ARKIT, LinearSpace
-from .mesh import Floats
-
-__all__ = ["ARKIT", "blend", "index", "weights_of"]
+from ..arkit import ARKIT
+from ..errors import InputError
+from ..identities.space import LinearSpace
+from ..mesh import Floats
 
 
 def index(name: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .mesh import Floats
+from ..mesh import Floats
 
 # Mean facial soft-tissue depths [mm], rounded from published tables (Stephan's T-tables as listed in the forensic
 # literature), at places given in a frame of the face: origin midway between the eyes' centres, x and y in units of

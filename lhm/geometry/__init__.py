@@ -1,0 +1,1 @@
+"""Spatial search, distances, warps and shape measures of triangles and tets."""
