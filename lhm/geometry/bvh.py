@@ -66,9 +66,10 @@ def _closest(points, corners, order, start, stop, left, box):
             if left[node] < 0:
                 for k in range(start[node], stop[node]):
                     t = order[k]
-                    w, d2 = closest_on_triangle(p, corners[t])
+                    u, v, w, d2 = closest_on_triangle(p, corners[t])
                     if d2 < best:
-                        best, which[i], weights[i] = d2, t, w
+                        best, which[i] = d2, t
+                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
             else:
                 a, b = left[node], left[node] + 1
                 if _box_distance2(box[a], p) < _box_distance2(box[b], p):

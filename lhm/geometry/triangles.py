@@ -1,4 +1,7 @@
-"""Two triangles, or a point and a triangle, in space: compiled geometric tests."""
+"""Two triangles, or a point and a triangle, in space: compiled geometric tests.
+
+Written in scalars: a small array made in the innermost loop costs more than the arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -6,75 +9,101 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True)
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+@njit(cache=True, inline="always")
+def _dot(a0, a1, a2, b0, b1, b2):
+    return a0 * b0 + a1 * b1 + a2 * b2
 
 
 @njit(cache=True)
 def closest_on_triangle(p, corners):
-    """Barycentric weights (3,) of the point of a triangle (3, 3) closest to p, and the squared distance.
+    """Barycentric weights (three floats) of the point of a triangle (3, 3) closest to p, and the squared distance.
 
     Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5).
     """
-    a, b, c = corners[0], corners[1], corners[2]
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
-    bp, cp = p - b, p - c
-    d3, d4 = _dot(ab, bp), _dot(ac, bp)
-    d5, d6 = _dot(ab, cp), _dot(ac, cp)
+    a0, a1, a2 = corners[0, 0], corners[0, 1], corners[0, 2]
+    b0, b1, b2 = corners[1, 0] - a0, corners[1, 1] - a1, corners[1, 2] - a2
+    c0, c1, c2 = corners[2, 0] - a0, corners[2, 1] - a1, corners[2, 2] - a2
+    p0, p1, p2 = p[0] - a0, p[1] - a1, p[2] - a2
+    bb, cc, bc = _dot(b0, b1, b2, b0, b1, b2), _dot(c0, c1, c2, c0, c1, c2), _dot(b0, b1, b2, c0, c1, c2)
+    d1, d2 = _dot(b0, b1, b2, p0, p1, p2), _dot(c0, c1, c2, p0, p1, p2)
+    d3, d4, d5, d6 = d1 - bb, d2 - bc, d1 - bc, d2 - cc
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    w = np.zeros(3)
+    u, v, w = 0.0, 0.0, 0.0
     if d1 <= 0 and d2 <= 0:
-        w[0] = 1.0
+        u = 1.0
     elif d3 >= 0 and d4 <= d3:
-        w[1] = 1.0
+        v = 1.0
     elif d6 >= 0 and d5 <= d6:
-        w[2] = 1.0
+        w = 1.0
     elif vc <= 0 and d1 >= 0 and d3 <= 0:
-        w[1] = d1 / (d1 - d3)
-        w[0] = 1 - w[1]
+        v = d1 / (d1 - d3)
+        u = 1 - v
     elif vb <= 0 and d2 >= 0 and d6 <= 0:
-        w[2] = d2 / (d2 - d6)
-        w[0] = 1 - w[2]
+        w = d2 / (d2 - d6)
+        u = 1 - w
     elif va <= 0 and d4 >= d3 and d5 >= d6:
-        w[2] = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        w[1] = 1 - w[2]
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1 - w
     else:
         total = va + vb + vc
-        w[0], w[1], w[2] = va / total, vb / total, vc / total
-    gap = p - (w[0] * a + w[1] * b + w[2] * c)
-    return w, _dot(gap, gap)
+        u, v, w = va / total, vb / total, vc / total
+    g0, g1, g2 = p0 - v * b0 - w * c0, p1 - v * b1 - w * c1, p2 - v * b2 - w * c2
+    return u, v, w, _dot(g0, g1, g2, g0, g1, g2)
 
 
 @njit(cache=True)
-def _segment_hits(p, q, corners):
-    """Whether the segment pq meets the triangle, touching included; a segment in its plane does not count."""
-    e1, e2, d = corners[1] - corners[0], corners[2] - corners[0], q - p
-    h = np.cross(d, e2)
-    det = _dot(e1, h)
-    if abs(det) < 1e-14 * np.sqrt(_dot(e1, e1) * _dot(e2, e2) * _dot(d, d)):
+def segment_hits(segment, i, j, corners):
+    """Whether the segment between rows i and j meets the triangle, touching included.
+
+    A segment in the triangle's plane does not count (Möller and Trumbore's test).
+    """
+    a0, a1, a2 = corners[0, 0], corners[0, 1], corners[0, 2]
+    b0, b1, b2 = corners[1, 0] - a0, corners[1, 1] - a1, corners[1, 2] - a2
+    c0, c1, c2 = corners[2, 0] - a0, corners[2, 1] - a1, corners[2, 2] - a2
+    p0, p1, p2 = segment[i, 0], segment[i, 1], segment[i, 2]
+    d0, d1, d2 = segment[j, 0] - p0, segment[j, 1] - p1, segment[j, 2] - p2
+    h0, h1, h2 = d1 * c2 - d2 * c1, d2 * c0 - d0 * c2, d0 * c1 - d1 * c0
+    det = _dot(b0, b1, b2, h0, h1, h2)
+    scale = _dot(b0, b1, b2, b0, b1, b2) * _dot(c0, c1, c2, c0, c1, c2) * _dot(d0, d1, d2, d0, d1, d2)
+    if det * det < 1e-28 * scale:
         return False
-    s = p - corners[0]
-    u = _dot(s, h) / det
+    s0, s1, s2 = p0 - a0, p1 - a1, p2 - a2
+    u = _dot(s0, s1, s2, h0, h1, h2) / det
     if u < 0 or u > 1:
         return False
-    k = np.cross(s, e1)
-    v = _dot(d, k) / det
+    k0, k1, k2 = s1 * b2 - s2 * b1, s2 * b0 - s0 * b2, s0 * b1 - s1 * b0
+    v = _dot(d0, d1, d2, k0, k1, k2) / det
     if v < 0 or u + v > 1:
         return False
-    t = _dot(e2, k) / det
+    t = _dot(c0, c1, c2, k0, k1, k2) / det
     return 0 <= t <= 1
+
+
+@njit(cache=True)
+def _on_one_side(a, b):
+    """Whether triangle b lies strictly on one side of the plane of triangle a, by more than rounding."""
+    u0, u1, u2 = a[1, 0] - a[0, 0], a[1, 1] - a[0, 1], a[1, 2] - a[0, 2]
+    v0, v1, v2 = a[2, 0] - a[0, 0], a[2, 1] - a[0, 1], a[2, 2] - a[0, 2]
+    n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+    low, high, size = np.inf, -np.inf, 0.0
+    for k in range(3):
+        w0, w1, w2 = b[k, 0] - a[0, 0], b[k, 1] - a[0, 1], b[k, 2] - a[0, 2]
+        height = _dot(n0, n1, n2, w0, w1, w2)
+        low, high = min(low, height), max(high, height)
+        size = max(size, abs(n0 * w0) + abs(n1 * w1) + abs(n2 * w2))
+    return low > 1e-14 * size or high < -1e-14 * size
 
 
 @njit(cache=True)
 def triangles_cross(a, b):
     """Whether two triangles (3, 3) have a point in common, but for triangles in one plane.
 
-    Two triangles that are not coplanar meet exactly if an edge of one meets the other (Moeller and Trumbore's test).
+    Two triangles that are not coplanar meet exactly if an edge of one meets the other.
     """
+    if _on_one_side(a, b) or _on_one_side(b, a):
+        return False
     for i in range(3):
         j = (i + 1) % 3
-        if _segment_hits(a[i], a[j], b) or _segment_hits(b[i], b[j], a):
+        if segment_hits(a, i, j, b) or segment_hits(b, i, j, a):
             return True
     return False
