@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from ..lhm.geometry.parts import connected_parts
 from ..lhm.mesh import Ints
 from .samples import Samples
 
@@ -13,10 +12,7 @@ from .samples import Samples
 def still_vertices(samples: Samples, share: float = 0.05) -> Ints:
     """The vertices that simulation moves least away from the blendshapes: `share` of each connected part's."""
     motion = np.sqrt(((samples.simulated - samples.blended) ** 2).sum(axis=2).mean(axis=0))
-    triangles = samples.reference.triangles
-    pairs = (np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel())
-    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(len(motion),) * 2)
-    count, part = connected_components(graph, directed=False)
+    count, part = connected_parts(samples.reference.triangles, len(motion))
     still = []
     for number in range(count):
         members = np.flatnonzero(part == number)

@@ -15,9 +15,9 @@ import torch
 from torch import nn
 from torch.nn.functional import elu
 
+from ..lhm.geometry.deformation import DeformationTransfer
 from ..lhm.mesh import Surface
 from .checkpoint import HypernetworkConfig
-from .deformation import DeformationTransfer
 from .samples import Floats32
 
 WEIGHTS = 52

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ..lhm import identities
 from ..lhm.errors import InputError
 from ..lhm.files import cache
+from ..lhm.geometry.deformation import DeformationTransfer, weighted_edges
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
 from .checkpoint import Checkpoint
-from .deformation import DeformationTransfer, weighted_edges
 from .plan import IdentitySpace
 from .samples import Floats32, normalise_parameters
 

@@ -14,10 +14,10 @@ import torch
 
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import write_whole
+from ..lhm.geometry.deformation import DeformationTransfer
 from ..lhm.progress import OnProgress, silent
 from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary
-from .deformation import DeformationTransfer
 from .hypernetwork import Hypernetwork, smooth_positions, transfer_delta
 from .principal import principal_gradients
 from .samples import Samples

@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from softdeca.lhm import InputError, Surface
+from softdeca.lhm.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.anchors import still_vertices
 from softdeca.surrogate.baselines import Ridge
 from softdeca.surrogate.checkpoint import Checkpoint, HypernetworkConfig
 from softdeca.surrogate.corpus import Corpus
-from softdeca.surrogate.deformation import DeformationTransfer
 from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.hypernetwork import Hypernetwork, smooth_positions, transfer_delta
 from softdeca.surrogate.plan import CorpusPlan

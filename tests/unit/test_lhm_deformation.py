@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import MeshError, Surface
-from softdeca.surrogate.deformation import DeformationTransfer, deformation_gradients, sumner_frames
+from softdeca.lhm.geometry import factor
+from softdeca.lhm.geometry.deformation import DeformationTransfer, deformation_gradients, sumner_frames
 
 
 def bent(vertices, amount):
@@ -69,6 +70,23 @@ def test_pull_back_is_the_transpose(case):
     forward = (transfer.delta(gradients, blended) * cotangent).sum()
     backward = (transfer.pull_back(cotangent, blended) * gradients).sum()
     assert forward == pytest.approx(backward, rel=1e-10)
+
+
+def test_edges_of_a_motion_give_it_back(case):
+    reference, before, after, still = case
+    motion = np.stack([after - before, 0.5 * (before - after)])
+    corners = motion[:, reference.triangles]
+    edges = corners[:, :, 1:] - corners[:, :, :1]
+    np.testing.assert_allclose(DeformationTransfer(reference, still).displacements(edges), motion, atol=1e-9)
+
+
+def test_superlu_stands_in_for_cholespy(case, monkeypatch):
+    reference, before, after, still = case
+    gradients = minus_identity(deformation_gradients(before, after, reference.triangles))
+    with_cholespy = DeformationTransfer(reference, still).delta(gradients, before[None])
+    monkeypatch.setattr(factor, "CholeskySolverD", None)
+    without = DeformationTransfer(reference, still).delta(gradients, before[None])
+    np.testing.assert_allclose(without, with_cholespy, atol=1e-9)
 
 
 def test_a_part_without_an_anchor_is_named(sphere_head):

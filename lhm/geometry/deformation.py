@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.csgraph import connected_components
 
-from ..lhm.errors import MeshError
-from ..lhm.mesh import Floats, Surface
+from ..errors import MeshError
+from ..mesh import Floats, Surface
+from .factor import factorise
+from .parts import connected_parts
 
 
 def sumner_frames(vertices: Floats, triangles) -> Floats:
@@ -45,6 +45,7 @@ class DeformationTransfer:
     """The prefactorised system of a reference surface; `dtype` is float32 or float64.
 
     `anchors` (indices) are drawn to where the blended skin has them, with `weight` times the mean diagonal of GᵀDG.
+    `solve` maps b, shape (n, columns), C-contiguous and of this dtype, to K⁻¹ b.
     Raises MeshError for reference triangles without area and for a connected part without an anchor.
     """
 
@@ -53,15 +54,7 @@ class DeformationTransfer:
         self.triangles = np.ascontiguousarray(reference.triangles, dtype=np.int32)
         self.n_vertices = len(reference.vertices)
         self.stiffness = _edge_stiffness(reference).astype(self.dtype)
-        matrix = self._matrix(np.asarray(anchors), weight)
-        solver = CholeskySolverF if self.dtype == np.float32 else CholeskySolverD
-        self._solver = solver(
-            self.n_vertices,
-            matrix.indptr.astype(np.int32),
-            matrix.indices.astype(np.int32),
-            matrix.data.astype(self.dtype),
-            MatrixType.CSC,
-        )
+        self.solve = factorise(self._matrix(np.asarray(anchors), weight).astype(self.dtype))
 
     def _matrix(self, anchors, weight) -> csc_matrix:
         c11, c12, c22 = self.stiffness.astype(np.float64).T
@@ -70,21 +63,32 @@ class DeformationTransfer:
         rows = np.repeat(self.triangles, 3, axis=1).ravel()
         columns = np.tile(self.triangles, (1, 3)).ravel()
         matrix = coo_matrix((blocks, (rows, columns)), shape=(self.n_vertices,) * 2).tocsc()
-        _require_anchor_per_part(matrix, anchors)
+        self._require_anchor_per_part(anchors)
         added = np.zeros(self.n_vertices)
         added[anchors] = weight * matrix.diagonal().mean()
         return (matrix + coo_matrix((added, (np.arange(self.n_vertices),) * 2))).tocsc()
 
-    def solve(self, right_side: NDArray) -> NDArray:
-        """K⁻¹ b for a C-contiguous b of this dtype, shape (n, columns)."""
-        out = np.zeros_like(right_side)
-        self._solver.solve(right_side, out)
-        return out
+    def _require_anchor_per_part(self, anchors):
+        count, part = connected_parts(self.triangles, self.n_vertices)
+        bare = np.setdiff1d(np.arange(count), part[anchors])
+        if bare.size:
+            vertex = np.flatnonzero(part == bare[0])[0]
+            raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
 
     def delta(self, gradients: NDArray, blended: NDArray) -> NDArray:
         """The motion x - S [mm] from J - I, shape (batch, m, 9), and S [mm]; x and S have shape (batch, n, 3)."""
         forces = np.zeros((self.n_vertices, len(blended), 3), dtype=self.dtype)
         _face_forces(gradients, blended, self.triangles, self.stiffness, forces)
+        return self.solve(forces.reshape(self.n_vertices, -1)).reshape(forces.shape).transpose(1, 0, 2)
+
+    def displacements(self, edges: NDArray) -> NDArray:
+        """The motions [mm], shape (batch, n, 3), whose edges are closest to those given; anchors stay.
+
+        edges: per face what its edges (corner 2 - corner 1) and (corner 3 - corner 1) are to gain [mm], shape
+        (batch, m, 2, 3).
+        """
+        forces = np.zeros((self.n_vertices, len(edges), 3), dtype=self.dtype)
+        _edge_forces(edges, self.triangles, self.stiffness, forces)
         return self.solve(forces.reshape(self.n_vertices, -1)).reshape(forces.shape).transpose(1, 0, 2)
 
     def pull_back(self, cotangent: NDArray, blended: NDArray) -> NDArray:
@@ -108,14 +112,6 @@ def _edge_stiffness(reference: Surface) -> Floats:
     return np.stack([g22, -g12, g11], axis=1) / (2.0 * np.sqrt(squared))[:, None]
 
 
-def _require_anchor_per_part(matrix: csc_matrix, anchors):
-    count, part = connected_components(matrix, directed=False)
-    bare = np.setdiff1d(np.arange(count), part[anchors])
-    if bare.size:
-        vertex = np.flatnonzero(part == bare[0])[0]
-        raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
-
-
 @numba.njit(cache=True, fastmath=True)
 def _face_forces(gradients, blended, triangles, stiffness, forces):
     """Add Gᵀ D ((J - I) G S) of each batch item to forces, shape (n, batch, 3)."""
@@ -128,6 +124,21 @@ def _face_forces(gradients, blended, triangles, stiffness, forces):
                 m0, m1, m2 = gradients[b, f, 3 * r], gradients[b, f, 3 * r + 1], gradients[b, f, 3 * r + 2]
                 at_j = m0 * u0 + m1 * u1 + m2 * u2
                 at_k = m0 * v0 + m1 * v1 + m2 * v2
+                forces[j, b, r] += at_j
+                forces[k, b, r] += at_k
+                forces[i, b, r] -= at_j + at_k
+
+
+@numba.njit(cache=True)
+def _edge_forces(edges, triangles, stiffness, forces):
+    """Add Gᵀ D of the gradients that edges make to forces, shape (n, batch, 3)."""
+    for b in range(edges.shape[0]):
+        for f in range(triangles.shape[0]):
+            i, j, k = triangles[f]
+            c11, c12, c22 = stiffness[f]
+            for r in range(3):
+                at_j = c11 * edges[b, f, 0, r] + c12 * edges[b, f, 1, r]
+                at_k = c12 * edges[b, f, 0, r] + c22 * edges[b, f, 1, r]
                 forces[j, b, r] += at_j
                 forces[k, b, r] += at_k
                 forces[i, b, r] -= at_j + at_k
