@@ -12,7 +12,6 @@ from .head import LayeredHead
 from .mesh import Floats, Surface
 from .template import Template
 from .wraps import inner
-from .wraps.shrinkwrap import neighbours
 
 CENTRES = 1000
 
@@ -21,13 +20,12 @@ class _Prepared:
     """What depends on the template alone: the warp's factorisation, and its matrices at the points that it moves."""
 
     def __init__(self, template: Template):
-        skin, wrap = template.skin.vertices, template.skin_wrap.vertices
+        skin = template.skin.vertices
         first = np.concatenate([template.marks.rim, template.marks.lids])
         self.centres = farthest_points(skin, CENTRES, first)
         self.warp = TriharmonicWarp(skin[self.centres])
         self.at_skin = self.warp.basis(skin)
-        self.at_wraps = self.warp.basis(np.vstack([wrap, wrap + template.connectors]))
-        self.edges = neighbours(template.skin_wrap.triangles, len(wrap))
+        self.at_wraps = self.warp.basis(template.stack)
 
 
 _prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
@@ -51,17 +49,12 @@ def fit_head(template: Template, skin: Surface) -> LayeredHead:
     prepared = _prepared.get(template)
     if prepared is None:
         prepared = _prepared[template] = _Prepared(template)
-    wrap, connectors = _warped(template, prepared, skin.vertices)
-    surface = template.skin_wrap.with_vertices(wrap)
-    surface, connectors = inner.valid_layers(surface, connectors, prepared.edges)
-    return template.layered(skin, surface.vertices, connectors)
+    stack = _warped(template, prepared, skin.vertices)
+    return template.layered(skin, inner.valid_layers(template.columns, stack))
 
 
-def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floats, Floats]:
+def _warped(template: Template, prepared: _Prepared, skin: Floats) -> Floats:
     moved = skin - template.skin.vertices
     coefficients = prepared.warp.coefficients(moved[prepared.centres])
     left = template.wrap_from_skin @ (moved - prepared.at_skin @ coefficients)
-    outer = template.skin_wrap.vertices
-    shift = prepared.at_wraps @ coefficients
-    n = len(outer)
-    return outer + shift[:n] + left, template.connectors + shift[n:] - shift[:n]
+    return template.stack + prepared.at_wraps @ coefficients + np.tile(left, (3, 1))

@@ -1,101 +1,177 @@
-"""Hill-climbing of the worst tets: connectors move a little wherever that improves the worst tet around them."""
+"""Hill-climbing of the worst tets: columns move a little wherever that improves the worst tet around them.
+
+Freitag and Ollivier-Gooch (IJNME 40(21), 1997), with the smallest sine of the dihedral angles as the measure, which is
+negative in an inverted tet: the same climb untangles and shapes.
+"""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 
-from ..layers import prism_tets
-from ..mesh import Floats, Ints
+from ..mesh import Floats
+from .columns import Columns
 
-ENOUGH = 0.2  # mean ratio that is left alone
-SWEEPS = 60
-SHORTEST, LONGEST = 0.6, 1.5  # of the length that a connector started with
+ENOUGH = 0.16  # sine of the dihedral angle that is left alone: 9 degrees
+SWEEPS = 40
+SHORTEST, LONGEST = 0.4, 1.6  # of the length that a connector started with
+SLIDE = 0.25  # of the mean edge: how far a vertex of the skin wrap may slide along it
 
 
-def improved(skin: Floats, connectors: Floats, triangles: Ints, *, muscle: float, least: float) -> Floats:
-    """Connectors (n, 3) [mm] whose worst tets have a better shape, close to those given.
+def improved(columns: Columns, stack: Floats, *, least: float) -> Floats:
+    """Wraps, stacked (3 n, 3) [mm] from skin to skull, whose worst tets have a better shape, close to those given.
 
-    The muscle wrap lies at the fraction `muscle` of each connector; none becomes shorter than `least` [mm]. A move is
-    made only if the smallest mean ratio (Liu and Joe 1994) of the tets around a connector grows, so no tet that was
-    positive is inverted.
+    A column's skull and muscle vertex move together, its muscle vertex alone, and its skin vertex within the tangent
+    plane; no column becomes shorter than `least` [mm]. A move is made only if the smallest sine around it grows, so
+    no tet that was positive is inverted.
     """
-    n = len(skin)
-    tets = np.vstack([prism_tets(triangles, 0, n), prism_tets(triangles, n, 2 * n)])
-    owner = (tets % n).ravel()
-    order = np.argsort(owner, kind="stable")
-    starts = np.searchsorted(owner[order], np.arange(n + 1))
-    length = np.linalg.norm(connectors, axis=1)
+    n = columns.n
+    length = np.linalg.norm(stack[2 * n :] - stack[:n], axis=1)
     shortest = np.maximum(SHORTEST * length, np.minimum(least, length))
-    return _climb(skin, connectors.copy(), tets, order // 4, starts, shortest, LONGEST * length, muscle)
+    normals = columns.surface(stack[:n]).vertex_normals
+    slide = SLIDE * columns.mean_edge(stack[:n])
+    arrays = (columns.tets, columns.incident, columns.starts)
+    return _climb(stack.copy(), *arrays, shortest, LONGEST * length, normals, slide)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def mean_ratio(x, a, b, c, d):
-    """12 (3 V)^(2/3) over the sum of squared edges: 1 for a regular tet, 0 for a flat one, negative for an inverted."""
-    squares = 0.0
-    for i, j in ((a, b), (a, c), (a, d), (b, c), (b, d), (c, d)):
-        for k in range(3):
-            squares += (x[j, k] - x[i, k]) ** 2
-    p0, p1, p2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-    q0, q1, q2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-    r0, r1, r2 = x[d, 0] - x[a, 0], x[d, 1] - x[a, 1], x[d, 2] - x[a, 2]
-    half = 0.5 * (r0 * (p1 * q2 - p2 * q1) + r1 * (p2 * q0 - p0 * q2) + r2 * (p0 * q1 - p1 * q0))
-    return np.sign(half) * 12.0 * np.abs(half) ** (2.0 / 3.0) / squares
+def smallest_sine(x, a, b, c, d):
+    """The smallest sine of the dihedral angles, 6 V |edge| over its two faces' doubled areas; negative if inverted."""
+    b0, b1, b2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+    c0, c1, c2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+    d0, d1, d2 = x[d, 0] - x[a, 0], x[d, 1] - x[a, 1], x[d, 2] - x[a, 2]
+    p0, p1, p2 = c1 * d2 - c2 * d1, c2 * d0 - c0 * d2, c0 * d1 - c1 * d0
+    q0, q1, q2 = b1 * d2 - b2 * d1, b2 * d0 - b0 * d2, b0 * d1 - b1 * d0
+    r0, r1, r2 = b1 * c2 - b2 * c1, b2 * c0 - b0 * c2, b0 * c1 - b1 * c0
+    # The face opposite to a: (c - b) x (d - b).
+    s0, s1, s2 = p0 + r0 - q0, p1 + r1 - q1, p2 + r2 - q2
+    volume = b0 * p0 + b1 * p1 + b2 * p2
+    nb = p0 * p0 + p1 * p1 + p2 * p2
+    nc = q0 * q0 + q1 * q1 + q2 * q2
+    nd = r0 * r0 + r1 * r1 + r2 * r2
+    na = s0 * s0 + s1 * s1 + s2 * s2
+    lab = b0 * b0 + b1 * b1 + b2 * b2
+    lac = c0 * c0 + c1 * c1 + c2 * c2
+    lad = d0 * d0 + d1 * d1 + d2 * d2
+    lbc = (c0 - b0) ** 2 + (c1 - b1) ** 2 + (c2 - b2) ** 2
+    lbd = (d0 - b0) ** 2 + (d1 - b1) ** 2 + (d2 - b2) ** 2
+    lcd = (d0 - c0) ** 2 + (d1 - c1) ** 2 + (d2 - c2) ** 2
+    # Squares of 1 / sine, but for the volume: the largest product over an edge belongs to the smallest sine.
+    if volume > 0:
+        worst = max(nc * nd / lab, nb * nd / lac, nb * nc / lad, na * nd / lbc, na * nc / lbd, na * nb / lcd)
+    else:
+        worst = min(nc * nd / lab, nb * nd / lac, nb * nc / lad, na * nd / lbc, na * nc / lbd, na * nb / lcd)
+    return volume / np.sqrt(max(worst, 1e-300))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _worst_around(x, tets, around):
-    worst = 1.0
-    for t in around:
-        worst = min(worst, mean_ratio(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]))
-    return worst
+def _worst_around(x, tets, incident, first, last):
+    worst, where = 1.0, first
+    for k in range(first, last):
+        t = incident[k]
+        sine = smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+        if sine < worst:
+            worst, where = sine, k
+    return worst, where
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _place(x, n, v, connector, muscle):
-    for k in range(3):
-        x[n + v, k] = x[v, k] + muscle * connector[k]
-        x[2 * n + v, k] = x[v, k] + connector[k]
+def _all_above(x, tets, incident, first, last, where, limit):
+    """Whether all tets around are better than `limit`, and how good the worst is; the one at `where` is asked first."""
+    t = incident[where]
+    worst = smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+    if worst <= limit:
+        return False, worst
+    for k in range(first, last):
+        t = incident[k]
+        sine = smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+        if sine <= limit:
+            return False, sine
+        worst = min(worst, sine)
+    return True, worst
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _climb(skin, connectors, tets, incident, starts, shortest, longest, muscle):
-    n = len(skin)
-    x = np.empty((3 * n, 3))
-    x[:n] = skin
+def _direction(which, c):
+    """Component c of one of 14 directions: along the axes, then to the corners of a cube."""
+    if which < 6:
+        return (1.0 - 2.0 * (which % 2)) * (which // 2 == c)
+    return (1.0 - 2.0 * (((which - 6) >> c) % 2)) / np.sqrt(3.0)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _bad_columns(x, tets, n):
+    bad = np.zeros(n, np.bool_)
+    for t in range(len(tets)):
+        if smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]) < ENOUGH:
+            for k in range(4):
+                bad[tets[t, k] % n] = True
+    return np.flatnonzero(bad)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _climb(x, tets, incident, starts, shortest, longest, normals, slide):
+    n = len(shortest)
+    rest = x[:n].copy()
+    step = np.empty((n, 3))
     for v in range(n):
-        _place(x, n, v, connectors[v], muscle)
-    step = 0.2 * np.sqrt((connectors**2).sum(axis=1))
-    trial, best = np.empty(3), np.empty(3)
-    for _ in range(SWEEPS):
+        length = np.sqrt(((x[2 * n + v] - x[v]) ** 2).sum())
+        step[v, 0], step[v, 1], step[v, 2] = 0.2 * length, 0.1 * length, 0.4 * slide[v]
+    column, best = np.empty((3, 3)), np.empty((3, 3))
+    delta = np.empty(3)
+    for sweep in range(SWEEPS):
+        if sweep % 4 == 0:
+            active = _bad_columns(x, tets, n)
         moves = 0
-        for v in range(n):
-            around = incident[starts[v] : starts[v + 1]]
-            worst = _worst_around(x, tets, around)
+        for v in active:
+            first, last = starts[v], starts[v + 1]
+            worst, where = _worst_around(x, tets, incident, first, last)
             if worst >= ENOUGH:
                 continue
-            before, best[:] = worst, connectors[v]
-            for direction in range(14):
-                for k in range(3):
-                    if direction < 6:
-                        offset = (1.0 - 2.0 * (direction % 2)) * (direction // 2 == k)
+            for level in range(3):
+                for c in range(3):
+                    column[level, c] = best[level, c] = x[level * n + v, c]
+            share = np.sqrt(((column[1] - column[0]) ** 2).sum() / ((column[2] - column[0]) ** 2).sum())
+            for kind in range(3):
+                before = worst
+                for which in range(14):
+                    for c in range(3):
+                        delta[c] = step[v, kind] * _direction(which, c)
+                    for level in range(3):
+                        for c in range(3):
+                            x[level * n + v, c] = best[level, c]
+                    if kind == 0:
+                        for c in range(3):
+                            x[2 * n + v, c] = column[2, c] + delta[c]
+                            x[n + v, c] = column[1, c] + share * delta[c]
+                    elif kind == 1:
+                        for c in range(3):
+                            x[n + v, c] = column[1, c] + delta[c]
                     else:
-                        offset = (1.0 - 2.0 * (((direction - 6) >> k) % 2)) / np.sqrt(3.0)
-                    trial[k] = connectors[v, k] + step[v] * offset
-                size = np.sqrt((trial**2).sum())
-                if size < shortest[v] or size > longest[v]:
-                    continue
-                _place(x, n, v, trial, muscle)
-                quality = _worst_around(x, tets, around)
-                if quality > worst:
-                    worst, best[:] = quality, trial
-            connectors[v] = best
-            _place(x, n, v, best, muscle)
-            if worst > before:
-                moves += 1
-            else:
-                step[v] *= 0.5
+                        along = (delta * normals[v]).sum()
+                        away = 0.0
+                        for c in range(3):
+                            x[v, c] = column[0, c] + delta[c] - along * normals[v, c]
+                            away += (x[v, c] - rest[v, c]) ** 2
+                        if away > slide[v] ** 2:
+                            continue
+                    size = np.sqrt(((x[2 * n + v] - x[v]) ** 2).sum())
+                    if size < shortest[v] or size > longest[v]:
+                        continue
+                    better, sine = _all_above(x, tets, incident, first, last, where, worst)
+                    if better:
+                        worst = sine
+                        for level in range(3):
+                            for c in range(3):
+                                best[level, c] = x[level * n + v, c]
+                for level in range(3):
+                    for c in range(3):
+                        x[level * n + v, c] = column[level, c] = best[level, c]
+                if worst > before:
+                    moves += 1
+                    worst, where = _worst_around(x, tets, incident, first, last)
+                else:
+                    step[v, kind] *= 0.5
         if moves == 0:
             break
-    return connectors
+    return x

@@ -1,184 +1,158 @@
-"""Muscle and skull wrap: grown inward from the skin wrap, and repaired until the layers are valid."""
+"""Muscle and skull wrap under a skin wrap: made valid by climbing and, where that is stuck, by thinner columns."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.sparse import csr_matrix, diags, identity
+from numba import njit
+from scipy.sparse import diags, identity
 from scipy.sparse.linalg import splu
 
 from ..errors import FitError
 from ..geometry.bvh import TriangleTree
-from ..layers import prism_tets
-from ..mesh import Floats, Ints, Surface, tet_volumes
+from ..mesh import Floats, Ints
 from . import climb
+from .columns import Columns
 
-MUSCLE = 0.6  # the muscle wrap lies at this fraction of the way from skin to skull
-LEAST_VOLUME = 0.04  # of a tet, over a third of its outer triangle's area times its connectors' length
-LEAST_LENGTH = 0.4  # [mm]
+LEAST_SINE = 0.04  # of a dihedral angle, 2.3 degrees: a tet below it is a defect
+LEAST_LENGTH = 0.5  # [mm]
 SLOPE = 0.8
 LEAST_COSINE = 0.3
 CREASE_ROUNDS = 12
-ROUNDS = 20
-ATTEMPTS = 6
+ROUNDS = 24
 
 
-def cone_normals(surface: Surface, rounds: int = 60) -> Floats:
-    """Unit vectors (n, 3) that make a positive angle with the normals of all incident triangles where they can.
+@njit(cache=True)
+def _cones(normals, faces, owner, first, rounds):
+    n = len(normals)
+    least = np.empty(n)
+    for v in range(n):
+        for step in range(rounds + 1):
+            worst, which = 2.0, 0
+            for k in range(first[v], first[v + 1]):
+                f = owner[k]
+                cosine = normals[v, 0] * faces[f, 0] + normals[v, 1] * faces[f, 1] + normals[v, 2] * faces[f, 2]
+                if cosine < worst:
+                    worst, which = cosine, f
+            least[v] = worst
+            if worst >= 0.7 or step == rounds:
+                break
+            pull, size = 0.6 / (1 + 0.2 * step), 0.0
+            for c in range(3):
+                normals[v, c] += pull * faces[which, c]
+                size += normals[v, c] ** 2
+            for c in range(3):
+                normals[v, c] /= np.sqrt(size)
+    return normals, least
 
-    Starting at the vertex normal, the normal of the worst incident triangle is added again and again.
+
+def cone_normals(columns: Columns, wrap: Floats, rounds: int = 60) -> tuple[Floats, Floats]:
+    """Unit vectors (n, 3) at an acute angle to the normals of all incident triangles where that can be.
+
+    Starting at the vertex normal, the normal of the worst incident triangle is added again and again. Also the
+    smallest cosine that is left, shape (n,): negative where no direction enters all triangles of a vertex.
     """
+    surface = columns.surface(wrap)
     faces = surface.face_normals
     faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
-    corner, owner = surface.triangles.ravel(), np.repeat(np.arange(len(faces)), 3)
-    order = np.argsort(corner, kind="stable")
-    corner, owner = corner[order], owner[order]
-    starts = np.searchsorted(corner, np.arange(len(surface.vertices)))
-    normals = surface.vertex_normals
-    for step in range(rounds):
-        cosine = np.einsum("kd,kd->k", normals[corner], faces[owner])
-        worst = np.minimum.reduceat(cosine, starts)
-        first = np.flatnonzero(cosine == worst[corner])
-        pick = first[np.searchsorted(corner[first], np.arange(len(normals)))]
-        pull = np.where(worst < 0.7, 0.6 / (1 + 0.2 * step), 0.0)[:, None]
-        normals = normals + pull * faces[owner[pick]]
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals
+    return _cones(surface.vertex_normals, faces, columns.owner, columns.first, rounds)
 
 
-def least_cosine(surface: Surface, normals: Floats) -> Floats:
-    """The smallest cosine between a vertex's direction and the normals of its triangles, shape (n,)."""
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
-    cosine = np.einsum("mcd,md->mc", normals[surface.triangles], faces)
-    least = np.ones(len(surface.vertices))
-    np.minimum.at(least, surface.triangles.ravel(), cosine.ravel())
-    return least
-
-
-def uncreased(surface: Surface, edges: csr_matrix) -> Surface:
-    """A wrap whose crossings with itself and sharpest creases are smoothed away, where a few rounds suffice.
+def uncreased(columns: Columns, wrap: Floats) -> Floats:
+    """A wrap (n, 3) [mm] whose crossings with itself and sharpest creases are smoothed away.
 
     Vertices of crossing triangles, and those from which no direction enters all their triangles at an angle whose
-    sine is LEAST_COSINE, move half a Laplacian step with their neighbours.
+    sine is LEAST_COSINE, move half a Laplacian step with their neighbours. Raises FitError for crossings that are
+    left after CREASE_ROUNDS.
     """
-    mean = diags(1 / np.asarray(edges.sum(axis=1)).ravel()) @ edges
     for _ in range(CREASE_ROUNDS):
-        x = surface.vertices
-        crossing = TriangleTree(x, surface.triangles).self_crossings()
-        hit = (least_cosine(surface, cone_normals(surface)) < LEAST_COSINE).astype(float)
-        hit[surface.triangles[crossing].ravel()] = 1.0
+        crossing = TriangleTree(wrap, columns.triangles).self_crossings()
+        hit = (cone_normals(columns, wrap)[1] < LEAST_COSINE).astype(float)
+        hit[columns.triangles[crossing].ravel()] = 1.0
         if not hit.any():
-            break
-        moved = np.maximum(hit, edges @ hit > 0)[:, None] * 0.5
-        surface = surface.with_vertices(x + moved * (mean @ x - x))
-    return surface
+            return wrap
+        moved = np.maximum(hit, columns.edges @ hit > 0)[:, None] * 0.5
+        wrap = wrap + moved * (columns.mean @ wrap - wrap)
+    crossing = TriangleTree(wrap, columns.triangles).self_crossings()
+    if len(crossing):
+        raise FitError(f"skin wrap: {len(crossing)} pairs of triangles cross, the first is {crossing[0].tolist()}")
+    return wrap
 
 
-def smoothed(values: Floats, edges: csr_matrix, amount: float) -> Floats:
+def smoothed(columns: Columns, values: Floats, amount: float) -> Floats:
     """Solve (1 + amount L) y = values with the graph Laplacian L: implicit smoothing of a field on the wrap."""
-    laplacian = diags(np.asarray(edges.sum(axis=1)).ravel()) - edges
-    return splu((identity(edges.shape[0]) + amount * laplacian).tocsc()).solve(values)
+    laplacian = diags(np.asarray(columns.edges.sum(axis=1)).ravel()) - columns.edges
+    return splu((identity(columns.n) + amount * laplacian).tocsc()).solve(values)
 
 
-@dataclass(frozen=True, eq=False)
-class Defects:
-    """What is wrong with a stack of wraps: per-vertex masks of shape (n,), and how many tets and pairs."""
+@njit(cache=True, error_model="numpy")
+def sines(stack, tets):
+    """The smallest signed sine of each tet's dihedral angles, shape (m,)."""
+    found = np.empty(len(tets))
+    for t in range(len(tets)):
+        found[t] = climb.smallest_sine(stack, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+    return found
 
-    vertices: Ints
-    tets: int
-    crossings: int
 
+def crossings(columns: Columns, stack: Floats) -> Ints:
+    """Pairs of triangles in which the skull wrap crosses the skin wrap or itself, shape (k, 2).
 
-def defects(skin: Floats, muscle: Floats, skull: Floats, triangles: Ints) -> Defects:
-    """Vertices whose tets are flat or inverted, or else whose wraps cross one another or themselves.
-
-    Crossings are looked for once no tet is flat. The skin wrap is taken not to cross itself.
+    Tets that are all positive between two wraps that neither cross themselves nor each other fill the space between
+    them once, so the muscle wrap in their midst crosses nothing either.
     """
-    n = len(skin)
-    stacked = np.vstack([skin, muscle, skull])
-    tets = np.vstack([prism_tets(triangles, 0, n), prism_tets(triangles, n, 2 * n)])
-    length = np.linalg.norm(skull - skin, axis=1)[triangles].mean(axis=1)
-    nominal = Surface(skin, triangles).areas * length / 3
-    nominal = np.concatenate([np.repeat(nominal * share, 3) for share in (MUSCLE, 1 - MUSCLE)])
-    bad = tet_volumes(stacked, tets) < LEAST_VOLUME * nominal
-    marked = [tets[bad].ravel() % n]
-    count = 0
-    # Crossings are the dear part, and most go with the tets that are flat.
-    trees = [] if bad.any() else [TriangleTree(x, triangles) for x in (skin, muscle, skull)]
-    for i, inner in enumerate(trees):
-        pairs = [inner.self_crossings()] if i else []
-        pairs += [outer.crossings(inner) for outer in trees[:i]]
-        for found in pairs:
-            count += len(found)
-            marked.append(triangles[found].ravel())
-    return Defects(np.unique(np.concatenate(marked)), int(bad.sum()), count)
+    n = columns.n
+    skin, skull = (TriangleTree(x, columns.triangles) for x in (stack[:n], stack[2 * n :]))
+    return np.vstack([skull.self_crossings(), skin.crossings(skull)])
 
 
-def repaired(
-    skin: Floats, connectors: Floats, normals: Floats, triangles: Ints, edges: csr_matrix
-) -> tuple[Floats, Defects]:
-    """Shorten connectors (n, 3) [mm] from skin to skull wrap until the layers have no defect, or rounds end.
+def valid_layers(columns: Columns, stack: Floats) -> Floats:
+    """Wraps (3 n, 3) [mm], skin, muscle, skull, without crossing and inverted tet, close to those given.
 
-    In each round those of vertices in a defect are shortened and, with their neighbours', turned towards the inward
-    `-normals`; a neighbour's length exceeds theirs by at most SLOPE of the edge between. Elsewhere nothing changes.
+    Worst tets are shaped by climbing. Columns of a defect that is left are shortened and, with their neighbours',
+    turned towards the inward normal; where that goes on, the skin wrap is smoothed there too. Raises FitError naming
+    what is left after ROUNDS.
     """
-    i, j = edges.nonzero()
-    reach = SLOPE * np.linalg.norm(skin[i] - skin[j], axis=1)
+    n = columns.n
+    skin = uncreased(columns, stack[:n])
+    stack = stack + np.tile(skin - stack[:n], (3, 1))
+    given = stack
+    for number in range(ROUNDS):
+        stack = climb.improved(columns, stack, least=LEAST_LENGTH)
+        bad = sines(stack, columns.tets) < LEAST_SINE
+        hit = np.unique(columns.tets[bad] % n)
+        if not len(hit):
+            hit = np.unique(columns.triangles[crossings(columns, stack)])
+        if not len(hit):
+            return stack
+        given = stack = _thinner(columns, stack, hit, smooth=number >= 4)
+    inverted = int((sines(given, columns.tets) <= 0).sum())
+    crossing = len(crossings(columns, given))
+    if inverted or crossing:
+        raise FitError(f"layers: {inverted} tets are flat or inverted, {crossing} pairs of triangles cross")
+    return given
+
+
+def _thinner(columns: Columns, stack: Floats, hit: Ints, *, smooth: bool) -> Floats:
+    n = columns.n
+    skin, muscle, skull = stack[:n], stack[n : 2 * n], stack[2 * n :]
+    chosen = np.zeros(n)
+    chosen[hit] = 1.0
+    around = columns.edges @ chosen > 0
+    if smooth:
+        moved = np.maximum(0.5 * chosen, 0.25 * around)[:, None] * (columns.mean @ skin - skin)
+        skin, muscle, skull = skin + moved, muscle + moved, skull + moved
+    connectors = skull - skin
     length = np.linalg.norm(connectors, axis=1)
+    share = np.linalg.norm(muscle - skin, axis=1) / np.maximum(length, 1e-12)
+    share = np.clip(share, 0.2, 0.8)[:, None]
+    off = muscle - skin - share * connectors
+    turned = np.maximum(chosen, 0.5 * around)[:, None]
     direction = connectors / np.maximum(length, 1e-12)[:, None]
-    for _ in range(ROUNDS):
-        connectors = length[:, None] * direction
-        found = defects(skin, skin + MUSCLE * connectors, skin + connectors, triangles)
-        if not found.tets and not found.crossings:
-            break
-        hit = np.zeros(len(skin))
-        hit[found.vertices] = 1.0
-        turned = np.maximum(hit, 0.5 * (edges @ hit > 0))
-        direction = direction - 0.25 * turned[:, None] * (direction + normals)
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        length = np.where(hit > 0, np.maximum(0.85 * length, np.minimum(length, LEAST_LENGTH)), length)
-        for _ in range(3):
-            np.minimum.at(length, i, length[j] + reach)
-    return connectors, found
-
-
-def shaped(surface: Surface, connectors: Floats, edges: csr_matrix) -> Floats:
-    """Connectors (n, 3) [mm] under which the worst tets have a better shape, still without defects.
-
-    Where that would make wraps cross, connectors go half the way back, with their neighbours, and again.
-    """
-    better = climb.improved(surface.vertices, connectors, surface.triangles, muscle=MUSCLE, least=LEAST_LENGTH)
-    for _ in range(ATTEMPTS):
-        skin = surface.vertices
-        found = defects(skin, skin + MUSCLE * better, skin + better, surface.triangles)
-        if not found.tets and not found.crossings:
-            return better
-        kept = np.zeros(len(skin))
-        kept[found.vertices] = 1.0
-        kept = (kept > 0) | (edges @ kept > 0)
-        better = np.where(kept[:, None], 0.5 * (connectors + better), better)
-    return connectors
-
-
-def valid_layers(surface: Surface, connectors: Floats, edges: csr_matrix) -> tuple[Surface, Floats]:
-    """A skin wrap without crossings and connectors (n, 3) [mm] under it without defects, close to those given.
-
-    Where shortening connectors does not help, the skin wrap itself is smoothed there, and again. Raises FitError
-    naming what is left after ATTEMPTS.
-    """
-    mean = diags(1 / np.asarray(edges.sum(axis=1)).ravel()) @ edges
-    for _ in range(ATTEMPTS):
-        surface = uncreased(surface, edges)
-        crossing = TriangleTree(surface.vertices, surface.triangles).self_crossings()
-        if len(crossing):
-            raise FitError(f"skin wrap: {len(crossing)} pairs of triangles cross, the first is {crossing[0].tolist()}")
-        connectors, found = repaired(surface.vertices, connectors, cone_normals(surface), surface.triangles, edges)
-        if not found.tets and not found.crossings:
-            return surface, shaped(surface, connectors, edges)
-        hit = np.zeros(len(connectors))
-        hit[found.vertices] = 0.5
-        moved = np.maximum(hit, 0.25 * (edges @ hit > 0))[:, None]
-        surface = surface.with_vertices(surface.vertices + moved * (mean @ surface.vertices - surface.vertices))
-    raise FitError(f"layers: {found.tets} tets are flat or inverted, {found.crossings} pairs of triangles cross")
+    direction = direction - 0.25 * turned * (direction + cone_normals(columns, skin)[0])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    length = np.where(chosen > 0, np.maximum(0.85 * length, np.minimum(length, LEAST_LENGTH)), length)
+    i, j = columns.edges.nonzero()
+    reach = SLOPE * np.linalg.norm(skin[i] - skin[j], axis=1)
+    for _ in range(3):
+        np.minimum.at(length, i, length[j] + reach)
+    connectors = length[:, None] * direction
+    return np.vstack([skin, skin + share * connectors + (1 - turned) * off, skin + connectors])

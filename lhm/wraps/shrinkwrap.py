@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from ..geometry.distance import SignedDistance
 from ..geometry.sphere import geodesic_sphere, subdivide
-from ..mesh import Floats, Ints, Surface
+from ..mesh import Floats, Surface
 from ..progress import OnProgress, silent
+from .columns import neighbours
 
 CLEARANCE = 0.3  # [mm] the wrap ends this far outside of the skin
 COARSE, COARSE_STEPS, FINE_STEPS = 11, 500, 260
-
-
-def neighbours(triangles: Ints, n: int) -> csr_matrix:
-    """The edges of a closed surface as a symmetric matrix of ones, shape (n, n)."""
-    i, j, k = triangles.T
-    rows, columns = np.concatenate([i, j, k]), np.concatenate([j, k, i])
-    matrix = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-    return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
 
 
 def concentrated(sphere: Floats, towards: Floats, factor: float) -> Floats:

@@ -1,0 +1,54 @@
+"""A template as arrays, for the cache and for files that users name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..mesh import Surface
+from ..template import Template
+
+_TIES = ("wrap_from_skin", "skin_from_wrap")
+_SURFACES = ("muscles", "skull")
+
+
+def arrays_of(template: Template) -> dict[str, np.ndarray]:
+    """All that a template holds, as named arrays."""
+    arrays = {name: getattr(template, name) for name in ("parts", "triangles", "stack", "room", "bone")}
+    arrays |= {"name": np.array(template.name)}
+    arrays |= {"skin_vertices": template.skin.vertices, "skin_triangles": template.skin.triangles}
+    for name in _TIES:
+        weights = getattr(template, name)
+        arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
+        arrays |= {f"{name}_shape": np.array(weights.shape)}
+    arrays |= {f"region_{name}": mask for name, mask in template.regions.items()}
+    for name in _SURFACES:
+        surface = getattr(template, name)
+        if surface is not None:
+            arrays |= {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
+    if template.skull_bone is not None:
+        arrays["skull_bone"] = template.skull_bone
+    return arrays
+
+
+def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
+    """The template of such arrays; KeyError for one that is missing."""
+    ties = (
+        csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), arrays[f"{name}_shape"])
+        for name in _TIES
+    )
+    surfaces = (
+        Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"]) if f"{name}_vertices" in arrays else None
+        for name in _SURFACES
+    )
+    return Template(
+        str(arrays["name"]),
+        Surface(arrays["skin_vertices"], arrays["skin_triangles"]),
+        *(arrays[name] for name in ("parts", "triangles", "stack", "room", "bone")),
+        *ties,
+        {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")},
+        *surfaces,
+        arrays.get("skull_bone"),
+    )
