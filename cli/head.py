@@ -7,12 +7,11 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm import check_head, fit_head, identities, load_template
+from ..lhm import HeadReport, check_head, fit_head, identities, load_template
 from ..lhm.errors import FitError, InputError, MeshError
 from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import export_vtk, load_head, save_head
+from ..lhm.files.head_file import check_file, export_vtk, save_head
 from ..lhm.files.surface_file import MILLIMETRES, check_skin, read_surface
-from ..lhm.head import LayeredHead
 from ..lhm.mesh import Surface
 from .progress import shown
 
@@ -59,7 +58,7 @@ def fit(
         progress("head: layers fitted to the skin", 0.3)
         fitted = fit_head(template, surface)
         progress("head", 1.0)
-    _report(fitted, as_json)
+    _report(check_head(fitted), as_json)
     save_head(out, fitted)
     if vtk is not None:
         export_vtk(vtk, fitted)
@@ -75,7 +74,7 @@ def fit(
 @as_json_option
 def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
-    _report(load_head(file), as_json)
+    _report(check_file(file), as_json)
     return 0
 
 
@@ -88,12 +87,13 @@ def _neutral_skin(file: Path, unit: str) -> Surface:
     return surface
 
 
-def _report(fitted: LayeredHead, as_json: bool) -> None:
-    report = check_head(fitted)
+def _report(report: HeadReport, as_json: bool) -> None:
     if as_json:
-        click.echo(json.dumps(asdict(report) | {"problems": list(report.problems)}, indent=1))
+        gates = [asdict(gate) | {"passed": not gate.missed} for gate in report.gates]
+        click.echo(json.dumps(asdict(report) | {"gates": gates, "problems": list(report.problems)}, indent=1))
     else:
-        for name, value in asdict(report).items():
-            click.echo(f"{name.replace('_', ' '):<40} {f'{value:.4g}' if isinstance(value, float) else value}")
+        for figure in report.figures:
+            mark = "" if figure.bound is None else "MISSED" if figure.missed else "ok"
+            click.echo(f"{mark:<7}{figure}")
     if report.problems:
         raise FitError("; ".join(report.problems))

@@ -1,125 +1,270 @@
-"""The gates that a layered head has to pass, each with its figure."""
+"""The gates that a layered head has to pass, each with its figure (intersections, order, thickness, shape, fit)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from numpy.typing import NDArray
 
+from .errors import MeshError
 from .geometry.bvh import TriangleTree
-from .geometry.quality import smallest_dihedrals
+from .geometry.distance import SignedDistance
+from .geometry.fans import fan_crossings
+from .geometry.quality import aspect_ratios, smallest_dihedrals
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from .mesh import Floats, Ints
-from .wraps.landmarks import Mask
+from .layers import prism_tets
+from .mesh import Floats, Ints, Surface, tet_volumes
+from .openings import lid_path, lip_path
 
-LEAST_THICKNESS = 0.2
-LEAST_LIP_PATH = 30.0  # around the corner of a small mouth it is 39 mm, across lips that are bridged under 15
-WRAPS = ("skin", "muscle", "skull")
+Direction = Literal["at least", "at most", "above", "below"]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured value; with a `bound` it is a gate, without one it is there to be read.
+
+    `value` is None where it could not be measured, for want of a named region; a gate without a value is not missed.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    direction: Direction | None
+    bound: float | None
+
+    @property
+    def missed(self) -> bool:
+        """Whether this is a gate and its value is on the wrong side of its bound; NaN always is."""
+        if self.bound is None or self.value is None:
+            return False
+        if self.direction == "at least":
+            return not self.value >= self.bound
+        if self.direction == "at most":
+            return not self.value <= self.bound
+        return not (self.value > self.bound if self.direction == "above" else self.value < self.bound)
+
+    @property
+    def words(self) -> str:
+        """The name as it is printed."""
+        return self.name.replace("_", " ")
+
+    @property
+    def limit(self) -> str:
+        """The bound as it is printed, "at least 2 °"; empty without one."""
+        return "" if self.bound is None else f"{self.direction} {self.bound:g}{self.unit and ' ' + self.unit}"
+
+    def __str__(self) -> str:
+        value = "not measured" if self.value is None else f"{self.value:.4g}{self.unit and ' ' + self.unit}"
+        return f"{self.words}: {value}{self.limit and f' ({self.limit})'}"
+
+
+def _figure(unit: str = "", direction: Direction | None = None, bound: float | None = None) -> Any:
+    return field(metadata={"unit": unit, "direction": direction, "bound": bound})
 
 
 @dataclass(frozen=True)
 class HeadReport:
-    """Figures of a layered head; lengths in mm, angles in degrees.
+    """Figures of a layered head; lengths in mm, angles in degrees; unit and bound stand with each.
 
-    `crossings`: pairs of triangles without a common vertex that cross within and between the wraps;
-    `smallest_dihedral`, `share_below_5_degrees`: of all tets; `least_thickness`: shortest way from skin to skull wrap
-    along a column; `wrap_to_skin_*`: distance of the skin wrap's vertices in the region "face" to the skin;
-    `lip_path`: shortest way along the skin wrap from the middle of the upper lip to that of the lower, which leads
-    around the corner of the mouth unless the lips are bridged.
+    `inverted_tets`, `least_volume`: orientation of all tets; `smallest_dihedral`, `share_below_*_degrees`: their
+    smallest angle between faces; `aspect_*`: longest edge over smallest height (1.22 for a regular tet).
+    `crossings_*`: pairs of triangles that cross or touch, within a wrap but for what neighbours have in common.
+    `muscle_outside_skin_wrap`, `skull_outside_muscle_wrap`: largest signed distance of a wrap's vertices to the wrap
+    that must hold them; `skull_outside_skin`: share of the skull wrap's vertices more than 0.2 mm outside the skin,
+    and `skin_outside_wrap`: of the face's skin outside the skin wrap, both without mouth and eyes; neither is a gate:
+    the wrap lies on the skin and not around it, and is coarser than ears and nose wings.
+    `least_*thickness`, `mean_thickness`: along a column, from skin to skull wrap where no layer is named.
+    `wrap_to_skin_*`: distance of the skin wrap's vertices to the skin, `skin_to_wrap_*`: of the skin's to the wrap,
+    both in the region "face"; without it, everywhere.
+    `lip_path`, `lid_path`: way along the skin wrap from the middle of the upper lip or lid to that of the lower,
+    and `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
+    `*_vertices`: of the skull wrap, by bone; a rigid motion needs three.
     """
 
-    tets: int
-    least_volume: float
-    smallest_dihedral: float
-    share_below_2_degrees: float
-    share_below_5_degrees: float
-    least_thickness: float
-    mean_thickness: float
-    crossings_within_skin_wrap: int
-    crossings_within_muscle_wrap: int
-    crossings_within_skull_wrap: int
-    crossings_skin_muscle: int
-    crossings_skin_skull: int
-    crossings_muscle_skull: int
-    wrap_to_skin_mean: float
-    wrap_to_skin_95: float
-    wrap_to_skin_max: float
-    lip_path: float
-    cranium_vertices: int
-    mandible_vertices: int
-    free_vertices: int
+    tets: int = _figure()
+    inverted_tets: int = _figure("", "at most", 0)
+    least_volume: float = _figure("mm³", "above", 0.0)
+    smallest_dihedral: float = _figure("°", "at least", 2.0)
+    share_below_2_degrees: float = _figure()
+    share_below_5_degrees: float = _figure("", "below", 0.01)
+    aspect_median: float = _figure()
+    aspect_95: float = _figure()
+    aspect_max: float = _figure()
+    crossings_within_skin_wrap: int = _figure("pairs", "at most", 0)
+    crossings_within_muscle_wrap: int = _figure("pairs", "at most", 0)
+    crossings_within_skull_wrap: int = _figure("pairs", "at most", 0)
+    crossings_skin_muscle: int = _figure("pairs", "at most", 0)
+    crossings_skin_skull: int = _figure("pairs", "at most", 0)
+    crossings_muscle_skull: int = _figure("pairs", "at most", 0)
+    muscle_outside_skin_wrap: float = _figure("mm", "below", 0.0)
+    skull_outside_muscle_wrap: float = _figure("mm", "below", 0.0)
+    skull_outside_skin: float = _figure()
+    skin_outside_wrap: float = _figure()
+    least_thickness: float = _figure("mm", "at least", 0.2)
+    least_soft_thickness: float = _figure("mm", "above", 0.0)
+    least_muscle_thickness: float = _figure("mm", "above", 0.0)
+    mean_thickness: float = _figure("mm")
+    wrap_to_skin_mean: float = _figure("mm", "at most", 0.5)
+    wrap_to_skin_95: float = _figure("mm")
+    wrap_to_skin_max: float = _figure("mm")
+    skin_to_wrap_mean: float = _figure("mm")
+    skin_to_wrap_95: float = _figure("mm")
+    skin_to_wrap_max: float = _figure("mm")
+    # Around the corner of a small mouth the way is 39 mm, across lips that are bridged under 15.
+    lip_path: float | None = _figure("mm", "at least", 30.0)
+    lid_path: float | None = _figure("mm")
+    # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.
+    lid_detour: float | None = _figure("", "at least", 1.4)
+    cranium_vertices: int = _figure("", "at least", 3)
+    mandible_vertices: int = _figure("", "at least", 3)
+    free_vertices: int = _figure()
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """All figures in order, each with its unit and bound."""
+        return tuple(Figure(item.name, getattr(self, item.name), **item.metadata) for item in fields(self))
+
+    @property
+    def gates(self) -> tuple[Figure, ...]:
+        """The figures that have a bound."""
+        return tuple(figure for figure in self.figures if figure.bound is not None)
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The gates that are not passed, each named with its figure; empty for a head that is fit for use."""
-        found = []
-        for name, count in vars(self).items():
-            if name.startswith("crossings") and count:
-                found.append(f"{name.replace('_', ' ')}: {count} pairs of triangles (must be 0)")
-        if not self.least_volume > 0:
-            found.append(f"smallest tet: {self.least_volume:.3g} mm³ (must be positive)")
-        if self.least_thickness < LEAST_THICKNESS:
-            found.append(f"least thickness: {self.least_thickness:.3g} mm (at least {LEAST_THICKNESS})")
-        if self.lip_path < LEAST_LIP_PATH:
-            found.append(f"upper to lower lip: {self.lip_path:.3g} mm along the skin (at least {LEAST_LIP_PATH:g})")
-        return tuple(found)
+        """The gates that are missed, each named with figure and bound; empty for a head that is fit for use."""
+        return tuple(str(gate) for gate in self.gates if gate.missed)
 
 
-def check_head(head: LayeredHead) -> HeadReport:
-    """Measure all gates of a head (about a second)."""
-    dihedrals = smallest_dihedrals(head.vertices, head.tets)
-    thickness = np.linalg.norm(head.skin_wrap.vertices - head.skull_wrap.vertices, axis=1)
-    face = head.regions.get("face", np.ones(len(head.bone), bool))
-    gap = TriangleTree(head.skin.vertices, head.skin.triangles).closest(head.skin_wrap.vertices[face])[2]
-    trees = {name: TriangleTree(getattr(head, f"{name}_wrap").vertices, head.skin_wrap.triangles) for name in WRAPS}
-    within = {f"crossings_within_{name}_wrap": len(tree.self_crossings()) for name, tree in trees.items()}
-    between = {
-        f"crossings_{a}_{b}": len(trees[a].crossings(trees[b]))
-        for a, b in (("skin", "muscle"), ("skin", "skull"), ("muscle", "skull"))
-    }
-    bones = {f"{name}_vertices": int(np.count_nonzero(head.bone == label)) for name, label in _BONES}
-    return HeadReport(
-        tets=len(head.tets),
-        least_volume=float(min(head.soft.volumes.min(), head.muscle.volumes.min())),
-        smallest_dihedral=float(dihedrals.min()),
-        share_below_2_degrees=float((dihedrals < 2).mean()),
-        share_below_5_degrees=float((dihedrals < 5).mean()),
-        least_thickness=float(thickness.min()),
-        mean_thickness=float(thickness.mean()),
-        wrap_to_skin_mean=float(gap.mean()),
-        wrap_to_skin_95=float(np.quantile(gap, 0.95)),
-        wrap_to_skin_max=float(gap.max()),
-        lip_path=lip_path(head.skin_wrap.vertices, head.skin_wrap.triangles, head.regions),
-        **within,
-        **between,
-        **bones,
-    )
-
-
+OUTSIDE_TOLERANCE = 0.2
+_WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
 
-def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, Mask]) -> float:
-    """Shortest way [mm] along the wrap's edges from the middle of the upper lip to that of the lower lip.
+def check_head(head: LayeredHead) -> HeadReport:
+    """Measure all gates of a head (a quarter of a second)."""
+    return check_layers(head.skin, (head.skin_wrap, head.muscle_wrap, head.skull_wrap), head.bone, head.regions)
 
-    It runs through the mouth's lining or around its corner, and is short only where a wrap bridges the lips. Infinite
-    for a wrap without the regions "lips" and "mouth".
+
+def check_layers(
+    skin: Surface, wraps: Sequence[Surface], bone: Ints, regions: Mapping[str, NDArray[np.bool_]]
+) -> HeadReport:
+    """Measure all gates of layers that may make no valid head: inverted tets and crossings are counted.
+
+    `wraps`: skin, muscle and skull wrap [mm], n vertices each on the same closed triangulation; `bone` (n,) and
+    `regions`, masks (n,), as in LayeredHead. Raises MeshError for an open skin or wrap, wraps of different triangles,
+    and masks of another shape.
     """
-    lips, mouth = regions.get("lips"), regions.get("mouth")
-    if lips is None or mouth is None or not lips.any() or not mouth.any():
-        return float("inf")
-    x = vertices[lips]
-    centre = np.median(x, axis=0)
-    middle = np.flatnonzero(lips)[np.abs(x[:, 0] - centre[0]) < 6.0]
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    graph = csr_matrix((length, edges.T), shape=(len(vertices), len(vertices)))
-    # Of the lips' middle the rows next to the line between them face each other across the gap.
-    upper = middle[vertices[middle, 1] > centre[1] + 3.0]
-    lower = middle[vertices[middle, 1] < centre[1] - 3.0]
-    if not upper.size or not lower.size:
-        return float("inf")
-    return float(dijkstra(graph, directed=False, indices=upper, min_only=True)[lower].min())
+    triangles, n = wraps[0].triangles, len(wraps[0].vertices)
+    for name, wrap in zip(_WRAPS, wraps, strict=True):
+        if len(wrap.vertices) != n or not np.array_equal(wrap.triangles, triangles):
+            raise MeshError(f"{name} wrap: its triangulation differs from the skin wrap's")
+    for name, mask in [("bone", bone), *regions.items()]:
+        if np.shape(mask) != (n,):
+            raise MeshError(f"{name}: expected shape ({n},), got {np.shape(mask)}")
+    if "face" in regions and not regions["face"].any():
+        raise MeshError("region 'face': no vertex of the wrap belongs to it")
+    for name, surface in (("wraps", wraps[0]), ("skin", skin)):
+        _check_closed(name, surface.triangles)
+    inside = [SignedDistance(wrap) for wrap in wraps]
+    return HeadReport(
+        **_tets(wraps, triangles),
+        **_crossings([distance.tree for distance in inside]),
+        **_order(wraps, inside),
+        **_thickness(*(wrap.vertices for wrap in wraps)),
+        **_fit(skin, wraps, inside[0], regions),
+        **_openings(wraps[0], regions),
+        **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
+    )
+
+
+def _check_closed(name: str, triangles: Ints) -> None:
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    n = int(triangles.max()) + 1
+    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
+    if not np.array_equal(forth, back) or (np.diff(forth) == 0).any():
+        raise MeshError(f"{name}: the triangulation is not one closed surface, consistently oriented")
+
+
+def _tets(wraps: Sequence[Surface], triangles: Ints) -> dict[str, Any]:
+    n = len(wraps[0].vertices)
+    vertices = np.vstack([wrap.vertices for wrap in wraps])
+    tets = np.vstack([prism_tets(triangles, 0, n), prism_tets(triangles, n, 2 * n)])
+    volumes, dihedrals = tet_volumes(vertices, tets), smallest_dihedrals(vertices, tets)
+    aspect = aspect_ratios(vertices, tets)
+    return {
+        "tets": len(tets),
+        "inverted_tets": int(np.count_nonzero(~(volumes > 0))),
+        "least_volume": float(volumes.min()),
+        "smallest_dihedral": float(dihedrals.min()),
+        "share_below_2_degrees": float((dihedrals < 2).mean()),
+        "share_below_5_degrees": float((dihedrals < 5).mean()),
+        "aspect_median": float(np.median(aspect)),
+        "aspect_95": float(np.quantile(aspect, 0.95)),
+        "aspect_max": float(aspect.max()),
+    }
+
+
+def _crossings(trees: Sequence[TriangleTree]) -> dict[str, int]:
+    counts = {
+        f"crossings_within_{name}_wrap": len(tree.self_crossings()) + len(fan_crossings(tree.vertices, tree.triangles))
+        for name, tree in zip(_WRAPS, trees, strict=True)
+    }
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        counts[f"crossings_{_WRAPS[i]}_{_WRAPS[j]}"] = len(trees[i].crossings(trees[j]))
+    return counts
+
+
+def _order(wraps: Sequence[Surface], inside: Sequence[SignedDistance]) -> dict[str, float]:
+    return {
+        "muscle_outside_skin_wrap": float(inside[0](wraps[1].vertices)[0].max()),
+        "skull_outside_muscle_wrap": float(inside[1](wraps[2].vertices)[0].max()),
+    }
+
+
+def _thickness(skin: Floats, muscle: Floats, skull: Floats) -> dict[str, float]:
+    soft, deep, whole = (np.linalg.norm(a - b, axis=1) for a, b in ((skin, muscle), (muscle, skull), (skin, skull)))
+    return {
+        "least_thickness": float(whole.min()),
+        "least_soft_thickness": float(soft.min()),
+        "least_muscle_thickness": float(deep.min()),
+        "mean_thickness": float(whole.mean()),
+    }
+
+
+def _fit(
+    skin: Surface, wraps: Sequence[Surface], to_wrap: SignedDistance, regions: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, float]:
+    everywhere = np.ones(len(wraps[0].vertices), bool)
+    face = regions.get("face", everywhere)
+    pockets = regions.get("mouth", ~everywhere) | regions.get("eyes", ~everywhere)
+    to_skin = SignedDistance(skin)
+    signed, _, triangle, weights = to_wrap(skin.vertices)
+    # A vertex of the skin belongs to a region if most of the wrap's triangle under it does.
+    corners = wraps[0].triangles[triangle]
+    of_face, of_pockets = ((mask[corners] * weights).sum(axis=1) > 0.5 for mask in (face, pockets))
+    if not of_face.any():
+        raise MeshError("skin: none of its vertices lies at the wrap's region 'face'")
+    there, back = np.abs(to_skin(wraps[0].vertices[face])[0]), np.abs(signed[of_face])
+    return {
+        "skull_outside_skin": _share_outside(to_skin(wraps[2].vertices[~pockets])[0]),
+        "skin_outside_wrap": _share_outside(signed[of_face & ~of_pockets]),
+        **{f"wrap_to_skin_{name}": value for name, value in _spread(there).items()},
+        **{f"skin_to_wrap_{name}": value for name, value in _spread(back).items()},
+    }
+
+
+def _share_outside(signed: Floats) -> float:
+    return float(np.count_nonzero(signed > OUTSIDE_TOLERANCE) / max(len(signed), 1))
+
+
+def _spread(distance: Floats) -> dict[str, float]:
+    return {"mean": float(distance.mean()), "95": float(np.quantile(distance, 0.95)), "max": float(distance.max())}
+
+
+def _openings(wrap: Surface, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, float | None]:
+    way, detour = lid_path(wrap.vertices, wrap.triangles, regions)
+    lips = lip_path(wrap.vertices, wrap.triangles, regions)
+    return {"lip_path": lips, "lid_path": way, "lid_detour": detour}

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import meshio
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..check import HeadReport, check_layers
 from ..errors import InputError, MeshError
 from ..head import LayeredHead
 from ..mesh import Surface
@@ -35,28 +37,50 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
 
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
+    with _named(path):
+        arrays = _arrays(path)
+        skin, wraps, bone, regions = _layers(arrays)
+        shape = (len(bone), len(skin.vertices))
+        wrap_from_skin, skin_from_wrap = (
+            csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
+            for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
+        )
+        return LayeredHead(skin, *wraps, bone, wrap_from_skin, skin_from_wrap, regions)
+
+
+def check_file(path: str | os.PathLike[str]) -> HeadReport:
+    """The gates of the head in a file, also where its wraps cross and tets are inverted, so that no head can be made.
+
+    InputError names a file that is missing, damaged or something else.
+    """
+    with _named(path):
+        return check_layers(*_layers(_arrays(path)))
+
+
+def _arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     arrays = read_arrays(path, of="a layered head")
     if str(arrays.get("format")) != FORMAT:
         raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+    return arrays
+
+
+@contextmanager
+def _named(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
-        return _head(arrays)
+        yield
     except KeyError as error:
         raise InputError(f"{path}: not a layered head, array {error.args[0]!r} is missing") from None
+    except InputError:
+        raise
     except (MeshError, ValueError, TypeError) as error:
         raise InputError(f"{path}: damaged, {error}") from None
 
 
-def _head(arrays: Mapping[str, np.ndarray]) -> LayeredHead:
+def _layers(arrays: Mapping[str, np.ndarray]) -> tuple[Surface, list[Surface], np.ndarray, dict[str, np.ndarray]]:
     skin = Surface(arrays["skin_vertices"], arrays["skin_triangles"])
-    skin_wrap, muscle_wrap, skull_wrap = (Surface(arrays[name], arrays["triangles"]) for name in _WRAPS)
-    shape = (len(arrays["bone"]), len(skin.vertices))
-    wrap_from_skin, skin_from_wrap = (
-        csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
-        for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
-    )
+    wraps = [Surface(arrays[name], arrays["triangles"]) for name in _WRAPS]
     regions = {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")}
-    bone = arrays["bone"]
-    return LayeredHead(skin, skin_wrap, muscle_wrap, skull_wrap, bone, wrap_from_skin, skin_from_wrap, regions)
+    return skin, wraps, arrays["bone"], regions
 
 
 def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..mesh import Floats, Ints
+from ..mesh import Floats, Ints, tet_volumes
 
 
 def smallest_dihedrals(vertices: Floats, tets: Ints) -> Floats:
@@ -19,3 +19,15 @@ def smallest_dihedrals(vertices: Floats, tets: Ints) -> Floats:
             cosine = -np.einsum("md,md->m", normals[:, i], normals[:, j])
             smallest = np.minimum(smallest, np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     return smallest
+
+
+def aspect_ratios(vertices: Floats, tets: Ints) -> Floats:
+    """Longest edge over smallest height of each tet, shape (m,): 1.22 if regular, and large if flat or thin."""
+    x = vertices[tets]
+    edges = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    longest = np.sqrt(np.max([((x[:, j] - x[:, i]) ** 2).sum(axis=1) for i, j in edges], axis=0))
+    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
+    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in faces]
+    # Height over a face = 3 volumes / area.
+    height = 6.0 * np.abs(tet_volumes(vertices, tets)) / np.maximum(np.max(doubled, axis=0), 1e-30)
+    return longest / np.maximum(height, 1e-30)
