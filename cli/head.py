@@ -14,6 +14,7 @@ from ..lhm.files.head_file import check_file, export_vtk, save_head
 from ..lhm.files.surface_file import MILLIMETRES, check_skin, read_surface
 from ..lhm.mesh import Surface
 from .progress import shown
+from .train_regressor import train_regressor
 
 AFile = click.Path(path_type=Path)
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
@@ -22,6 +23,9 @@ as_json_option = click.option("--json", "as_json", is_flag=True, help="print the
 @click.group(no_args_is_help=False)
 def head() -> None:
     """Fit and check layered heads."""
+
+
+head.add_command(train_regressor)
 
 
 @head.command()

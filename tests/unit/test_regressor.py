@@ -1,0 +1,309 @@
+"""The depth regressor: its algebra, the rays that measure depths, the prior, and what it refuses."""
+
+import time
+
+import numpy as np
+import pytest
+import trimesh
+
+from softdeca.lhm import InputError, Surface, identities, load_template
+from softdeca.lhm.geometry.bvh import TriangleTree
+from softdeca.lhm.geometry.rays import first_hits
+from softdeca.lhm.regressor import (
+    DepthErrors,
+    DepthPairs,
+    DepthRegressor,
+    default_regressor,
+    inward_normals,
+    leave_one_out,
+    measured_depths,
+    moved_wrap,
+    prior_pairs,
+    read_pairs,
+)
+from softdeca.lhm.regressor.depths import _left_out
+from softdeca.lhm.wraps import depth
+
+BALL = trimesh.creation.icosphere(3)
+UNIT, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces)
+
+
+def ball(radius) -> Surface:
+    return Surface(radius * UNIT, FACES)
+
+
+def ellipsoids(count: int, *, noise: float) -> DepthPairs:
+    """Heads of three random half axes; their depths follow from two of them, but for a factor of the whole head."""
+    rng = np.random.default_rng(0)
+    axes = 100 * np.exp(0.1 * rng.standard_normal((count, 3)))
+    logs = np.log(8.0) + 2 * np.log(axes[:, :1] / 100) * (1 + UNIT[:, 1]) - np.log(axes[:, 2:] / 100)
+    depths = np.exp(logs + noise * rng.standard_normal((count, 1)))
+    return DepthPairs("ellipsoids", tuple(f"e{i}" for i in range(count)), axes[:, None] * UNIT, depths)
+
+
+@pytest.fixture(scope="module")
+def space():
+    return identities.Anny()
+
+
+@pytest.fixture(scope="module")
+def template(space):
+    return load_template(space)
+
+
+def test_rays_meet_what_brute_force_meets():
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(300, 1, 3)) * 3 + rng.normal(size=(300, 3, 3))
+    tree = TriangleTree(corners.reshape(-1, 3), np.arange(900).reshape(-1, 3))
+    origins, directions = rng.normal(size=(2, 200, 3)) * [[[4.0]], [[1.0]]]
+    directions[:5] = np.eye(3)[[0, 1, 2, 0, 1]]
+    which, way = first_hits(tree, origins, directions, 6.0)
+    for i, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
+        # origin + t direction = a + u (b - a) + v (c - a), solved for all triangles at once.
+        a, b, c = corners.transpose(1, 0, 2)
+        matrix = np.stack([b - a, c - a, np.broadcast_to(-direction, a.shape)], axis=2)
+        u, v, t = np.linalg.solve(matrix, (origin - a)[..., None])[..., 0].T
+        t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0) & (t <= 6.0), t, np.inf)
+        assert way[i] == pytest.approx(t.min(), rel=1e-9)
+        assert which[i] == (t.argmin() if np.isfinite(t.min()) else -1)
+    assert 50 < np.isfinite(way).sum() < 190
+
+
+def test_no_ray_slips_through_a_closed_surface():
+    """Rays from the centre to corners, along edges' planes and through their middles."""
+    middles = UNIT[FACES[:, [0, 1, 1, 2, 2, 0]]].reshape(-1, 2, 3).mean(axis=1)
+    directions = np.vstack([UNIT, middles])
+    way = first_hits(TriangleTree(100 * UNIT, FACES), np.zeros_like(directions), directions, 200.0)[1]
+    np.testing.assert_allclose(way, 100.0, rtol=1e-9)
+
+
+def test_depth_between_spheres_is_the_difference_of_their_radii():
+    skin = ball(100.0)
+    measured = measured_depths(skin.vertices, inward_normals(skin), [ball(92.0)])
+    assert measured.missed == 0
+    # Flat triangles lie inside their sphere by edge² / 8 r, here up to .35 mm.
+    assert 7.99 < measured.depths.min() and measured.depths.max() < 8.4
+
+
+def test_where_no_ray_meets_bone_the_closest_point_counts_within_the_plausible_range():
+    skin, half = ball(100.0), FACES[(UNIT[FACES][:, :, 1] > 0).all(axis=1)]
+    measured = measured_depths(skin.vertices, inward_normals(skin), [Surface(92.0 * UNIT, half)])
+    below, above = UNIT[:, 1] < -0.1, UNIT[:, 1] > 0.25
+    assert measured.met[above].all() and not measured.met[below].any()
+    assert measured.depths[below].min() > 8.0 and measured.depths.max() == 40.0
+    lowest = UNIT[:, 1].argmin()
+    assert measured.depths[lowest] == 40.0
+    # Bone that touches the skin leaves the least depth, not none.
+    assert measured_depths(skin.vertices, inward_normals(skin), [ball(99.99)]).depths.min() == 1.0
+
+
+def test_the_closed_form_of_leave_one_out_is_that_of_refitting():
+    rng = np.random.default_rng(1)
+    shape = rng.normal(size=(12, 4)) * [5.0, 3.0, 1.0, 0.5]
+    u, size, _ = np.linalg.svd(shape - shape.mean(axis=0), full_matrices=False)
+    wanted, ridge = rng.normal(size=(12, 3)), 7.0
+    total = 0.0
+    for i in range(12):
+        kept = np.arange(12) != i
+        x, y = (u * size)[kept], wanted[kept]
+        centre = x.mean(axis=0)
+        slope = np.linalg.solve(
+            (x - centre).T @ (x - centre) + ridge * np.eye(4), (x - centre).T @ (y - y.mean(axis=0))
+        )
+        total += ((y.mean(axis=0) + ((u * size)[i] - centre) @ slope - wanted[i]) ** 2).sum()
+    assert _left_out(u, size**2 / (size**2 + ridge), wanted - wanted.mean(axis=0)) == pytest.approx(total, rel=1e-9)
+
+
+def test_what_follows_from_the_shape_is_learned_and_what_does_not_is_left():
+    skin = ball(100.0)
+    exact = leave_one_out(ellipsoids(30, noise=0.0), skin)
+    assert exact.mean < 0.1 * exact.mean_depth
+    assert exact.per_pair.mean() == pytest.approx(exact.mean) and exact.per_vertex.shape == (len(UNIT),)
+    # A factor e^(.2 z) of depths of about 8 mm: mean size .2 x .8 x 8 = 1.3 mm whatever is learned.
+    noisy = leave_one_out(ellipsoids(30, noise=0.2), skin)
+    assert 0.9 < noisy.mean < 1.1 * noisy.mean_depth
+
+
+def test_depth_without_relation_to_shape_is_predicted_by_its_mean():
+    rng = np.random.default_rng(2)
+    pairs = ellipsoids(40, noise=0.0)
+    chance = DepthPairs("chance", pairs.names, pairs.wraps, np.exp(2 + 0.2 * rng.standard_normal((40, len(UNIT)))))
+    tested = leave_one_out(chance, ball(100.0))
+    assert tested.mean == pytest.approx(tested.mean_depth, rel=0.02)
+
+
+def test_rigid_motion_changes_nothing_and_size_does():
+    pairs = ellipsoids(20, noise=0.0)
+    regressor = DepthRegressor.fit(pairs, ball(100.0))
+    predicted = regressor.predict(pairs.wraps[3])
+    turn = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3])[:3, :3]
+    np.testing.assert_allclose(regressor.predict(pairs.wraps[3] @ turn.T + [5, -90, 30]), predicted, rtol=1e-8)
+    assert abs(regressor.predict(1.1 * pairs.wraps[3]) / predicted - 1).max() > 0.05
+    # Beyond three deviations of the training set a skin counts as that far: no e^x of a wild guess.
+    assert regressor.predict(100 * pairs.wraps[3]).max() < 100
+
+
+def test_two_pairs_and_equal_heads_give_the_geometric_mean():
+    two = DepthPairs("two", ("a", "b"), np.stack([100 * UNIT, 110 * UNIT]), np.array([[4.0], [9.0]]) + 0 * UNIT[:, 0])
+    np.testing.assert_allclose(DepthRegressor.fit(two, ball(100.0)).predict(105 * UNIT), 6.0)
+    same = DepthPairs("same", tuple("abc"), np.stack(3 * [100 * UNIT]), np.full((3, len(UNIT)), 5.0))
+    np.testing.assert_allclose(DepthRegressor.fit(same, ball(100.0)).predict(120 * UNIT), 5.0)
+
+
+def test_it_is_read_as_it_was_written_and_refused_for_another_template(tmp_path):
+    regressor = DepthRegressor.fit(ellipsoids(10, noise=0.1), ball(100.0))
+    file = tmp_path / "d.npz"
+    regressor.save(file)
+    read = DepthRegressor.load(file, ball(100.0))
+    assert (read.label, read.pairs, read.ridge) == ("ellipsoids", 10, regressor.ridge)
+    np.testing.assert_array_equal(read.predict(90 * UNIT), regressor.predict(90 * UNIT))
+    with pytest.raises(InputError, match=r"d\.npz: depth regressor \(ellipsoids\): .*another template"):
+        DepthRegressor.load(file, ball(101.0))
+    np.savez(file, **regressor.arrays() | {"coefficients": regressor.coefficients[:, 1:]})
+    with pytest.raises(InputError, match=r"d\.npz: damaged"):
+        DepthRegressor.load(file, ball(100.0))
+    np.savez(file, **regressor.arrays() | {"mean_log": np.full(len(UNIT), np.nan)})
+    with pytest.raises(InputError, match=r"d\.npz: damaged"):
+        DepthRegressor.load(file, ball(100.0))
+    file.write_bytes(file.read_bytes()[:200])
+    with pytest.raises(InputError, match=r"d\.npz"):
+        DepthRegressor.load(file, ball(100.0))
+
+
+def test_bad_wraps_and_pairs_are_refused():
+    regressor = DepthRegressor.fit(ellipsoids(5, noise=0.1), ball(100.0))
+    with pytest.raises(InputError, match=r"expects shape \(642, 3\), got \(641, 3\)"):
+        regressor.predict(100 * UNIT[1:])
+    with pytest.raises(InputError, match="not finite"):
+        regressor.predict(np.nan * UNIT)
+    with pytest.raises(InputError, match="pair b: .*positive"):
+        DepthPairs("x", ("a", "b"), np.stack([UNIT, UNIT]), np.stack([UNIT[:, 0] ** 0, UNIT[:, 0]]))
+    with pytest.raises(InputError, match="1 pairs"):
+        DepthPairs("x", ("a",), UNIT[None], np.ones((1, len(UNIT))))
+    with pytest.raises(InputError, match="the template's has 12"):
+        DepthRegressor.fit(ellipsoids(5, noise=0.1), Surface(*_icosahedron()))
+
+
+def _icosahedron():
+    small = trimesh.creation.icosphere(0)
+    return small.vertices, small.faces
+
+
+def test_errors_of_one_head():
+    errors = DepthErrors.between(np.array([1.0, 2.0, 3.0, 8.0]), np.array([2.0, 2.0, 2.0, 2.0]))
+    assert (errors.vertices, errors.mean, errors.median, errors.bias) == (4, 2.0, 1.0, 1.5)
+    assert errors.quantile_95 == pytest.approx(1 + 0.85 * 5)
+
+
+def test_each_landmark_says_where_its_depth_comes_from():
+    assert all(mark.source and 0.15 <= mark.spread <= 0.3 and 2 < mark.depth < 25 for mark in depth.LANDMARKS)
+
+
+def test_the_prior_has_the_published_means_and_spread(template, space):
+    pairs = prior_pairs(template, space, np.random.default_rng(1), 200)
+    wrap, marks, regions = template.skin_wrap.vertices, template.marks, template.regions
+    outside = ~(regions["mouth"] | regions["eyes"])
+    wanted = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
+    spread = depth.wanted_spread(wrap, marks.eyes, marks.mouth)
+    # 200 heads know a mean of spread .3 to .3 / sqrt(200) = 2 %; landmarks also lie elsewhere on each face.
+    ratio = pairs.depths.mean(axis=0) / wanted
+    assert abs(np.median(ratio[outside]) - 1) < 0.03 and np.quantile(abs(ratio[outside] - 1), 0.9) < 0.1
+    deviation = pairs.depths.std(axis=0) / pairs.depths.mean(axis=0) / spread
+    assert 0.9 < np.median(deviation[outside]) < 1.15
+    # The mean misses an individual by about 3.5 mm where tissue is thickest (Hona and Stephan 2023).
+    missed = np.abs(pairs.depths - pairs.depths.mean(axis=0)).mean(axis=0)
+    assert 2.8 < np.quantile(missed[regions["face"]], 0.99) < 4.2
+    # Neighbours vary alike, distant places by the common half.
+    logs = np.log(pairs.depths)
+    forehead, chin = (np.abs(wrap - [0, y, z]).sum(axis=1).argmin() for y, z in ((60, 140), (-80, 135)))
+    assert 0.2 < np.corrcoef(logs[:, forehead], logs[:, chin])[0, 1] < 0.8
+    assert pairs.depths.min() > 0.5 and pairs.depths.max() < 45
+
+
+def test_the_default_regressor_is_the_same_each_time_and_fast(template, space, tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
+    made, read = default_regressor(template, space), default_regressor(template, space)
+    assert made.label.startswith("synthetic prior") and "not anatomy" in made.label and made.pairs == 60
+    made.check(template.skin_wrap)
+    skin = space.sample(np.random.default_rng(5))[1]
+    wrap = moved_wrap(template, skin.vertices)
+    depths = made.predict(wrap)
+    np.testing.assert_array_equal(read.predict(wrap), depths)
+    assert depths.shape == (4842,) and 2 < depths.min() and depths.max() < 25
+
+    seconds = []
+    for _ in range(20):
+        begun = time.perf_counter()
+        made.predict(wrap)
+        seconds.append(time.perf_counter() - begun)
+    assert min(seconds) < 5e-3
+
+
+def connectors(template):
+    return template.head.skull_wrap.vertices - template.skin_wrap.vertices
+
+
+def write(folder, name, skin, skull):
+    for kind, surface in (("skin", skin), ("skull", skull)):
+        if surface is not None:
+            np.savez(folder / f"{name}_{kind}.npz", vertices=surface.vertices, triangles=surface.triangles)
+
+
+def head(template, space, seed: int, factor: float = 1.0) -> tuple[Surface, Surface]:
+    """A skin of the space and a skull wrap under it, by the template's connectors times a factor."""
+    skin = space.sample(np.random.default_rng(seed))[1]
+    wrap = moved_wrap(template, skin.vertices)
+    return skin, template.skin_wrap.with_vertices(wrap + factor * connectors(template))
+
+
+@pytest.fixture
+def folder(tmp_path, template, space):
+    for seed in range(4):
+        write(tmp_path, f"p{seed}", *head(template, space, seed, 0.7 + 0.2 * seed))
+    return tmp_path
+
+
+def test_depths_of_a_folder_are_those_of_its_skulls(folder, template, space):
+    pairs, missed = read_pairs(folder, template, space)
+    assert pairs.names == ("p0", "p1", "p2", "p3") and pairs.label == f"4 pairs from {folder}"
+    assert all(m.vertices < 0.05 * 4842 for m in missed)
+    known = np.linalg.norm(connectors(template), axis=1)
+    scalp = template.regions["face"] & (template.skin_wrap.vertices[:, 1] > 50)
+    for i in range(4):
+        expected = np.maximum((0.7 + 0.2 * i) * known, 1.0)
+        # Smooth skin: rays and connectors go the same way; skull wrap and ray differ by its curvature.
+        assert np.quantile(np.abs(pairs.depths[i] - expected)[scalp], 0.9) < 0.5
+
+
+def _moved(surface, scale, shift=0.0):
+    return surface.with_vertices(scale * surface.vertices + shift)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f, skin, skull: (f / "p1_skull.npz").unlink(), "pair p1 has no p1_skull"),
+        (lambda f, skin, skull: (f / "p2_skin.npz").unlink(), "pair p2 has no p2_skin"),
+        (lambda f, skin, skull: [p.unlink() for p in f.glob("p[01]_*")], "2 pairs of files .* 3 or more"),
+        (lambda f, skin, skull: write(f, "p1", skin, _moved(skull, 1e-3)), r"p1_skull\.npz: its extent .* units off"),
+        (lambda f, skin, skull: write(f, "p1", _moved(skin, 1e-3), skull), r"p1_skin\.npz: .* units off"),
+        (lambda f, skin, skull: write(f, "p1", skin, _moved(skull, 1, 80.0)), "pair p1: .* lie outside the skin"),
+        (lambda f, skin, skull: write(f, "p1", skin, _moved(skull, 1.3)), "pair p1: .* lie outside the skin"),
+        (lambda f, skin, skull: (f / "p1_skull.ply").touch(), "pair p1 has two files of its skull"),
+        (
+            lambda f, skin, skull: np.savez(
+                f / "p1_skin.npz", vertices=np.nan * skin.vertices, triangles=skin.triangles
+            ),
+            r"p1_skin\.npz: .*not finite",
+        ),
+    ],
+)
+def test_a_folder_that_is_wrong_is_refused_by_the_pairs_name(folder, template, space, change, message):
+    change(folder, *head(template, space, 1))
+    with pytest.raises(InputError, match=message):
+        read_pairs(folder, template, space)
+
+
+def test_a_folder_that_is_not_there(tmp_path, template, space):
+    with pytest.raises(InputError, match="no such folder"):
+        read_pairs(tmp_path / "nowhere", template, space)
