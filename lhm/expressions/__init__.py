@@ -1,6 +1,18 @@
-"""ARKit's 52 expressions: their names and order, weights, and blending of an identity space's shapes."""
+"""ARKit's 52 expressions: names, weights, takes, blending, and shapes carried to other faces."""
 
 from ..arkit import ARKIT
 from .blending import blend, checked_weights, index, weights_of
+from .take import Take, read_take, resampled
+from .transfer import transfer_expressions
 
-__all__ = ["ARKIT", "blend", "checked_weights", "index", "weights_of"]
+__all__ = [
+    "ARKIT",
+    "Take",
+    "blend",
+    "checked_weights",
+    "index",
+    "read_take",
+    "resampled",
+    "transfer_expressions",
+    "weights_of",
+]

@@ -34,11 +34,17 @@ def deformation_gradients(before: Floats, after: Floats, triangles) -> Floats:
 
     Raises MeshError for a triangle without area in `before`.
     """
+    require_area("before", before, triangles)
     frames, moved = sumner_frames(before, triangles), sumner_frames(after, triangles)
-    flat = np.flatnonzero(np.linalg.det(frames) <= 0.0)
-    if flat.size:
-        raise MeshError(f"triangles: number {flat[0]} has no area, so it has no deformation gradient")
     return moved @ np.linalg.inv(frames)
+
+
+def require_area(name: str, vertices: Floats, triangles) -> None:
+    """Raise MeshError for triangles without area: how many, and the first by its number."""
+    g11, g12, g22 = _edge_products(vertices, triangles)
+    flat = np.flatnonzero(g11 * g22 - g12**2 <= 1e-14 * (g11 + g22) ** 2)  # left: (2 area)²
+    if flat.size:
+        raise MeshError(f"{name}: {flat.size} triangles have no area, the first is number {flat[0]}")
 
 
 class DeformationTransfer:
@@ -102,14 +108,16 @@ class DeformationTransfer:
 
 def _edge_stiffness(reference: Surface) -> Floats:
     """Area · Dm⁻¹ Dm⁻ᵀ per face as (c11, c12, c22), which is all of D and G that a face needs, shape (m, 3)."""
-    a, b, c = (reference.vertices[reference.triangles[:, k]] for k in range(3))
+    require_area("reference", reference.vertices, reference.triangles)
+    g11, g12, g22 = _edge_products(reference.vertices, reference.triangles)
+    return np.stack([g22, -g12, g11], axis=1) / (2.0 * np.sqrt(g11 * g22 - g12**2))[:, None]
+
+
+def _edge_products(vertices: Floats, triangles) -> tuple[Floats, Floats, Floats]:
+    """e1·e1, e1·e2 and e2·e2 per face [mm²]."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
-    g11, g12, g22 = ((x * y).sum(axis=1) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
-    squared = g11 * g22 - g12**2  # (2 area)²
-    flat = np.flatnonzero(squared <= 1e-14 * (g11 + g22) ** 2)
-    if flat.size:
-        raise MeshError(f"reference: {flat.size} triangles have no area, the first is number {flat[0]}")
-    return np.stack([g22, -g12, g11], axis=1) / (2.0 * np.sqrt(squared))[:, None]
+    return (e1 * e1).sum(axis=1), (e1 * e2).sum(axis=1), (e2 * e2).sum(axis=1)
 
 
 @numba.njit(cache=True, fastmath=True)

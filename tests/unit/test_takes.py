@@ -1,0 +1,240 @@
+"""Takes: LiveLink Face's CSV and JSON, by name and with their times, and resampling."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError, expressions
+from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resampled
+
+NAMES = [name[0].upper() + name[1:] for name in ARKIT]
+HEADER = ["Timecode", "BlendShapeCount", *NAMES, "HeadYaw"]
+
+
+def timecodes(frames, *, rate=60, step=1, start=0):
+    at = [start + step * frame for frame in range(frames)]
+    return [f"10:00:{n // rate:02d}:{n % rate:02d}.250" for n in at]
+
+
+def csv_text(values, codes, header=HEADER):
+    lines = [",".join(header)]
+    lines += [",".join([code, "61", *map(str, row), "-0.3"]) for code, row in zip(codes, values, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to(text, name="take.csv"):
+        path = tmp_path / name
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return to
+
+
+def ramp(frames):
+    return np.linspace(0, 1, frames)[:, None] * np.linspace(0.1, 0.9, 52)
+
+
+def test_real_take_is_mapped_by_name(data):
+    path = data / "arkit_sequences" / "alex_rom_3.csv"
+    take = read_take(path)
+    assert take.weights.shape == (4030, 52) and take.missing == () and take.clipped == 1
+    assert take.rate == 30.0
+    assert take.duration == pytest.approx(134.38, abs=0.01)  # timecodes 13:13:04:31.652 .. 13:15:18:54.561
+    lines = path.read_text().splitlines()
+    header, row = lines[0].split(","), lines[1000].split(",")
+    for name in ("JawLeft", "JawRight", "MouthLeft", "MouthRight", "EyeBlinkLeft", "TongueOut"):
+        assert take.weights[999, index(name[0].lower() + name[1:])] == float(row[header.index(name)])
+    assert (take.weights.max(axis=0) > 0.05).all()
+    assert np.sum(np.diff(take.times) > 1.5 / 30) == 3  # three frames were dropped
+
+
+def test_columns_are_found_in_any_order_and_case(write):
+    values = ramp(5)
+    shuffled = np.random.default_rng(0).permutation(52)
+    header = ["timecode", "BlendShapeCount", *[NAMES[k].upper() for k in shuffled], "Extra"]
+    take = read_take(write(csv_text(values[:, shuffled], timecodes(5), header)))
+    np.testing.assert_array_equal(take.weights, values)
+
+
+def test_missing_columns_are_zero_and_named(write):
+    kept = [k for k in range(52) if ARKIT[k] not in ("tongueOut", "jawLeft")]
+    header = ["Timecode", "BlendShapeCount", *[NAMES[k] for k in kept], "HeadYaw"]
+    take = read_take(write("\ufeff" + csv_text(ramp(4)[:, kept], timecodes(4), header)))
+    assert take.missing == ("jawLeft", "tongueOut")
+    assert not take.weights[:, [index("jawLeft"), index("tongueOut")]].any()
+    np.testing.assert_array_equal(take.weights[:, kept], ramp(4)[:, kept])
+
+
+def test_values_are_clipped_and_counted(write):
+    values = ramp(4)
+    values[1, 3], values[2, 7], values[3, 0] = 1.05, -0.01, 1.0
+    take = read_take(write(csv_text(values, timecodes(4))))
+    assert take.clipped == 2
+    assert take.weights[1, 3] == 1.0 and take.weights[2, 7] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("rate", "step", "expected"), [(60, 1, 60), (60, 2, 30), (30, 1, 30), (24, 1, 24), (25, 1, 25)]
+)
+def test_rate_is_that_of_the_timecodes(write, rate, step, expected):
+    take = read_take(write(csv_text(ramp(150), timecodes(150, rate=rate, step=step))))
+    assert take.rate == pytest.approx(expected)
+    np.testing.assert_allclose(take.times, np.arange(150) / expected, atol=1e-12)
+
+
+def test_times_go_on_over_midnight_and_over_lines_without_a_face(write):
+    codes = ["23:59:59:57.000", "23:59:59:58.000", "23:59:59:59.000", "00:00:00:00.000", "00:00:00:01.000"]
+    lines = csv_text(ramp(5), codes).splitlines()
+    lines[2] = "23:59:59:58.000,0" + "," * 53
+    take = read_take(write("\n".join(lines)))
+    np.testing.assert_allclose(take.times, [0, 2 / 60, 3 / 60, 4 / 60], atol=1e-9)
+    np.testing.assert_array_equal(take.weights, ramp(5)[[0, 2, 3, 4]])
+
+
+def broken_csv():
+    good = csv_text(ramp(3), timecodes(3)).splitlines()
+    cells = good[2].split(",")
+    column = HEADER.index("JawOpen")
+
+    def third(change):
+        row = list(cells)
+        change(row)
+        return "\n".join([good[0], good[1], ",".join(row), good[3]])
+
+    yield "", "the file is empty"
+    yield ",,,\n", "names none of ARKit's 52"
+    yield "a,b\n1,2\n", "names none of ARKit's 52"
+    yield good[0], "no frames"
+    yield third(lambda row: row.pop()), "line 3: 54 columns, line 1 has 55"
+    yield third(lambda row: row.__setitem__(column, "nan")), "line 3, column JawOpen: nan is not finite"
+    yield third(lambda row: row.__setitem__(column, "")), "line 3, column JawOpen: '' is no number"
+    yield third(lambda row: row.__setitem__(0, "later")), "line 3, column Timecode: 'later'"
+    yield third(lambda row: row.__setitem__(0, "10:00:00:02.25")), "line 4, column Timecode: time does not rise"
+    yield third(lambda row: row.__setitem__(0, "10:00:00:900")), "line 3, column Timecode: frame 900"
+    yield "\n".join(good).replace("JawOpen", "JawOpn"), "'JawOpn'; did you mean jawOpen"
+    yield "\n".join(good).replace("JawLeft", "JawOpen"), "jawOpen stands there 2 times"
+    yield "\n".join(good).replace("Timecode", "Code"), "no column Timecode"
+    yield b"\xff\xfe\x00PK\x03\x04", "it is no text"
+    yield b"Timecode,JawOpen\n1\x00,2\n", "."
+
+
+@pytest.mark.parametrize(("content", "message"), list(broken_csv()))
+def test_a_bad_csv_is_one_line_that_names_the_place(write, content, message):
+    with pytest.raises(InputError, match="take.csv: ") as raised:
+        read_take(write(content))
+    assert message in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_other_files_are_refused(write, tmp_path):
+    with pytest.raises(InputError, match="nowhere.csv: no such file"):
+        read_take(tmp_path / "nowhere.csv")
+    with pytest.raises(InputError, match="expected one of .csv, .json"):
+        read_take(write("", "take.txt"))
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(InputError, match="folder.csv: cannot be read"):
+        read_take(tmp_path / "folder.csv")
+
+
+def test_the_three_forms_of_json_say_the_same(write):
+    frames = [{"jawOpen": 0.2}, {"jawOpen": 0.4, "mouthFunnel": 0.1}, {}]
+    lists = [[0.2, 0], [0.4, 0.1], [0, 0.0]]
+    names = ["JawOpen", "mouthFunnel"]
+    timed = [{"weights": row, "time": 2.0 + n / 30, "rotation": []} for n, row in enumerate(lists)]
+    takes = [
+        read_take(write(json.dumps(content), "take.json"))
+        for content in (
+            {"rate": 30, "frames": frames},
+            {"fps": 30, "names": names, "frames": lists},
+            {"names": names, "frames": timed},
+        )
+    ]
+    expected = np.stack([expressions.weights_of(frame) for frame in frames])
+    for take in takes:
+        np.testing.assert_array_equal(take.weights, expected)
+        np.testing.assert_allclose(take.times, np.arange(3) / 30, atol=1e-12)
+        assert take.rate == pytest.approx(30)
+        assert len(take.missing) == 50 and "jawOpen" not in take.missing
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not JSON"),
+        ("[" * 100_000, "not JSON"),
+        ("[1, 2]", "not a take"),
+        ('{"rate": 30, "frames": []}', "not a take"),
+        ('{"frames": [{"jawOpen": 1}]}', '"rate": None'),
+        ('{"rate": 0, "frames": [{"jawOpen": 1}]}', "rate: 0 Hz"),
+        ('{"rate": 30, "frames": [{"jawOpn": 1}]}', "frame 0: unknown ARKit expression 'jawOpn'; did you mean jawOpen"),
+        ('{"rate": 30, "frames": [{}, {"jawOpen": "x"}]}', "frame 1, jawOpen: x is no finite"),
+        ('{"rate": 30, "frames": [{"jawOpen": NaN}]}', "frame 0, jawOpen: nan is no finite"),
+        ('{"rate": 30, "frames": [{"jawOpen": 1' + "0" * 400 + "}]}", "frame 0, jawOpen"),
+        ('{"rate": 30, "frames": [{"jawOpen": true}]}', "frame 0, jawOpen: True"),
+        ('{"rate": 30, "frames": [{"jawOpen": 1}, 3]}', "frame 1"),
+        ('{"rate": 30, "frames": [[1]]}', '"names"'),
+        ('{"rate": 30, "names": ["jawOpen"], "frames": [[1], [1, 2]]}', "frame 1: expected a list of 1"),
+        ('{"rate": 30, "names": ["jawOpen", "JawOpen"], "frames": [[1, 1]]}', "jawOpen stands there 2 times"),
+        ('{"rate": 30, "names": ["smile"], "frames": [[1]]}', "names: unknown ARKit expression 'smile'"),
+        (
+            '{"names": ["jawOpen"], "frames": [{"weights": [1], "time": 1}, {"weights": [1], "time": 1}]}',
+            "frame 1, time",
+        ),
+    ],
+)
+def test_a_bad_json_is_one_line_that_names_the_place(write, text, message):
+    with pytest.raises(InputError, match="take.json: ") as raised:
+        read_take(write(text, "take.json"))
+    assert message in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_takes_check_what_they_are_made_of():
+    good = np.zeros((3, 52))
+    with pytest.raises(InputError, match=r"\(0, 52\)"):
+        Take(np.zeros((0, 52)), 30.0, np.zeros(0))
+    with pytest.raises(InputError, match="browDownLeft is nan in frame 0"):
+        Take(good * np.nan, 30.0, np.arange(3) / 30)
+    with pytest.raises(InputError, match="frame 2"):
+        Take(good, 30.0, [0.0, 0.1, 0.1])
+    with pytest.raises(InputError, match="rate: inf"):
+        resampled(Take(good, 30.0, np.arange(3) / 30), np.inf)
+    with pytest.raises(ValueError, match="read-only"):
+        Take(good, 30.0, np.arange(3) / 30).weights[0, 0] = 1.0
+
+
+def sine(frequency, rate=60.0, seconds=4.0):
+    times = np.arange(round(seconds * rate) + 1) / rate
+    return Take(np.repeat(0.5 + 0.5 * np.sin(2 * np.pi * frequency * times)[:, None], 52, axis=1), rate, times)
+
+
+def test_rising_rate_interpolates_linearly():
+    take = Take(ramp(31), 30.0, np.arange(31) / 30)
+    finer = resampled(take, 120.0)
+    assert finer.weights.shape == (121, 52) and finer.duration == pytest.approx(1.0)
+    np.testing.assert_allclose(finer.weights, ramp(121), atol=1e-12)
+    np.testing.assert_allclose(resampled(finer, 120.0).weights, finer.weights, atol=1e-12)
+
+
+def test_falling_rate_averages():
+    """A box of width 1/r passes a sine of frequency f by sin(pi f/r)/(pi f/r): here f = 14 Hz, r = 15 Hz: 0.071.
+
+    Read off without the box, the 14 Hz would come back as 1 Hz at full amplitude. Linear interpolation between frames
+    at 60 Hz keeps (sin(pi f/60)/(pi f/60))² = 0.83 of it before.
+    """
+    coarse = resampled(sine(14.0), 15.0)
+    inner = coarse.weights[1:-1, 0]
+    expected = 0.071 * 0.83 * 0.5
+    assert np.abs(inner - 0.5).max() == pytest.approx(expected, rel=0.1)
+    slow = resampled(sine(0.5), 15.0)
+    np.testing.assert_allclose(slow.weights[1:-1, 0], 0.5 + 0.5 * np.sin(np.pi * slow.times[1:-1]), atol=2e-3)
+
+
+def test_a_gap_is_bridged_in_time():
+    times = np.delete(np.arange(31) / 30, [10, 11, 12])
+    take = Take(np.repeat(times[:, None], 52, axis=1), 30.0, times)
+    even = resampled(take, 30.0)
+    np.testing.assert_allclose(even.weights[:, 0], np.arange(31) / 30, atol=1e-12)
+    one = Take(np.full((1, 52), 0.3), 60.0, [0.0])
+    np.testing.assert_array_equal(resampled(one, 30.0).weights, one.weights)
