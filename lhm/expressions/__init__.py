@@ -2,15 +2,18 @@
 
 from ..arkit import ARKIT
 from .blending import blend, checked_weights, index, weights_of
+from .rigging import PersonalRig, personalised
 from .take import Take, read_take, resampled
 from .transfer import transfer_expressions
 
 __all__ = [
     "ARKIT",
+    "PersonalRig",
     "Take",
     "blend",
     "checked_weights",
     "index",
+    "personalised",
     "read_take",
     "resampled",
     "transfer_expressions",
