@@ -2,6 +2,7 @@
 
 from ..arkit import ARKIT
 from .blending import blend, checked_weights, index, weights_of
+from .conversation import conversation
 from .rigging import PersonalRig, personalised
 from .take import Take, read_take, resampled
 from .transfer import transfer_expressions
@@ -12,6 +13,7 @@ __all__ = [
     "Take",
     "blend",
     "checked_weights",
+    "conversation",
     "index",
     "personalised",
     "read_take",
