@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -13,6 +15,7 @@ from .geometry.bvh import TriangleTree
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
+from .regressor import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
 from .wraps import depth, inner
 from .wraps.columns import Columns
@@ -20,9 +23,10 @@ from .wraps.labels import bone_labels
 from .wraps.landmarks import Landmarks, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 8
+FORMAT = 10
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
+SHORTENED = 0.95
 MUSCLE = 0.6
 """The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
 
@@ -42,7 +46,8 @@ def template_of(space: LinearSpace, *, level: int = DEFAULT_LEVEL, progress: OnP
         )
 
     name = f"template-{space.name}-{space.fingerprint()}-{level}-{FORMAT}"
-    return template_from(cached(name, make))
+    template = template_from(cached(name, make))
+    return replace(template, regressor=default_regressor(template, space))
 
 
 def build_template(
@@ -81,13 +86,14 @@ def build_template(
     try:
         rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
         connectors, room = _connectors(columns, rest, parts[nearest], marks)
-        stack = np.vstack([rest, rest + MUSCLE * connectors, rest + connectors])
-        stack = inner.valid_layers(columns, stack)
+        stack = inner.valid_layers(columns, np.vstack([rest, rest + MUSCLE * connectors, rest + connectors]))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     masks = {region: mask[nearest] for region, mask in regions(skin, parts, marks).items()}
     n = columns.n
     rest, depths = stack[:n], np.linalg.norm(stack[2 * n :] - stack[:n], axis=1)
+    # A column that had to be shortened shows that there is less room than the ball inside its skin has.
+    room = np.where(depths < SHORTENED * np.linalg.norm(connectors, axis=1), np.minimum(depths, room), room)
     from_lips = distance_to(rest, x[marks.rim])
     bone = bone_labels(rest, rest + wrap_from_skin @ jaw, depths, masks, from_lips, columns.edges)
     progress("layers", 1.0)

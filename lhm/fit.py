@@ -1,4 +1,4 @@
-"""Fit the template's layers to a neutral skin of its topology (SoftDECA 3.1.1)."""
+"""Fit the template's layers to a neutral skin (SoftDECA 3.1.1 and 3.1.2), in the paper's order."""
 
 from __future__ import annotations
 
@@ -10,34 +10,44 @@ from .errors import FitError
 from .geometry.warp import TriharmonicWarp, farthest_points
 from .head import LayeredHead
 from .mesh import Floats, Surface
+from .regressor import DepthRegressor
 from .template import Template
 from .wraps import inner
+from .wraps.skull import SkullFit
 
 CENTRES = 1000
+LEAST_DEPTH = 2.0
+"""[mm] A skull wrap is wanted at least this deep; less only where there is no room for more."""
+RATIO = 0.1
+"""How much of a column's growth its muscle takes (SoftDECA 3.1.2: ten percent)."""
+LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
+"""Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
 
 
 class _Prepared:
-    """What depends on the template alone: the warp's factorisation, and its matrices at the points that it moves."""
+    """What depends on the template alone: two factorisations, and the warp's matrices at the points that it moves."""
 
     def __init__(self, template: Template):
-        skin = template.skin.vertices
+        skin, n = template.skin.vertices, template.columns.n
         first = np.concatenate([template.marks.rim, template.marks.lids])
         self.centres = farthest_points(skin, CENTRES, first)
         self.warp = TriharmonicWarp(skin[self.centres])
         self.at_skin = self.warp.basis(skin)
-        self.at_wraps = self.warp.basis(template.stack)
+        self.at_wraps = self.warp.basis(np.vstack([template.stack[:n], template.stack[2 * n :]]))
+        self.skull_fit = SkullFit(template.columns, template.stack[:n], template.stack[2 * n :])
+        self.edge = template.columns.mean_edge(template.stack[:n])
 
 
 _prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
 
 
-def fit_head(template: Template, skin: Surface) -> LayeredHead:
+def fit_head(template: Template, skin: Surface, *, regressor: DepthRegressor | None = None) -> LayeredHead:
     """The layered head of a neutral skin [mm] with the template's triangles.
 
-    All wraps are moved by one smooth warp of space from the template's skin to the given one (Eq. 3); what the warp
-    leaves of the skin's displacement is added to each column of the layers through the wrap's tie to the skin. Where
-    a layer then crosses another or a tet is flat, connectors are shortened and the wrap is smoothed. Raises FitError
-    naming the gate that failed: another topology, a wrap that crosses itself, or defects that are left.
+    In the paper's order: the template's wraps are warped with the skin (Eq. 3); `regressor` (default: the template's)
+    says how deep the skull wrap lies, and Eq. 4 finds it; the muscle wrap follows by the ten-percent rule; columns
+    that cross or hold a flat tet are shortened (`wraps.inner`). Raises FitError naming the gate that failed: another
+    topology, a wrap that crosses itself, or defects that are left.
     """
     if skin.vertices.shape != template.skin.vertices.shape or not np.array_equal(
         skin.triangles, template.skin.triangles
@@ -49,12 +59,44 @@ def fit_head(template: Template, skin: Surface) -> LayeredHead:
     prepared = _prepared.get(template)
     if prepared is None:
         prepared = _prepared[template] = _Prepared(template)
-    stack = _warped(template, prepared, skin.vertices)
-    return template.layered(skin, inner.valid_layers(template.columns, stack))
+    wrap, start = _warped(template, prepared, skin.vertices)
+    depths = _depths(template, prepared, wrap, regressor or template.regressor)
+    skull, _ = prepared.skull_fit.fitted(wrap, depths, start)
+    muscle = _muscle(template, wrap, skull)
+    return template.layered(skin, inner.valid_layers(template.columns, np.vstack([wrap, muscle, skull])))
 
 
-def _warped(template: Template, prepared: _Prepared, skin: Floats) -> Floats:
-    moved = skin - template.skin.vertices
+def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floats, Floats]:
+    """Skin and skull wrap under the smooth warp of space from the template's skin to the given one.
+
+    What the warp leaves of the skin's displacement is added to each column through the wrap's tie to the skin.
+    """
+    moved, n = skin - template.skin.vertices, template.columns.n
     coefficients = prepared.warp.coefficients(moved[prepared.centres])
     left = template.wrap_from_skin @ (moved - prepared.at_skin @ coefficients)
-    return template.stack + prepared.at_wraps @ coefficients + np.tile(left, (3, 1))
+    shift = prepared.at_wraps @ coefficients
+    return template.stack[:n] + shift[:n] + left, template.stack[2 * n :] + shift[n:] + left
+
+
+def _depths(template: Template, prepared: _Prepared, wrap: Floats, regressor: DepthRegressor | None) -> Floats:
+    columns = template.columns
+    stretch = np.clip(columns.mean_edge(wrap) / prepared.edge, 0.5, 2.0)
+    for _ in range(3):
+        stretch = columns.mean @ stretch
+    if regressor is None:
+        wanted = stretch * np.linalg.norm(template.stack[2 * columns.n :] - template.stack[: columns.n], axis=1)
+    else:
+        regressor.check(template.skin_wrap)
+        wanted = regressor.predict(wrap)
+    return np.clip(wanted, np.minimum(LEAST_DEPTH, stretch * template.room), stretch * template.room)
+
+
+def _muscle(template: Template, wrap: Floats, skull: Floats) -> Floats:
+    """The muscle wrap on the way from skull to skin wrap: it grows by a tenth of what the column grows."""
+    before, muscle, bone = template.stack.reshape(3, -1, 3)
+    depth_before = np.linalg.norm(before - bone, axis=1)
+    depth = np.linalg.norm(wrap - skull, axis=1)
+    thickness = np.linalg.norm(muscle - bone, axis=1) * (1 + RATIO * (depth / depth_before - 1))
+    most = MOST_MUSCLE * depth
+    thickness = np.clip(thickness, np.minimum(LEAST_MUSCLE, most), most)
+    return skull + (thickness / np.maximum(depth, 1e-12))[:, None] * (wrap - skull)

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -17,6 +18,9 @@ from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
 from .wraps.columns import Columns
 from .wraps.landmarks import Landmarks, Mask, landmarks
+
+if TYPE_CHECKING:
+    from .regressor import DepthRegressor
 
 DEFAULT_LEVEL = 2
 LEVELS = {1: 1212, 2: 4842, 3: 19362}
@@ -31,6 +35,7 @@ class Template:
     `triangles` (m, 3); `room` (n,) [mm]: how long a column may be before it meets tissue of another; `bone`,
     `regions`, `wrap_from_skin` and `skin_from_wrap` as in LayeredHead. `muscles` and `skull`: the surfaces that the
     inner wraps lie on, where the template was built from some; `skull_bone`: which bone each vertex of the latter is.
+    `regressor`: how deep the skull wrap lies under a skin wrap; without one, as deep as in the template.
     """
 
     name: str
@@ -46,6 +51,7 @@ class Template:
     muscles: Surface | None = field(default=None, repr=False)
     skull: Surface | None = field(default=None, repr=False)
     skull_bone: Ints | None = field(default=None, repr=False)
+    regressor: DepthRegressor | None = field(default=None, repr=False)
 
     @property
     def skin_wrap(self) -> Surface:

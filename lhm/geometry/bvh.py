@@ -42,6 +42,23 @@ def _build(low, high):
 
 
 @njit(cache=True)
+def _refit(low, high, order, start, stop, left):
+    box = np.empty((len(start), 6))
+    # Children are numbered after their parent.
+    for node in range(len(start) - 1, -1, -1):
+        for c in range(3):
+            if left[node] >= 0:
+                box[node, c] = min(box[left[node], c], box[left[node] + 1, c])
+                box[node, 3 + c] = max(box[left[node], 3 + c], box[left[node] + 1, 3 + c])
+            else:
+                box[node, c], box[node, 3 + c] = np.inf, -np.inf
+                for k in range(start[node], stop[node]):
+                    box[node, c] = min(box[node, c], low[order[k], c])
+                    box[node, 3 + c] = max(box[node, 3 + c], high[order[k], c])
+    return box
+
+
+@njit(cache=True)
 def _box_distance2(box, p):
     total = 0.0
     for c in range(3):
@@ -66,6 +83,40 @@ def _closest(points, corners, order, start, stop, left, box):
             if left[node] < 0:
                 for k in range(start[node], stop[node]):
                     t = order[k]
+                    u, v, w, d2 = closest_on_triangle(p, corners[t])
+                    if d2 < best:
+                        best, which[i] = d2, t
+                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
+            else:
+                a, b = left[node], left[node] + 1
+                if _box_distance2(box[a], p) < _box_distance2(box[b], p):
+                    a, b = b, a
+                stack[size], stack[size + 1] = a, b
+                size += 2
+        distance[i] = np.sqrt(best)
+    return which, weights, distance
+
+
+@njit(cache=True)
+def _closest_facing(points, normals, cosine, corners, faces, order, start, stop, left, box):
+    """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none."""
+    n = len(points)
+    which, weights, distance = np.full(n, -1), np.zeros((n, 3)), np.full(n, np.inf)
+    stack = np.empty(128, np.int64)
+    for i in range(n):
+        p, best, size = points[i], np.inf, 1
+        stack[0] = 0
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _box_distance2(box[node], p) >= best:
+                continue
+            if left[node] < 0:
+                for k in range(start[node], stop[node]):
+                    t = order[k]
+                    aligned = normals[i, 0] * faces[t, 0] + normals[i, 1] * faces[t, 1] + normals[i, 2] * faces[t, 2]
+                    if aligned < cosine:
+                        continue
                     u, v, w, d2 = closest_on_triangle(p, corners[t])
                     if d2 < best:
                         best, which[i] = d2, t
@@ -126,16 +177,34 @@ class TriangleTree:
 
     vertices: Floats
     triangles: Ints
+    layout: tuple[np.ndarray, ...] | None = field(default=None, repr=False)
     corners: Floats = field(init=False, repr=False)
     _nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
     def __post_init__(self):
         object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.triangles]))
-        object.__setattr__(self, "_nodes", _build(self.corners.min(axis=1), self.corners.max(axis=1)))
+        low, high = self.corners.min(axis=1), self.corners.max(axis=1)
+        nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
+        object.__setattr__(self, "_nodes", nodes)
+
+    def moved(self, vertices: Floats) -> TriangleTree:
+        """The tree of the same triangles over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        return TriangleTree(vertices, self.triangles, self._nodes[:-1])
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
         """Triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each of `points`."""
         return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
+
+    def closest_facing(
+        self, points: Floats, normals: Floats, faces: Floats, cosine: float
+    ) -> tuple[Ints, Floats, Floats]:
+        """As `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
+
+        `normals` (k, 3) of the points and `faces` (m, 3) of the triangles are unit vectors. Where no triangle
+        qualifies the triangle is -1, its weights are 0 and the distance is infinite.
+        """
+        arrays = (np.ascontiguousarray(a) for a in (points, normals))
+        return _closest_facing(*arrays, cosine, self.corners, np.ascontiguousarray(faces), *self._nodes)
 
     def self_crossings(self) -> Ints:
         """Pairs of triangles without a common vertex that cross, shape (k, 2)."""

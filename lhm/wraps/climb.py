@@ -12,8 +12,9 @@ import numpy as np
 from ..mesh import Floats
 from .columns import Columns
 
-ENOUGH = 0.16  # sine of the dihedral angle that is left alone: 9 degrees
-SWEEPS = 40
+ENOUGH = 0.12  # sine of the dihedral angle that is left alone: 7 degrees
+SWEEPS = 20
+CYCLE = 5  # sweeps over which the step shrinks, by half each, before it is long again
 SHORTEST, LONGEST = 0.4, 1.6  # of the length that a connector started with
 SLIDE = 0.25  # of the mean edge: how far a vertex of the skin wrap may slide along it
 
@@ -36,7 +37,7 @@ def improved(columns: Columns, stack: Floats, *, least: float) -> Floats:
 
 @numba.njit(cache=True, error_model="numpy")
 def smallest_sine(x, a, b, c, d):
-    """The smallest sine of the dihedral angles, 6 V |edge| over its two faces' doubled areas; negative if inverted."""
+    """The smallest sine of the dihedral angles, 6 V |edge| over its two faces' doubled areas, with the sign of V."""
     b0, b1, b2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
     c0, c1, c2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
     d0, d1, d2 = x[d, 0] - x[a, 0], x[d, 1] - x[a, 1], x[d, 2] - x[a, 2]
@@ -57,10 +58,7 @@ def smallest_sine(x, a, b, c, d):
     lbd = (d0 - b0) ** 2 + (d1 - b1) ** 2 + (d2 - b2) ** 2
     lcd = (d0 - c0) ** 2 + (d1 - c1) ** 2 + (d2 - c2) ** 2
     # Squares of 1 / sine, but for the volume: the largest product over an edge belongs to the smallest sine.
-    if volume > 0:
-        worst = max(nc * nd / lab, nb * nd / lac, nb * nc / lad, na * nd / lbc, na * nc / lbd, na * nb / lcd)
-    else:
-        worst = min(nc * nd / lab, nb * nd / lac, nb * nc / lad, na * nd / lbc, na * nc / lbd, na * nb / lcd)
+    worst = max(nc * nd / lab, nb * nd / lac, nb * nc / lad, na * nd / lbc, na * nc / lbd, na * nb / lcd)
     return volume / np.sqrt(max(worst, 1e-300))
 
 
@@ -120,9 +118,9 @@ def _climb(x, tets, incident, starts, shortest, longest, normals, slide):
     column, best = np.empty((3, 3)), np.empty((3, 3))
     delta = np.empty(3)
     for sweep in range(SWEEPS):
-        if sweep % 4 == 0:
+        if sweep % CYCLE == 0:
             active = _bad_columns(x, tets, n)
-        moves = 0
+            moves = 0
         for v in active:
             first, last = starts[v], starts[v + 1]
             worst, where = _worst_around(x, tets, incident, first, last)
@@ -136,7 +134,7 @@ def _climb(x, tets, incident, starts, shortest, longest, normals, slide):
                 before = worst
                 for which in range(14):
                     for c in range(3):
-                        delta[c] = step[v, kind] * _direction(which, c)
+                        delta[c] = 0.5 ** (sweep % CYCLE) * step[v, kind] * _direction(which, c)
                     for level in range(3):
                         for c in range(3):
                             x[level * n + v, c] = best[level, c]
@@ -170,8 +168,6 @@ def _climb(x, tets, incident, starts, shortest, longest, normals, slide):
                 if worst > before:
                     moves += 1
                     worst, where = _worst_around(x, tets, incident, first, last)
-                else:
-                    step[v, kind] *= 0.5
-        if moves == 0:
+        if sweep % CYCLE == CYCLE - 1 and moves == 0:
             break
     return x

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 from scipy.sparse import diags, identity
@@ -93,42 +95,57 @@ def sines(stack, tets):
     return found
 
 
-def crossings(columns: Columns, stack: Floats) -> Ints:
-    """Pairs of triangles in which the skull wrap crosses the skin wrap or itself, shape (k, 2).
+@dataclass
+class Crossings:
+    """Looks for crossings of the stacked wraps of one head again and again; the trees are laid out once."""
 
-    Tets that are all positive between two wraps that neither cross themselves nor each other fill the space between
-    them once, so the muscle wrap in their midst crosses nothing either.
-    """
-    n = columns.n
-    skin, skull = (TriangleTree(x, columns.triangles) for x in (stack[:n], stack[2 * n :]))
-    return np.vstack([skull.self_crossings(), skin.crossings(skull)])
+    columns: Columns
+    skin: TriangleTree
+    skull: TriangleTree
+
+    @classmethod
+    def of(cls, columns: Columns, stack: Floats) -> Crossings:
+        """For a head that starts with these wraps (3 n, 3) [mm]."""
+        n = columns.n
+        return cls(columns, *(TriangleTree(x, columns.triangles) for x in (stack[:n], stack[2 * n :])))
+
+    def find(self, stack: Floats) -> tuple[Ints, Ints]:
+        """Pairs of triangles in which the skin wrap crosses itself, and in which the skull wrap crosses any, (k, 2).
+
+        Tets that are all positive between two wraps that neither cross themselves nor each other fill the space
+        between them once, so the muscle wrap in their midst crosses nothing either.
+        """
+        n = self.columns.n
+        skin, skull = self.skin.moved(stack[:n]), self.skull.moved(stack[2 * n :])
+        return skin.self_crossings(), np.vstack([skull.self_crossings(), skin.crossings(skull)])
 
 
 def valid_layers(columns: Columns, stack: Floats) -> Floats:
     """Wraps (3 n, 3) [mm], skin, muscle, skull, without crossing and inverted tet, close to those given.
 
     Worst tets are shaped by climbing. Columns of a defect that is left are shortened and, with their neighbours',
-    turned towards the inward normal; where that goes on, the skin wrap is smoothed there too. Raises FitError naming
-    what is left after ROUNDS.
+    turned towards the inward normal; where that goes on, or the skin wrap crosses itself, that is smoothed there too.
+    Raises FitError naming what is left after ROUNDS.
     """
     n = columns.n
     skin = uncreased(columns, stack[:n])
     stack = stack + np.tile(skin - stack[:n], (3, 1))
-    given = stack
+    search = Crossings.of(columns, stack)
     for number in range(ROUNDS):
         stack = climb.improved(columns, stack, least=LEAST_LENGTH)
-        bad = sines(stack, columns.tets) < LEAST_SINE
-        hit = np.unique(columns.tets[bad] % n)
-        if not len(hit):
-            hit = np.unique(columns.triangles[crossings(columns, stack)])
+        bad = columns.tets[sines(stack, columns.tets) < LEAST_SINE]
+        skin_pairs, pairs = (np.zeros((0, 2), np.int64),) * 2 if len(bad) else search.find(stack)
+        hit = [bad.ravel() % n, columns.triangles[skin_pairs].ravel(), columns.triangles[pairs].ravel()]
+        hit = np.unique(np.concatenate(hit))
         if not len(hit):
             return stack
-        given = stack = _thinner(columns, stack, hit, smooth=number >= 4)
-    inverted = int((sines(given, columns.tets) <= 0).sum())
-    crossing = len(crossings(columns, given))
+        if number < ROUNDS - 1:
+            stack = _thinner(columns, stack, hit, smooth=number >= 4 or len(skin_pairs) > 0)
+    inverted = int((sines(stack, columns.tets) <= 0).sum())
+    crossing = sum(map(len, search.find(stack)))
     if inverted or crossing:
         raise FitError(f"layers: {inverted} tets are flat or inverted, {crossing} pairs of triangles cross")
-    return given
+    return stack
 
 
 def _thinner(columns: Columns, stack: Floats, hit: Ints, *, smooth: bool) -> Floats:
