@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ..errors import InputError
-from .space import LinearSpace
+from .space import IdentitySpace, LinearSpace
 
-__all__ = ["Anny", "ICTFaceKit", "LinearSpace", "from_text"]
+__all__ = ["FLAME", "Anny", "ICTFaceKit", "IdentitySpace", "LinearSpace", "MeshFolder", "from_text"]
 
 
 def Anny() -> LinearSpace:
@@ -22,11 +22,26 @@ def ICTFaceKit(path) -> LinearSpace:
     return load(path)
 
 
+def FLAME(path) -> LinearSpace:
+    """FLAME's space from the user's licensed .pkl or .npz [m in the file]; see `flame`. InputError names a bad file."""
+    from .flame import load
+
+    return load(path)
+
+
+def MeshFolder(path, *, unit: str = "mm") -> LinearSpace:
+    """The space of a folder of meshes that share a topology; see `folder`. InputError names a bad file."""
+    from .folder import load
+
+    return load(path, unit=unit)
+
+
 def from_text(text: str) -> LinearSpace:
-    """The space that a command line names: "anny", or "ict:FILE"; InputError for anything else."""
+    """The space that a command line names: "anny", "ict:FILE", "flame:FILE" or "folder:DIR"; InputError for others."""
     kind, _, path = text.partition(":")
     if kind == "anny" and not path:
         return Anny()
-    if kind == "ict" and path:
-        return ICTFaceKit(path)
-    raise InputError(f"identities {text!r}: expected 'anny' or 'ict:FILE'")
+    files = {"ict": ICTFaceKit, "flame": FLAME, "folder": MeshFolder}
+    if kind in files and path:
+        return files[kind](path)
+    raise InputError(f"identities {text!r}: expected 'anny', 'ict:FILE', 'flame:FILE' or 'folder:DIR'")

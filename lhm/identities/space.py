@@ -1,9 +1,10 @@
-"""Identity spaces: linear models of neutral heads, each with the 52 ARKit expressions."""
+"""Identity spaces: models of neutral heads, each with the 52 ARKit expressions; the linear ones."""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -14,6 +15,37 @@ OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 """What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
 
 CLIP = 2.5
+
+
+class IdentitySpace(Protocol):
+    """A model of neutral heads over one triangulation."""
+
+    @property
+    def name(self) -> str:
+        """The name by which templates, corpora and checkpoints know the space."""
+        ...
+
+    @property
+    def code_size(self) -> int:
+        """How many coefficients an identity code has."""
+        ...
+
+    @property
+    def triangles(self) -> Ints:
+        """The triangles of every skin of this space, shape (m, 3)."""
+        ...
+
+    def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
+        """A random identity: its code, shape (code_size,), and its neutral skin [mm]."""
+        ...
+
+    def skin(self, code) -> Surface:
+        """The neutral skin [mm] of a code, shape (code_size,)."""
+        ...
+
+    def expression_deltas(self, code) -> Floats:
+        """What each of the 52 ARKit expressions adds [mm], shape (52, n, 3)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

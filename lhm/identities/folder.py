@@ -1,0 +1,100 @@
+"""An identity space from a folder of meshes that share their topology: their mean and principal components."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..arkit import ARKIT
+from ..errors import InputError
+from ..files.surface_file import SUFFIXES, read_surface
+from ..geometry.rigid import rigid_motion
+from ..mesh import Floats, Ints, Surface
+from .space import CAP, OUTSIDE, LinearSpace
+
+CODE_SIZE = 50
+
+
+def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
+    """Mean and principal components of the neutral skins in a folder: OBJ, PLY, STL or NPZ [`unit`: mm, cm or m].
+
+    The skins are moved rigidly onto the first by name; codes are standard normal, none for a single skin. Optional:
+    `expressions/NAME.obj` and so on with ARKit's names, each a shape of the same topology, beside the
+    `expressions/neutral.obj` that they depart from, those that are not there are in `missing`; `parts.npy` or
+    `parts.json`, a number 0 to 3 per vertex (OUTSIDE, MOUTH, EYES, CAP), all OUTSIDE without.
+    Raises InputError that names the folder if it holds no mesh, and the file whose topology differs or that is bad.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    files = _meshes(folder)
+    if not files:
+        raise InputError(f"{folder}: no mesh in it; expected {', '.join(SUFFIXES)}")
+    first = read_surface(files[0], unit=unit)
+    skins = [first.vertices]
+    for file in files[1:]:
+        skin = _alike(file, first, files[0], unit).vertices
+        rotation, shift = rigid_motion(skin, first.vertices)
+        skins.append(skin @ rotation.T + shift)
+    mean, identity = _components(np.stack(skins))
+    expressions, missing = _expressions(folder / "expressions", first, files[0], unit)
+    return LinearSpace(
+        folder.name, first.with_vertices(mean), identity, expressions, _parts(folder, len(mean)), missing
+    )
+
+
+def _meshes(folder: Path) -> list[Path]:
+    return sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+
+
+def _alike(file: Path, first: Surface, of: Path, unit: str) -> Surface:
+    skin = read_surface(file, unit=unit)
+    if len(skin.vertices) != len(first.vertices) or not np.array_equal(skin.triangles, first.triangles):
+        raise InputError(
+            f"{file}: another topology ({len(skin.vertices)} vertices, {len(skin.triangles)} triangles) than "
+            f"{of.name} ({len(first.vertices)}, {len(first.triangles)})"
+        )
+    return skin
+
+
+def _components(skins: Floats) -> tuple[Floats, Floats]:
+    mean = skins.mean(axis=0)
+    flat = (skins - mean).reshape(len(skins), -1) / np.sqrt(max(len(skins) - 1, 1))
+    _, sizes, components = np.linalg.svd(flat, full_matrices=False)
+    kept = np.flatnonzero(sizes > 1e-6 * max(sizes[0], 1.0))[: min(len(skins) - 1, CODE_SIZE)]
+    return mean, (sizes[kept, None] * components[kept]).reshape(len(kept), *mean.shape)
+
+
+def _expressions(folder: Path, first: Surface, of: Path, unit: str) -> tuple[Floats, tuple[str, ...]]:
+    deltas = np.zeros((len(ARKIT), *first.vertices.shape))
+    files = {file.stem: file for file in _meshes(folder)} if folder.is_dir() else {}
+    if files and "neutral" not in files:
+        raise InputError(f"{folder}: 'neutral' is missing, the face that the expressions depart from")
+    for name, file in files.items():
+        if name not in (*ARKIT, "neutral"):
+            raise InputError(f"{file}: {name!r} is none of ARKit's expressions, nor 'neutral'")
+    if files:
+        neutral = _alike(files.pop("neutral"), first, of, unit).vertices
+        for name, file in files.items():
+            deltas[ARKIT.index(name)] = _alike(file, first, of, unit).vertices - neutral
+    return deltas, tuple(name for name in ARKIT if name not in files)
+
+
+def _parts(folder: Path, n: int) -> Ints:
+    for file in (folder / "parts.npy", folder / "parts.json"):
+        if not file.is_file():
+            continue
+        try:
+            read = np.load(file, allow_pickle=False) if file.suffix == ".npy" else json.loads(file.read_text("utf-8"))
+            parts = np.asarray(read)
+        except Exception as error:  # numpy raises whatever the damage makes it raise
+            raise InputError(f"{file}: not readable ({str(error)[:80]})") from None
+        if parts.shape != (n,) or not np.issubdtype(parts.dtype, np.integer):
+            raise InputError(f"{file}: expected {n} whole numbers, got {parts.dtype} of shape {parts.shape}")
+        if parts.min() < OUTSIDE or parts.max() > CAP:
+            raise InputError(f"{file}: parts lie within {OUTSIDE}..{CAP}, found {parts.min()}..{parts.max()}")
+        return parts.astype(np.int64)
+    return np.full(n, OUTSIDE)

@@ -1,0 +1,250 @@
+"""Identity spaces from files: FLAME's form in small, and folders of meshes."""
+
+import json
+import os
+import pickle
+import sys
+import types
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.sparse import csc_matrix
+
+from softdeca.lhm import InputError, Surface, expressions, identities
+from softdeca.lhm.files.surface_file import check_skin
+from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
+from softdeca.lhm.wraps.landmarks import landmarks
+
+JAW = np.array([0.0, -0.01, 0.0])
+
+
+@pytest.fixture(scope="module")
+def arrays():
+    """A head's size of ellipsoid [m], open at neck, mouth and eyes, with one eyeball beside it, in FLAME's arrays."""
+    unit, triangles = geodesic_sphere(16)
+    x = unit * [0.075, 0.115, 0.09]
+    centre = x[triangles].mean(axis=1)
+    places = [((0, -0.045, 0.085), 0.018), ((0.033, 0.03, 0.075), 0.014), ((-0.033, 0.03, 0.075), 0.014)]
+    hole = centre[:, 1] < -0.09
+    for place, radius in places:
+        hole |= np.linalg.norm(centre - place, axis=1) < radius
+    ball, more = geodesic_sphere(2)
+    n = len(x) + len(ball)
+    rng = np.random.default_rng(0)
+    weights = np.zeros((n, 5))
+    follows = np.clip((-0.02 - x[:, 1]) / 0.02, 0, 1) * (x[:, 2] > 0)
+    weights[: len(x), 2], weights[: len(x), 1] = follows, 1 - follows
+    weights[len(x) :, 3] = 1
+    template = np.vstack([x, 0.012 * ball + [0.033, 0.03, 0.06]])
+    # Joints sit where they should: rows of a regressor that interpolates the ellipsoid's vertices.
+    regressor = np.zeros((5, n))
+    targets = np.array([[0, -0.1, 0], [0, -0.08, 0], JAW, [0.033, 0.03, 0.06], [-0.033, 0.03, 0.06]])
+    regressor[:] = np.linalg.lstsq(np.vstack([template.T, np.ones(n)]), np.vstack([targets.T, np.ones(5)]), rcond=None)[
+        0
+    ].T
+    smooth = np.stack([np.sin(template @ d * 40) for d in rng.normal(size=(400, 3))], axis=1)
+    shapedirs = 0.002 * smooth[:, None, :] * rng.normal(size=(1, 3, 400))
+    return {
+        "v_template": template,
+        "f": np.vstack([triangles[~hole], more + len(x)]).astype(np.uint32),
+        "shapedirs": shapedirs,
+        "posedirs": np.zeros((n, 3, 36)),
+        "weights": weights,
+        "J_regressor": regressor,
+    }
+
+
+class Ch:
+    """Stands for chumpy's array, which pickles its dict with the values under x."""
+
+    def __init__(self, x):
+        self.x = x
+
+
+class Select:
+    def __init__(self, a, idxs, preferred_shape):
+        self.a, self.idxs, self.preferred_shape = a, idxs, preferred_shape
+
+
+@pytest.fixture
+def chumpy(monkeypatch):
+    for name, kind in (("chumpy.ch", Ch), ("chumpy.reordering", Select)):
+        module = types.ModuleType(name)
+        setattr(module, kind.__name__, kind)
+        monkeypatch.setattr(kind, "__module__", name)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setitem(sys.modules, "chumpy", types.ModuleType("chumpy"))
+    return None
+
+
+def test_flame_is_read_alike_from_pickle_and_npz(arrays, chumpy, tmp_path, monkeypatch):
+    order = np.random.default_rng(1).permutation(arrays["weights"].size)
+    flat = np.empty(arrays["weights"].size)
+    flat[order] = arrays["weights"].ravel()
+    pickled = {
+        **arrays,
+        "v_template": Ch(arrays["v_template"]),
+        "shapedirs": Ch(arrays["shapedirs"]),
+        "weights": Select(Ch(flat), order, arrays["weights"].shape),
+        "J_regressor": csc_matrix(arrays["J_regressor"]),
+        "bs_type": "lrotmin",
+    }
+    for protocol in (0, 2, 4):
+        (tmp_path / f"{protocol}.pkl").write_bytes(pickle.dumps(pickled, protocol=protocol))
+    np.savez(tmp_path / "flame.npz", **arrays)
+    for name in ("chumpy", "chumpy.ch", "chumpy.reordering"):
+        monkeypatch.delitem(sys.modules, name)
+    space = identities.FLAME(tmp_path / "flame.npz")
+    for protocol in (0, 2, 4):
+        other = identities.FLAME(tmp_path / f"{protocol}.pkl")
+        assert np.array_equal(other.mean.vertices, space.mean.vertices)
+        assert np.array_equal(other.identity, space.identity)
+        np.testing.assert_allclose(other.expressions, space.expressions, atol=1e-9)
+
+
+def test_flames_head_is_closed_with_pockets_and_a_jaw(arrays, tmp_path):
+    np.savez(tmp_path / "flame.npz", **arrays)
+    space = identities.from_text(f"flame:{tmp_path / 'flame.npz'}")
+    assert space.name == "flame" and space.code_size == 100
+    check_skin(space.mean)
+    mesh = trimesh.Trimesh(space.mean.vertices, space.triangles, process=False)
+    assert mesh.is_watertight and mesh.euler_number == 2 and mesh.volume > 0
+    assert all((space.parts == part).sum() > 20 for part in (OUTSIDE, MOUTH, EYES, CAP))
+    marks = landmarks(space.mean, space.parts)
+    assert marks.eyes[0, 0] > 20 > -20 > marks.eyes[1, 0] and marks.mouth[1] < -30
+    lining = space.mean.vertices[space.parts == MOUTH]
+    assert np.ptp(lining[:, 2]) > 20
+
+    # jawOpen is a turn about the jaw joint by 0.35 rad where the skinning weight is one.
+    jaw = space.expressions[expressions.index("jawOpen")]
+    visible = np.flatnonzero(space.parts == OUTSIDE)
+    rest = space.mean.vertices[visible] - 1000 * JAW
+    chin = (space.mean.vertices[visible, 1] < -45) & (space.mean.vertices[visible, 2] > 20) & (rest[:, 1] > -70)
+    expected = 2 * np.sin(0.35 / 2) * np.linalg.norm(rest[chin][:, 1:], axis=1)
+    np.testing.assert_allclose(np.linalg.norm(jaw[visible][chin], axis=1), expected, rtol=1e-6)
+    assert jaw[visible][chin][:, 1].max() < 0
+    assert len(space.missing) == 51 and "jawOpen" not in space.missing
+    # One standard deviation of a code is one of FLAME's, away from the lips.
+    moved = space.skin(np.eye(100)[3]).vertices - space.mean.vertices
+    top = np.flatnonzero(space.mean.vertices[:, 1] > 60)
+    match = np.argmin(
+        np.linalg.norm(arrays["v_template"][None] * 1000 - space.mean.vertices[top, None], axis=2), axis=1
+    )
+    np.testing.assert_allclose(moved[top], 1000 * arrays["shapedirs"][match, :, 3], atol=1e-6)
+
+
+class Evil:
+    def __reduce__(self):
+        return os.system, ("touch evil",)
+
+
+def test_bad_flame_files_are_named_and_nothing_is_run(arrays, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "flame.pkl"
+    whole = pickle.dumps(arrays, protocol=2)
+    for content, message in (
+        (pickle.dumps({**arrays, "extra": Evil()}, protocol=2), "asks for posix.system"),
+        (whole[: len(whole) // 2], "damaged"),
+        (b"", "damaged"),
+        (pickle.dumps([1, 2]), "expected a dict"),
+        (pickle.dumps({"f": arrays["f"]}), "'v_template' is missing"),
+        (pickle.dumps({**arrays, "weights": "none"}), "'weights' is no array"),
+        (pickle.dumps({**arrays, "weights": arrays["weights"][1:]}), "weights has shape"),
+        (pickle.dumps({**arrays, "shapedirs": arrays["shapedirs"] * np.nan}), "shapedirs holds values"),
+        (pickle.dumps({**arrays, "f": arrays["f"] + 10000}), "not FLAME's data"),
+    ):
+        file.write_bytes(content)
+        with pytest.raises(InputError, match=message) as raised:
+            identities.FLAME(file)
+        assert "flame.pkl" in str(raised.value) and "\n" not in str(raised.value)
+    assert not (tmp_path / "evil").exists()
+    with pytest.raises(InputError, match="no such file"):
+        identities.FLAME(tmp_path / "none.pkl")
+
+
+def _write(path, vertices, triangles):
+    np.savez(path, vertices=vertices, triangles=triangles)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    unit, triangles = geodesic_sphere(4)
+    rng = np.random.default_rng(5)
+    folder = tmp_path / "people"
+    folder.mkdir()
+    for k in range(6):
+        a, b = rng.normal(size=2)
+        x = 100 * unit * [1 + 0.05 * a, 1, 1] + 4 * b * np.abs(unit[:, 1:2]) * unit
+        _write(folder / f"{k}.npz", x, triangles)
+    return folder
+
+
+def test_a_folder_spans_its_skins(folder):
+    space = identities.from_text(f"folder:{folder}")
+    assert space.name == "people" and 2 <= space.code_size <= 5
+    assert (space.parts == OUTSIDE).all() and len(space.missing) == 52
+    skins = np.stack([np.load(folder / f"{k}.npz")["vertices"] for k in range(6)])
+    # Each skin is a code's, and over the skins a code has variance one.
+    basis = space.identity.reshape(space.code_size, -1)
+    codes = [np.linalg.lstsq(basis.T, (skin - space.mean.vertices).ravel(), rcond=None)[0] for skin in skins]
+    for skin, code in zip(skins, codes, strict=True):
+        np.testing.assert_allclose(space.skin(code).vertices, skin, atol=1e-5)
+    np.testing.assert_allclose(np.cov(np.array(codes).T), np.eye(space.code_size), atol=1e-4)
+    code, skin = space.sample(np.random.default_rng(0))
+    assert code.shape == (space.code_size,) and isinstance(skin, Surface)
+
+
+def test_a_single_mesh_is_a_space_without_codes(folder):
+    for k in range(1, 6):
+        (folder / f"{k}.npz").unlink()
+    space = identities.MeshFolder(folder, unit="cm")
+    code, skin = space.sample(np.random.default_rng(0))
+    assert space.code_size == 0 and code.shape == (0,)
+    np.testing.assert_allclose(skin.vertices, 10 * np.load(folder / "0.npz")["vertices"])
+
+
+def test_expressions_and_parts_of_a_folder(folder):
+    first = np.load(folder / "0.npz")
+    x, triangles = first["vertices"], first["triangles"]
+    (folder / "expressions").mkdir()
+    _write(folder / "expressions" / "neutral.npz", x, triangles)
+    _write(folder / "expressions" / "jawOpen.npz", x + [0, -3, 1], triangles)
+    (folder / "parts.json").write_text(json.dumps([CAP] + [OUTSIDE] * (len(x) - 1)))
+    space = identities.MeshFolder(folder)
+    np.testing.assert_allclose(space.expressions[expressions.index("jawOpen")], np.tile([0.0, -3, 1], (len(x), 1)))
+    assert "jawOpen" not in space.missing and len(space.missing) == 51
+    assert space.parts[0] == CAP and (space.parts[1:] == OUTSIDE).all()
+
+    (folder / "expressions" / "neutral.npz").rename(folder / "expressions" / "smile.npz")
+    with pytest.raises(InputError, match="'neutral' is missing"):
+        identities.MeshFolder(folder)
+    _write(folder / "expressions" / "neutral.npz", x, triangles)
+    with pytest.raises(InputError, match="smile.npz.*none of ARKit's"):
+        identities.MeshFolder(folder)
+    (folder / "expressions" / "smile.npz").unlink()
+    for content, message in (("[0, 1]", "whole numbers"), ("[", "not readable"), (json.dumps([7] * len(x)), "0..3")):
+        (folder / "parts.json").write_text(content)
+        with pytest.raises(InputError, match=f"parts.json.*{message}"):
+            identities.MeshFolder(folder)
+
+
+def test_bad_folders_are_named(folder, tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        identities.MeshFolder(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty: no mesh"):
+        identities.MeshFolder(tmp_path / "empty")
+    file = folder / "3.npz"
+    read = np.load(file)
+    x, triangles = read["vertices"], read["triangles"]
+    _write(file, x, triangles[:-1])
+    with pytest.raises(InputError, match="3.npz: another topology"):
+        identities.MeshFolder(folder)
+    x[2] = np.nan
+    _write(file, x, triangles)
+    with pytest.raises(InputError, match="3.npz.*not finite"):
+        identities.MeshFolder(folder)
+    with pytest.raises(InputError, match="'folder:'.*'flame:FILE' or 'folder:DIR'"):
+        identities.from_text("folder:")
