@@ -1,0 +1,201 @@
+"""Closed surfaces around bones and muscles, and which bone a point belongs to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import csr_matrix, diags
+
+from ..errors import InputError
+from ..geometry.bvh import TriangleTree
+from ..geometry.distance import SignedDistance
+from ..geometry.nets import zero_surface
+from ..geometry.simplify import simplified
+from ..head import CRANIUM, FREE, MANDIBLE
+from ..mesh import Floats, Ints, Surface
+from .bodyparts import Anatomy
+
+SPACING = 1.5
+SKULL_CLOSING, MUSCLE_CLOSING = 9.0, 4.5
+BRAIN = 20.0
+"""A ball of this radius [mm] fits into the braincase but not through the foramen magnum."""
+FASCIA = 0.8
+"""The muscle surface lies this far [mm] outside muscles and bone: periosteum, galea and fascia."""
+SKULL_CLEARANCE, MUSCLE_CLEARANCE = 1.5, 1.0
+NEAR_BONE = 3.0
+MOST_TRIANGLES = 40_000
+_BAND = 2.5
+
+
+def skull_surface(anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING) -> Surface:
+    """The skull and its teeth as one filled body [mm]: orbits, temporal fossae, cheek arches and braincase closed.
+
+    What comes closer than 1.5 mm to the skin, the linings of its pockets included, is cut away: the mouth of a game
+    head is a bag that takes the place of the teeth and of the jaws' alveolar parts.
+    """
+    bones = [anatomy.cranium, anatomy.mandible]
+    return closed_envelope(
+        bones, closing=SKULL_CLOSING, spacing=spacing, cavity=BRAIN, within=skin, clearance=SKULL_CLEARANCE
+    )
+
+
+def muscle_surface(anatomy: Anatomy, skin: Surface, skull: Surface, *, spacing: float = SPACING) -> Surface:
+    """The skull surface with all muscles on it as one filled body [mm], at least 1 mm inside the skin."""
+    bodies = [skull, *anatomy.muscles.values()]
+    return closed_envelope(
+        bodies, closing=MUSCLE_CLOSING, spacing=spacing, inflate=FASCIA, within=skin, clearance=MUSCLE_CLEARANCE
+    )
+
+
+def bone_at(anatomy: Anatomy, points: Floats, *, near: float = NEAR_BONE) -> Ints:
+    """FREE, CRANIUM or MANDIBLE per point, shape (k,): the nearer bone, or none where both are farther than `near`."""
+    bones = (anatomy.cranium, anatomy.mandible)
+    distance = np.stack([TriangleTree(bone.vertices, bone.triangles).closest(points)[2] for bone in bones])
+    nearer = np.where(distance[0] <= distance[1], CRANIUM, MANDIBLE)
+    return np.where(distance.min(axis=0) <= near, nearer, FREE)
+
+
+def closed_envelope(
+    surfaces: Sequence[Surface],
+    *,
+    closing: float,
+    spacing: float = SPACING,
+    cavity: float = 0.0,
+    inflate: float = 0.0,
+    within: Surface | None = None,
+    clearance: float = 0.0,
+    smallest: float | None = None,
+) -> Surface:
+    """A closed surface, normals outward, around surfaces that may be open, cross or lie apart. All in mm.
+
+    The morphological closing of their union by a ball of radius `closing`: gaps narrower than its diameter are bridged
+    and what is then enclosed is filled; so is an inner cavity that holds a ball of radius `cavity` and has no opening
+    for it. The result is larger by `inflate`, keeps `clearance` inside the closed surface `within` where that is thick
+    enough, and is the largest connected piece, or all that are larger than `smallest` [mm³]. Details finer than
+    `spacing` are lost, and at most 40,000 triangles are kept. Raises InputError for lengths that are not positive, or
+    if nothing is left.
+    """
+    if not (closing > 0 and spacing > 0 and cavity >= 0 and inflate >= 0 and clearance >= 0):
+        raise InputError(
+            f"closed_envelope: closing {closing:g} and spacing {spacing:g} must be positive, cavity {cavity:g}, "
+            f"inflate {inflate:g} and clearance {clearance:g} not negative"
+        )
+    vertices, triangles = _joined(surfaces)
+    grid = _Grid(vertices, spacing, max(closing + inflate, cavity) + 4 * spacing)
+    out = closing + inflate
+    tree = TriangleTree(vertices, triangles)
+    coarse = grid.distance_from(grid.marked(tree.corners))
+    field = grid.refined(coarse, out, lambda p: tree.closest(p)[2]) - out
+    if cavity:
+        field = np.minimum(field, grid.distance_from(grid.enclosed(coarse, cavity)) - out)
+    shut_in = ndimage.binary_fill_holes(field < 0) & (field >= 0)
+    field[shut_in] = -spacing
+    grown = zero_surface(field, grid.origin, spacing)
+    # Back by `closing`: what is left is at least so far from the grown body's surface.
+    outline = TriangleTree(grown.vertices, grown.triangles)
+    depth = grid.distance_from(field >= 0)
+    field = np.where(field < 0, closing - grid.refined(depth, closing, lambda p: outline.closest(p)[2]), spacing)
+    if within is not None:
+        field = np.maximum(field, grid.signed(within, clearance) + clearance)
+    field = _large(field, spacing, smallest)
+    if not (field < 0).any():
+        raise InputError(f"closed_envelope: nothing is left at a spacing of {spacing:g} mm")
+    surface = simplified(smooth(zero_surface(field, grid.origin, spacing)), MOST_TRIANGLES)
+    return surface if within is None else _kept_inside(surface, within, clearance)
+
+
+class _Grid:
+    """A regular grid around points [mm], with distances that are exact near the level where they matter."""
+
+    def __init__(self, points: Floats, spacing: float, margin: float):
+        self.spacing = spacing
+        self.origin = points.min(axis=0) - margin
+        self.shape = tuple(np.ceil((np.ptp(points, axis=0) + 2 * margin) / spacing).astype(int) + 1)
+
+    def marked(self, corners: Floats) -> np.ndarray:
+        """The grid points nearest to samples of triangles (m, 3, 3) that leave no hole."""
+        mask = np.zeros(self.shape, bool)
+        edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        parts = np.maximum(np.ceil(edge / (0.5 * self.spacing)).astype(int), 1)
+        for count in np.unique(parts):
+            steps = np.array([(i, j, count - i - j) for i in range(count + 1) for j in range(count + 1 - i)]) / count
+            samples = np.einsum("sc,mcd->msd", steps, corners[parts == count]).reshape(-1, 3)
+            place = np.rint((samples - self.origin) / self.spacing).astype(int)
+            place = place[((place >= 0) & (place < self.shape)).all(axis=1)]
+            mask[tuple(place.T)] = True
+        return mask
+
+    def distance_from(self, mask: np.ndarray) -> Floats:
+        """Distance [mm] from every grid point to the nearest marked one."""
+        if not mask.any():
+            return np.full(self.shape, np.inf)
+        return ndimage.distance_transform_edt(~mask, sampling=self.spacing)
+
+    def refined(self, coarse: Floats, level: float, exact) -> Floats:
+        """`coarse`, replaced by `exact` at the points within a few spacings of `level`."""
+        near = np.argwhere(np.abs(coarse - level) < _BAND * self.spacing)
+        field = coarse.copy()
+        field[tuple(near.T)] = exact(self.origin + self.spacing * near)
+        return field
+
+    def enclosed(self, coarse: Floats, radius: float) -> np.ndarray:
+        """The balls of this radius that fit where nothing is marked, but are shut in."""
+        wall = coarse <= radius
+        core = ndimage.binary_fill_holes(wall) & ~wall
+        return self.distance_from(core) < radius - self.spacing
+
+    def signed(self, surface: Surface, clearance: float) -> Floats:
+        """Signed distance [mm] to a closed surface, exact where it is about -`clearance`."""
+        coarse = self.distance_from(self.marked(surface.vertices[surface.triangles]))
+        near = coarse < clearance + _BAND * self.spacing
+        phi = SignedDistance(surface)
+        field = coarse.copy()
+        field[near] = phi(self.origin + self.spacing * np.argwhere(near))[0]
+        # Far from the surface one point tells the side of all that it is connected with.
+        pieces, count = ndimage.label(~near)
+        first = np.array([np.argmax(pieces == k) for k in range(1, count + 1)], dtype=np.int64)
+        points = np.stack(np.unravel_index(first, self.shape), axis=1)
+        inner = phi(self.origin + self.spacing * points)[0] < 0
+        return np.where(np.append(False, inner)[pieces], -field, field)
+
+
+def _joined(surfaces: Sequence[Surface]) -> tuple[Floats, Ints]:
+    if not surfaces:
+        raise InputError("closed_envelope: no surfaces given")
+    starts = np.cumsum([0] + [len(s.vertices) for s in surfaces[:-1]])
+    triangles = [s.triangles + start for s, start in zip(surfaces, starts, strict=True)]
+    return np.vstack([s.vertices for s in surfaces]), np.vstack(triangles)
+
+
+def _kept_inside(surface: Surface, within: Surface, clearance: float) -> Surface:
+    """What smoothing has brought closer than `clearance` to the skin goes back."""
+    phi = SignedDistance(within)
+    x = surface.vertices.copy()
+    for _ in range(3):
+        distance, outward, _, _ = phi(x)
+        x -= np.maximum(distance + clearance, 0.0)[:, None] * outward
+    return surface.with_vertices(x)
+
+
+def _large(field: Floats, spacing: float, smallest: float | None) -> Floats:
+    pieces, count = ndimage.label(field < 0)
+    if count == 0:
+        return field
+    volume = np.bincount(pieces.ravel())[1:] * spacing**3
+    kept = volume >= (volume.max() if smallest is None else smallest)
+    return np.where(np.append(True, kept)[pieces], field, spacing)
+
+
+def smooth(surface: Surface, rounds: int = 8) -> Surface:
+    """Taubin's smoothing without shrinkage: an umbrella step inward, a larger one back (SIGGRAPH 1995)."""
+    i, j = np.vstack([surface.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]).T
+    n = len(surface.vertices)
+    edges = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))
+    mean = diags(1 / np.asarray(edges.sum(axis=1)).ravel()) @ edges
+    x = surface.vertices
+    for _ in range(rounds):
+        for step in (0.5, -0.53):
+            x = x + step * (mean @ x - x)
+    return surface.with_vertices(x)

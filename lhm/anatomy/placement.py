@@ -1,0 +1,257 @@
+"""Bones and muscles placed inside a skin: aligned by landmarks, then warped to plausible soft-tissue depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from ..geometry.bvh import TriangleTree
+from ..geometry.distance import SignedDistance
+from ..geometry.warp import TriharmonicWarp, farthest_points
+from ..identities.cut import boundary_loops, close_loop
+from ..identities.space import EYES, MOUTH
+from ..mesh import Floats, Ints, Surface
+from ..wraps.depth import wanted_depth
+from ..wraps.landmarks import Landmarks, Mask, landmarks
+from .bodyparts import Anatomy
+from .envelope import SKULL_CLOSING, closed_envelope
+
+COARSE = 3.0  # [mm], the grid on which the bones' outside is found
+ON_BONE = 1.5  # [mm]
+CHIN, BELOW_CHIN, LIP = 10.5, 9.0, 11.0
+"""Depths [mm] in the mid-plane: at the chin's foremost point, its foremost and lowest, and from the lips to the upper
+incisors' edge."""
+OVERLAP = 1.0  # [mm] by which the upper incisors' edges are below the lips' line
+JOINT_GAP = 1.0
+THINNEST, THICKEST = 0.85, 1.15
+"""The bounds of depth as shares of the published mean: its standard deviation is about a quarter of it."""
+LEAST = 2.0
+FACING = 0.7
+LANDMARK_REACH = 30.0  # [mm]
+CENTRES = 400
+SPREADS = np.repeat((40.0, 25.0, 15.0, 10.0), 6)
+"""[mm] over which a correction of depth is spread, round by round."""
+MUSCLE_DEPTH = 1.5
+OUTSIDE_HEAD = 8.0
+PUSHES = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Depths:
+    """Soft-tissue depth over exposed bone: `points` (k, 3), `depth` and `wanted` (k,), all in mm.
+
+    `near_skin` masks the points for which published depths speak: bone that faces the skin closest to it.
+    """
+
+    points: Floats
+    depth: Floats
+    wanted: Floats
+    near_skin: Mask = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Anatomy inside a skin, and its depths after the alignment alone and after the warp."""
+
+    anatomy: Anatomy
+    aligned: Depths
+    warped: Depths
+
+
+def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
+    """Place anatomy inside a closed neutral skin whose vertices' parts are known (see `identities.space`).
+
+    A similarity brings eyes, incisors, chin and vault to the skin's; then one triharmonic warp moves exposed bone
+    along the direction to the closest skin until its depth is within bounds about the published means, with eyes and
+    incisors held. The condyles, which touch the temporal bones in the data, are pushed out of them. Muscles follow,
+    are cut where they leave the head, and pushed to 1.5 mm inside the skin.
+    """
+    outer = without_pockets(skin, parts)
+    marks = landmarks(skin, parts)
+    tissue = _Tissue(SignedDistance(outer), marks, _visible(skin, parts).sum())
+    outside = closed_envelope([anatomy.cranium, anatomy.mandible], closing=SKULL_CLOSING, spacing=COARSE)
+    exposed = _on_bone(anatomy, outside)
+    normals = outside.vertex_normals[exposed]
+    held = _places(anatomy)
+    goals = _goals(outer, marks)
+    scale, rotation, shift = _aligned(tissue, outside.vertices[exposed], normals, held, goals)
+
+    def similar(points: Floats) -> Floats:
+        return scale * points @ rotation.T + shift
+
+    start, normals = similar(outside.vertices[exposed]), normals @ rotation.T
+    chosen = farthest_points(start, CENTRES, np.array([0]))
+    held = similar(held)
+    near = np.exp(-((cdist(start[chosen], held) / LANDMARK_REACH) ** 2))
+    guided = start[chosen] + near @ (goals - held) / np.maximum(near.sum(axis=1, keepdims=True), 1.0)
+    moved = _pulled(tissue, start[chosen], guided, normals[chosen])
+    # The chin's places are led by the landmarks, but as depth there is known they are not held to a point.
+    centres = np.vstack([held[:3], start[chosen]])
+    warp = TriharmonicWarp(centres)
+    coefficients = warp.coefficients(np.vstack([goals[:3], moved]) - centres)
+
+    def warped(points: Floats) -> Floats:
+        return np.vstack([p + warp.basis(p) @ coefficients for p in np.array_split(points, len(points) // 4000 + 1)])
+
+    placed = _joints_opened(anatomy.moved(lambda points: warped(similar(points))))
+    muscles = {name: _inside(muscle, tissue.phi) for name, muscle in placed.muscles.items()}
+    kept = {name: muscle for name, muscle in muscles.items() if muscle is not None}
+    return Placement(
+        replace(placed, muscles=kept), tissue.depths(start, normals), tissue.depths(warped(start), normals)
+    )
+
+
+def without_pockets(skin: Surface, parts: Ints) -> Surface:
+    """The visible skin, closed over mouth and eye sockets by lids across their rims, which come last."""
+    triangles = skin.triangles[_visible(skin, parts)]
+    vertices = skin.vertices
+    for loop in boundary_loops(triangles):
+        weights, lid = close_loop(loop, len(vertices))
+        vertices, triangles = np.vstack([vertices, weights @ vertices]), np.vstack([triangles, lid])
+    return part_of(Surface(vertices, triangles), np.full(len(triangles), True))
+
+
+def _visible(skin: Surface, parts: Ints) -> Mask:
+    return ~np.isin(parts[skin.triangles], (MOUTH, EYES)).any(axis=1)
+
+
+def part_of(surface: Surface, kept: Mask) -> Surface:
+    """The triangles that a mask (m,) keeps, over their own vertices."""
+    used, numbers = np.unique(surface.triangles[kept], return_inverse=True)
+    return Surface(surface.vertices[used], numbers.reshape(-1, 3))
+
+
+class _Tissue:
+    """Depths under a skin without pockets, against what is published; its triangles from `lids` on are no skin."""
+
+    def __init__(self, phi: SignedDistance, marks: Landmarks, lids: int):
+        self.phi, self.marks, self.lids = phi, marks, lids
+
+    def depths(self, points: Floats, normals: Floats) -> Depths:
+        return self.at(points, normals)[0]
+
+    def at(self, points: Floats, normals: Floats) -> tuple[Depths, Floats]:
+        """Depths and the direction to the closest skin, (k, 3)."""
+        phi, outward, triangle, weights = self.phi(points)
+        corners = self.phi.tree.vertices[self.phi.tree.triangles[triangle]]
+        over = np.einsum("kc,kcd->kd", weights, corners)
+        wanted = wanted_depth(over, self.marks.eyes, self.marks.mouth)
+        near = (np.einsum("kd,kd->k", normals, outward) > FACING) | (phi > -LEAST)
+        return Depths(points, -phi, wanted, near & (triangle < self.lids)), outward
+
+    def excess(self, points: Floats, normals: Floats) -> Floats:
+        """Vectors (k, 3) that bring points within the bounds of depth, and zero where nothing is asked for."""
+        found, outward = self.at(points, normals)
+        least = np.maximum(THINNEST * found.wanted, LEAST)
+        # Deep muscle covers the neck's side of the skull, the fossae and the ramus: no upper bound holds there.
+        most = np.where(found.depth < 2.5 * found.wanted, THICKEST * found.wanted, np.inf)
+        wrong = found.depth - np.clip(found.depth, least, np.maximum(most, least))
+        return np.where(found.near_skin, wrong, 0.0)[:, None] * outward
+
+
+def _pulled(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Floats:
+    """Where control points (k, 3) go from `x`: corrections of depth, spread over fewer and fewer neighbours."""
+    apart = cdist(start, start)
+    for spread in SPREADS:
+        weight = np.exp(-((apart / spread) ** 2))
+        x = x + (weight @ tissue.excess(x, normals)) / weight.sum(axis=1, keepdims=True)
+    return x
+
+
+def _aligned(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, goals: Floats):
+    """Scale, rotation and shift that bring landmarks to their goals and the vault to its depth under the scalp."""
+    fit = _similarity(held, goals, np.ones(len(held)))
+    vault = exposed[:, 1] > held[0, 1] + 15.0
+    source = np.vstack([held, exposed[vault]])
+    # Landmarks together weigh as much as the vault.
+    weight = np.append(np.full(len(held), vault.sum() / len(held)), np.ones(vault.sum()))
+    for _ in range(20):
+        scale, rotation, shift = fit
+        x = scale * exposed[vault] @ rotation.T + shift
+        found, outward = tissue.at(x, normals[vault] @ rotation.T)
+        target = x + (found.depth - found.wanted)[:, None] * outward
+        fit = _similarity(source, np.vstack([goals, target]), weight)
+    return fit
+
+
+def _similarity(rest: Floats, moved: Floats, weight: Floats) -> tuple[float, Floats, Floats]:
+    """Weighted least-squares scale, rotation and shift (Umeyama, IEEE TPAMI 13(4), 1991)."""
+    w = (weight / weight.sum())[:, None]
+    a, b = (w * rest).sum(axis=0), (w * moved).sum(axis=0)
+    u, s, vt = np.linalg.svd((w * (moved - b)).T @ (rest - a))
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * sign) @ vt
+    scale = float((s * sign).sum() / (w * (rest - a) ** 2).sum())
+    return scale, rotation, b - scale * rotation @ a
+
+
+_CHIN_AXES = np.array([[0.0, 0.0, 1.0], [0.0, -(0.5**0.5), 0.5**0.5]])
+"""Pogonion is the chin's point farthest to the front, gnathion that farthest to the front and below."""
+
+
+def _goals(outer: Surface, marks: Landmarks) -> Floats:
+    """Where eyes, the incisors' edge, pogonion and gnathion belong, shape (5, 3)."""
+    x = outer.vertices
+    origin = marks.eyes.mean(axis=0)
+    drop, unit = origin[1] - marks.mouth[1], marks.face_width
+    middle = x[(np.abs(x[:, 0] - origin[0]) < 0.25 * unit) & (x[:, 2] > origin[2] - 0.5 * unit)]
+    lips = middle[np.abs(middle[:, 1] - marks.mouth[1]) < 0.15 * drop]
+    bite = (origin[0], marks.mouth[1] - OVERLAP, lips[:, 2].max() - LIP)
+    below = (origin[1] - middle[:, 1]) / drop
+    chin = middle[(below > 1.35) & (below < 2.0)]
+    tips = chin[(chin @ _CHIN_AXES.T).argmax(axis=0)] - np.array([[CHIN], [BELOW_CHIN]]) * _CHIN_AXES
+    tips[:, 0] = origin[0]
+    return np.vstack([marks.eyes, bite, tips])
+
+
+def _places(anatomy: Anatomy) -> Floats:
+    """Eyes, the incisors' edge, pogonion and gnathion of the anatomy itself, shape (5, 3)."""
+    jaw, bite = anatomy.mandible.vertices, anatomy.bite
+    # The lower half of the front is bone without teeth.
+    chin = jaw[(np.abs(jaw[:, 0] - bite[0]) < 5.0) & (jaw[:, 1] < 0.5 * (jaw[:, 1].min() + bite[1]))]
+    tips = chin[(chin @ _CHIN_AXES.T).argmax(axis=0)]
+    tips[:, 0] = bite[0]
+    return np.vstack([anatomy.eyes, bite, tips])
+
+
+def _on_bone(anatomy: Anatomy, outside: Surface) -> Ints:
+    trees = [TriangleTree(bone.vertices, bone.triangles) for bone in (anatomy.cranium, anatomy.mandible)]
+    distance = np.min([tree.closest(outside.vertices)[2] for tree in trees], axis=0)
+    return np.flatnonzero(distance < ON_BONE)
+
+
+def _joints_opened(anatomy: Anatomy) -> Anatomy:
+    """The condyles pushed out of the temporal bones until the joints' gap is open; the teeth stay together."""
+    jaw, cranium = anatomy.mandible, anatomy.cranium
+    low, high = jaw.vertices.min(axis=0), jaw.vertices.max(axis=0)
+    # The condyles are the mandible's upper part behind the teeth.
+    behind = jaw.vertices[:, 2] < low[2] + 0.3 * (high[2] - low[2])
+    condyles = np.flatnonzero(behind & (jaw.vertices[:, 1] > high[1] - 0.35 * (high[1] - low[1])))
+    x = jaw.vertices.copy()
+    for side in (x[condyles, 0] > anatomy.bite[0], x[condyles, 0] <= anatomy.bite[0]):
+        condyle = condyles[side]
+        box = x[condyle].min(axis=0) - 10.0, x[condyle].max(axis=0) + 10.0
+        near = ((cranium.vertices > box[0]) & (cranium.vertices < box[1])).all(axis=1)
+        socket = part_of(cranium, near[cranium.triangles].all(axis=1))
+        fossa = closed_envelope([socket], closing=1.5, spacing=0.8, inflate=JOINT_GAP, smallest=0.0)
+        phi = SignedDistance(fossa)
+        for _ in range(3):
+            distance, outward, _, _ = phi(x[condyle])
+            x[condyle] += np.maximum(0.3 - distance, 0.0)[:, None] * outward
+    return replace(anatomy, mandible=jaw.with_vertices(x))
+
+
+def _inside(muscle: Surface, phi: SignedDistance) -> Surface | None:
+    """A muscle at least MUSCLE_DEPTH inside the skin, without what leaves the head; None if nothing is left."""
+    distance = phi(muscle.vertices)[0]
+    kept = (distance[muscle.triangles] < OUTSIDE_HEAD).all(axis=1)
+    if not kept.any():
+        return None
+    muscle = part_of(muscle, kept)
+    x = muscle.vertices
+    for _ in range(PUSHES):
+        distance, outward, _, _ = phi(x)
+        x = x - np.maximum(distance + MUSCLE_DEPTH, 0.0)[:, None] * outward
+    return muscle.with_vertices(x)
