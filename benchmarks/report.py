@@ -6,7 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from . import plots
@@ -16,11 +16,9 @@ def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
     """The report of one study; pictures are PNG, by name."""
     cases, surrogate = results["cases"], results["surrogate"]
     form = [case["skin"]["PD to neo-Hookean"]["mean"] for case in cases]
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    environment.filters["cell"] = _cell
-    template = environment.from_string(Path(__file__).with_name("report.html").read_text())
-    return template.render(
-        **results,
+    return rendered(
+        "report.html",
+        results,
         pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
         agreement=max(case["comparisons"]["PD to FEniCSx, same energy"]["relative"] for case in cases),
         model_form={"min": min(form), "max": max(form)},
@@ -36,8 +34,24 @@ def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
         solver_rows=[row for case in cases for row in _solver_rows(case)],
         difference_rows=[row for case in cases for row in _difference_rows(case)],
         surrogate_rows=_surrogate_rows(surrogate),
-        machine_rows=_machine_rows(results),
+        machine_rows=machine_rows(results["machine"])
+        + [(f"seconds: {name}", float(value)) for name, value in results["seconds"].items()],
     )
+
+
+def rendered(template: str, results: Mapping, **more) -> str:
+    """A page from a template of this folder, which sees the results and `more`; an unknown name is an error."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["cell"] = _cell
+    return environment.get_template(template).render(**results, **more)
+
+
+def machine_rows(machine: Mapping) -> list[Sequence]:
+    """What `machine.describe` says, as rows of a table."""
+    rows: list[Sequence] = [(name, value) for name, value in machine.items() if name != "versions"]
+    return rows + [(f"{name} version", value) for name, value in machine["versions"].items()]
 
 
 def _cell(value) -> str | Markup:
@@ -90,9 +104,3 @@ def _surrogate_rows(surrogate: Mapping) -> list[Sequence]:
         (name, surrogate["test"][key]["mean"], surrogate["test"][key]["p95"], surrogate["test"][key]["max"], ms)
         for name, key, ms in methods
     ]
-
-
-def _machine_rows(results: Mapping) -> list[Sequence]:
-    rows: list[Sequence] = [(name, value) for name, value in results["machine"].items() if name != "versions"]
-    rows += [(f"{name} version", value) for name, value in results["machine"]["versions"].items()]
-    return rows + [(f"seconds: {name}", float(value)) for name, value in results["seconds"].items()]

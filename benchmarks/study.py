@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +22,7 @@ from ..reference import Parameters, facial_scene
 from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
 from . import learned, machine
+from .alone import alone_in
 from .cases import Case, CaseResult, run_case
 from .differences import difference, distances
 from .gates import gates
@@ -76,7 +75,7 @@ def run_study(config: StudyConfig, progress: OnProgress) -> dict:
     cases = [Case(text, parse_expression(text), Parameters()) for text in config.expressions]
     cases.append(Case(f"gravity {config.gravity:g} g", np.zeros(52), Parameters(gravity=config.gravity)))
     space = identities.from_text(config.identities)
-    with _alone_in(config.out):
+    with alone_in(config.out, "study"):
         return _run(config, space, cases, progress)
 
 
@@ -194,15 +193,3 @@ class _Clock:
         now = time.perf_counter()
         self.laps[name] = round(now - self._last, 2)
         self._last = now
-
-
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Hold the folder against a second study; InputError if one runs there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{folder}: another study runs there; wait for it or give another --out") from None
-        yield

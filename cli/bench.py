@@ -1,6 +1,8 @@
 """softdeca bench: one study by name."""
 
 import json
+import os
+from pathlib import Path
 
 import click
 
@@ -34,3 +36,44 @@ def verification(solvers: tuple[str, ...], as_json: bool) -> int:
                 f"{mark} {row['problem']:<60} {row['solver']:<11} {row['value']:<14.9g} error {row['error']:.1e}"
             )
     return 0 if all(row["passed"] for row in rows) else 1
+
+
+@bench.command()
+@click.option("--identities", default="anny", help="whose heads: 'anny' (the default head) or 'ict:FILE'")
+@click.option("--count", default=1000, type=click.IntRange(min=1), help="how many random identities")
+@click.option("--sigma", default=2.5, type=float, help="largest coefficient of an identity, in standard deviations")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the first identity; the next one's is one more")
+@click.option("--workers", default=os.cpu_count() or 1, type=click.IntRange(min=1), help="processes")
+@click.option(
+    "--out",
+    default="out/heads",
+    type=click.Path(path_type=Path),
+    help="folder of the report; heads that are in it already are kept",
+)
+@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
+def heads(identities: str, count: int, sigma: float, seed: int, workers: int, out: Path, as_json: bool) -> int:
+    """Fit and check the heads of many random identities: OUT/index.html, OUT/results.json, OUT/heads.jsonl.
+
+    Exit status 1 if more than one head in 1,000 cannot be fitted or misses a gate.
+    """
+    from ..benchmarks.heads import HeadsConfig, run_heads
+
+    config = HeadsConfig(identities, count, sigma, seed, workers, out)
+    with shown() as progress:
+        results = run_heads(config, progress)
+    if as_json:
+        click.echo((out / "results.json").read_text())
+    else:
+        for failure in results["failures"]:
+            click.echo(f"FAILED seed {failure['seed']}: {failure['reason']}")
+        for name, row in results["distributions"].items():
+            what = f"{name.replace('_', ' ')}{row['unit'] and ' [' + row['unit'] + ']'}"
+            figures = "  ".join(f"{key} {row[key]:<9.4g}" for key in ("min", "median", "p95", "max"))
+            gate = f"({row['limit']}; missed by {row['missed']})" if row["limit"] else ""
+            click.echo(f"{what:<38} {figures} {gate}".rstrip())
+        for asked in results["gates"]:
+            click.echo(
+                f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
+            )
+        click.echo(f"report: {out / 'index.html'}")
+    return 0 if all(gate["passed"] for gate in results["gates"]) else 1

@@ -79,8 +79,8 @@ class HeadReport:
     `least_*thickness`, `mean_thickness`: along a column, from skin to skull wrap where no layer is named.
     `wrap_to_skin_*`: distance of the skin wrap's vertices to the skin, `skin_to_wrap_*`: of the skin's to the wrap,
     both in the region "face"; without it, everywhere.
-    `lip_path`, `lid_path`: way along the skin wrap from the middle of the upper lip or lid to that of the lower,
-    and `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
+    `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
+    `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
     `*_vertices`: of the skull wrap, by bone; a rigid motion needs three.
     """
 
@@ -113,7 +113,7 @@ class HeadReport:
     skin_to_wrap_mean: float = _figure("mm")
     skin_to_wrap_95: float = _figure("mm")
     skin_to_wrap_max: float = _figure("mm")
-    # Around the corner of a small mouth the way is 39 mm, across lips that are bridged under 15.
+    # Around the corner of a small mouth it is 39 mm, on one lip or across lips that are bridged under 20.
     lip_path: float | None = _figure("mm", "at least", 30.0)
     lid_path: float | None = _figure("mm")
     # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.

@@ -12,26 +12,24 @@ from scipy.sparse.csgraph import dijkstra
 from .mesh import Floats, Ints
 
 LIP_MIDDLE = 6.0
-LIP_GAP = 3.0
 
 
 def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Shortest way [mm] along the wrap's edges from the middle of the upper lip to that of the lower lip.
+    """Shortest way [mm] along the wrap's edges from the middle of one lip to that of the other.
 
-    It runs through the mouth's lining or around its corner, and is short only where a wrap bridges the lips. Zero if
-    no vertex of the wrap lies on the lips or in the mouth; None for a wrap without the regions "lips" and "mouth".
+    The farthest from one another, along the wrap, of the vertices next to the mouth's lining and within 6 mm of its
+    middle: on one lip at most some 15 mm, from lip to lip much more, for the way runs through the lining or around
+    the mouth's corner; unless the wrap bridges the lips. Which lip is which need not be known, however they curve.
+    Zero if no vertex of the wrap lies in the mouth; None for a wrap without the region "mouth".
     """
-    if "lips" not in regions or "mouth" not in regions:
+    if "mouth" not in regions:
         return None
-    lips = np.flatnonzero(regions["lips"])
-    if not lips.size or not np.any(regions["mouth"]):
+    ring = _ring(triangles, regions["mouth"])
+    if not ring.size:
         return 0.0
-    centre = np.median(vertices[lips], axis=0)
-    middle = lips[np.abs(vertices[lips, 0] - centre[0]) < LIP_MIDDLE]
-    # Of the lips' middle the rows next to the line between them face each other across the gap.
-    upper = middle[vertices[middle, 1] > centre[1] + LIP_GAP]
-    lower = middle[vertices[middle, 1] < centre[1] - LIP_GAP]
-    return _way(vertices, triangles, upper, lower)
+    x = vertices[ring, 0]
+    middle = ring[np.abs(x - 0.5 * (x.min() + x.max())) < LIP_MIDDLE]
+    return float(_ways(vertices, triangles, middle[:1])[middle].max(initial=0.0)) if middle.size else 0.0
 
 
 def lid_path(
@@ -56,25 +54,30 @@ def lid_path(
 
 
 def _lids(vertices: Floats, triangles: Ints, socket: NDArray[np.bool_]) -> tuple[float, float]:
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    ring = np.unique(edges[socket[edges].sum(axis=1) == 1])
-    ring = ring[~socket[ring]]
+    ring = _ring(triangles, socket)
     if not ring.size:
         return 0.0, 0.0
     centre = 0.5 * (vertices[ring].min(axis=0) + vertices[ring].max(axis=0))
     ring = ring[np.argsort(np.abs(vertices[ring, 0] - centre[0]), kind="stable")]
     above = vertices[ring, 1] > centre[1]
     upper, lower = ring[above][:1], ring[~above][:1]
-    way = _way(vertices, triangles, upper, lower)
+    if not upper.size or not lower.size:
+        return 0.0, 0.0
+    way = float(_ways(vertices, triangles, upper)[lower][0])
     return way, way / max(float(np.linalg.norm(vertices[upper] - vertices[lower])), 1e-9)
 
 
-def _way(vertices: Floats, triangles: Ints, start: Ints, end: Ints) -> float:
-    """Length [mm] of the shortest way along edges between two sets of vertices; 0 if one is empty."""
-    if not start.size or not end.size:
-        return 0.0
+def _ring(triangles: Ints, inside: NDArray[np.bool_]) -> Ints:
+    """The vertices outside a region that have a neighbour in it."""
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    ring = np.unique(edges[inside[edges].sum(axis=1) == 1])
+    return ring[~inside[ring]]
+
+
+def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
+    """Length [mm] of the shortest way along edges from `start` to every vertex, shape (n,)."""
     edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     # The two triangles at an edge name it in opposite directions, so no entry is there twice to be summed.
     graph = csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices), len(vertices)))
-    return float(dijkstra(graph, directed=False, indices=start, min_only=True)[end].min())
+    return dijkstra(graph, directed=False, indices=start, min_only=True)

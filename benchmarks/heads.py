@@ -1,0 +1,226 @@
+"""A campaign over many random identities: fit and check a head of each -> one line of JSON per head -> HTML."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from multiprocessing.connection import wait
+from pathlib import Path
+
+import numpy as np
+
+from .. import lhm
+from ..lhm import Surface, Template, check_head, fit_head, identities, load_template
+from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.files.atomic import write_whole
+from ..lhm.identities.space import CLIP, LinearSpace
+from ..lhm.progress import OnProgress
+from . import machine
+from .alone import alone_in
+from .head_rows import HeadRows
+from .heads_report import page, summary
+
+LEAST_PAUSE = 2.0  # [s] between two words on progress
+
+
+@dataclass(frozen=True)
+class HeadsConfig:
+    """Which heads: `count` identities of seeds `seed`, `seed` + 1, ... in a space ('anny' or 'ict:FILE').
+
+    `sigma` is the largest coefficient of a code: a sample, which is clipped at 2.5, is scaled by sigma / 2.5.
+    Raises InputError for a value outside its range.
+    """
+
+    identities: str = "anny"
+    count: int = 1000
+    sigma: float = CLIP
+    seed: int = 0
+    workers: int = 1
+    out: Path = Path("out/heads")
+
+    def __post_init__(self):
+        for name, least in (("count", 1), ("seed", 0), ("workers", 1)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name}: must be at least {least}, got {getattr(self, name)}")
+        if not (math.isfinite(self.sigma) and 0 < self.sigma <= 10):
+            raise InputError(f"sigma: must be above 0 and at most 10, got {self.sigma:g}")
+
+    @property
+    def seeds(self) -> range:
+        """The identities' seeds, one each, so that any one can be repeated alone."""
+        return range(self.seed, self.seed + self.count)
+
+
+def sample(space: LinearSpace, seed: int, sigma: float) -> Surface:
+    """The neutral skin [mm] of one identity; at the default sigma that of `softdeca head fit --seed`."""
+    code, skin = space.sample(np.random.default_rng(seed))
+    return skin if sigma == CLIP else space.skin(code * (sigma / CLIP))
+
+
+def run_heads(config: HeadsConfig, progress: OnProgress) -> dict:
+    """Fit and check what is missing; write heads.jsonl as it goes, results.json and index.html; return the results.
+
+    What is there of an earlier run is kept. Raises InputError if the folder holds another campaign, and SoftdecaError
+    if a worker dies; a head that fails is a row with its reason.
+    """
+    with alone_in(config.out, "campaign"):
+        space = identities.from_text(config.identities)
+        template = load_template(space, progress=progress)
+        campaign = {
+            "identities": space.name,
+            "space": _space_digest(space),
+            "template": template.digest,
+            "sigma": config.sigma,
+            "code": _code_digest(),
+        }
+        rows = HeadRows(config.out, campaign)
+        pending = [seed for seed in config.seeds if seed not in rows.by_seed]
+        tell = _Rate(config.count, pending, progress)
+        for row in _measured(config, pending, _Task(space, template, config.sigma)):
+            rows.append(row)
+            tell(rows, config)
+        results = {
+            "title": f"{config.count} heads of {space.name} at up to {config.sigma:g} standard deviations",
+            "campaign": campaign | {"first_seed": config.seed, "count": config.count},
+            "machine": machine.describe(),
+            **summary([rows.by_seed[seed] for seed in config.seeds]),
+        }
+        write_whole(config.out / "results.json", json.dumps(results, indent=1, allow_nan=False).encode())
+        write_whole(config.out / "index.html", page(results).encode())
+    return results
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """Fit and check the head of a seed, in this process or in another."""
+
+    space: LinearSpace
+    template: Template
+    sigma: float
+
+    def warm(self) -> None:
+        """What is done once per process, so that no head's time holds it."""
+        check_head(fit_head(self.template, self.space.mean))
+
+    def __call__(self, seed: int) -> dict:
+        row: dict = {"seed": seed, "error": None, "problems": [], "figures": None, "seconds": {}}
+        begin = time.perf_counter(), time.process_time()
+        try:
+            head = fit_head(self.template, sample(self.space, seed, self.sigma))
+            middle = time.perf_counter(), time.process_time()
+            report = check_head(head)
+        except Exception as error:
+            # Also a failure that is no FitError: one head must not end a thousand, and the reason is told.
+            reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
+            return row | {"error": " ".join(reason.split())}
+        end = time.perf_counter(), time.process_time()
+        names = ("fit", "fit_cpu", "check", "check_cpu")
+        spans = (middle[0] - begin[0], middle[1] - begin[1], end[0] - middle[0], end[1] - middle[1])
+        row["seconds"] = {name: round(span, 4) for name, span in zip(names, spans, strict=True)}
+        return row | {"figures": asdict(report), "problems": list(report.problems)}
+
+
+def _measured(config: HeadsConfig, pending: list[int], task: _Task) -> Iterator[dict]:
+    if not pending:
+        return
+    if config.workers == 1 or len(pending) == 1:
+        task.warm()
+        yield from map(task, pending)
+        return
+    context = multiprocessing.get_context("spawn")
+    try:
+        count = min(config.workers, len(pending))
+        with ProcessPoolExecutor(count, context, initializer=_Worker.begin, initargs=(task,)) as pool:
+            try:
+                # Workers inherit what is blocked while they are started: Ctrl-C reaches every process of a terminal,
+                # but the parent alone decides, and ends its workers by SIGTERM.
+                before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                try:
+                    futures = [pool.submit(_Worker.measure, seed) for seed in pending]
+                finally:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+                for future in as_completed(futures):
+                    yield future.result()
+            except BaseException:
+                _Worker.stop_all(pool)
+                raise
+    except BrokenProcessPool:
+        raise SoftdecaError("heads: a worker process died; run again to go on where it stopped") from None
+
+
+class _Worker:
+    """What a worker process keeps between heads, so that space and template travel to it once."""
+
+    task: _Task
+
+    @classmethod
+    def begin(cls, task: _Task):
+        threading.Thread(target=cls._end_with_parent, daemon=True).start()
+        cls.task = task
+        task.warm()
+
+    @staticmethod
+    def _end_with_parent():
+        # A parent that is killed outright can stop nobody.
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            wait([parent.sentinel])
+            os._exit(1)
+
+    @classmethod
+    def measure(cls, seed: int) -> dict:
+        return cls.task(seed)
+
+    @staticmethod
+    def stop_all(pool: ProcessPoolExecutor):
+        # The pool cancels what waits: its thread fails on a future that was cancelled by somebody else.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+
+
+class _Rate:
+    """Says how many heads are done, how fast, how long the rest takes, and how many have failed."""
+
+    def __init__(self, count: int, pending: list[int], progress: OnProgress):
+        self._count, self._left, self._progress = count, len(pending), progress
+        self._done, self._begin, self._said = 0, time.monotonic(), -math.inf
+
+    def __call__(self, rows: HeadRows, config: HeadsConfig) -> None:
+        self._done += 1
+        self._left -= 1
+        now = time.monotonic()
+        if self._left and now - self._said < LEAST_PAUSE:
+            return
+        self._said = now
+        rate = self._done / max(now - self._begin, 1e-9)
+        found = [rows.by_seed[seed] for seed in config.seeds if seed in rows.by_seed]
+        failed = sum(bool(row["error"] or row["problems"]) for row in found)
+        words = f"{len(found)} of {self._count}, {failed} failed, {rate:.2f} heads/s, {self._left / rate:.0f} s left"
+        self._progress(f"heads: {words}", len(found) / self._count)
+
+
+def _space_digest(space: LinearSpace) -> str:
+    # The fingerprint leaves out the identity directions, on which no template depends.
+    return hashlib.sha256(space.fingerprint().encode() + np.ascontiguousarray(space.identity).tobytes()).hexdigest()[
+        :12
+    ]
+
+
+def _code_digest() -> str:
+    """A name for the code that is measured: rows of two versions must not be mixed."""
+    folder = Path(lhm.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
