@@ -72,7 +72,7 @@ def personalised(neutral: Surface, deltas, examples, weights, *, rounds: int = R
     anchors = Anchors.of(generic, neutral.triangles)
     system = DeformationTransfer(neutral, anchors.held, weight=HELD)
     areas = neutral.vertex_areas / neutral.vertex_areas.sum()
-    shapes, history = generic, []
+    shapes, history = generic, list[float]()
     for beta, gamma in zip(np.geomspace(*SHAPE_TRUST, rounds), np.geomspace(*WEIGHT_TRUST, rounds), strict=True):
         fitted = _fitted_weights(shapes, motions, start, areas, gamma)
         if not history:

@@ -53,8 +53,10 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
 
     source_neutral, target: neutral skins [mm] with the same triangles, oriented alike. source_deltas: what each
     expression adds to the source [mm], shape (52, n, 3), in ARKit's order. A part of which every vertex moves (an
-    eyeball) keeps the source's mean motion, scaled by the heads' sizes. Raises MeshError for other triangles, shapes or
-    values that are not finite, and for a triangle without area in either neutral, by its number.
+    eyeball) keeps the source's mean motion, scaled by the heads' sizes. As in the papers, only what rests in all shapes
+    is held: what a single shape leaves at rest may move by a millimetre, in mouth and eye sockets by two.
+    Raises MeshError for other triangles, shapes or values that are not finite, and for a triangle without area in
+    either neutral, by its number.
     """
     deltas = checked_deltas("source_deltas", source_deltas, source_neutral)
     check_same_triangles("target", target, source_neutral)
@@ -68,7 +70,7 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
         jacobians = deformation_gradients(source_neutral.vertices, moved, target.triangles)
         gradients[shape] = (jacobians - np.eye(3)).reshape(-1, 9)
     motion = system.delta(gradients, np.broadcast_to(target.vertices, deltas.shape))
-    return anchors.settle(motion, deltas * (_size(target) / _size(source_neutral)))
+    return anchors.settle(np.ascontiguousarray(motion), deltas * (_size(target) / _size(source_neutral)))
 
 
 def checked_deltas(name: str, deltas, neutral: Surface) -> Floats:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.optimize import lsq_linear
 
 from softdeca.lhm import InputError, MeshError, Surface, identities
@@ -111,6 +112,20 @@ def test_one_scan_changes_what_it_shows(person):
     before, after = (np.linalg.norm(deltas[k] - person.true[k]) for deltas in (person.generic, rig.deltas))
     assert after < 0.3 * before
     assert np.array_equal(np.delete(rig.deltas, k, axis=0), np.delete(person.generic, k, axis=0))
+
+
+def test_a_part_without_rest_keeps_its_mean_motion():
+    """A ball of which every shape moves every vertex: edges cannot tell where it is, so the generic shapes do."""
+    sphere = trimesh.creation.icosphere(2)
+    ball = Surface(12.0 * np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    rng = np.random.default_rng(3)
+    generic = np.cross(rng.normal(size=(52, 1, 3)) * 0.1, ball.vertices) + rng.normal(size=(52, 1, 3))
+    examples = ball.vertices + 1.3 * generic[:2]
+    rig = personalised(ball, generic, examples, np.eye(52)[:2])
+    np.testing.assert_allclose(rig.deltas.mean(axis=1), generic.mean(axis=1), atol=1e-9)
+    turned = [np.abs(rig.deltas[k] - rig.deltas[k].mean(axis=0)).max() for k in (0, 1)]
+    before = [np.abs(generic[k] - generic[k].mean(axis=0)).max() for k in (0, 1)]
+    assert turned[0] > 1.1 * before[0] and turned[1] > 1.1 * before[1]
 
 
 def test_bad_input_is_named(person, guess):
