@@ -23,7 +23,7 @@ from .wraps.labels import bone_labels
 from .wraps.landmarks import Landmarks, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 10
+FORMAT = 12
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 SHORTENED = 0.95
@@ -72,7 +72,7 @@ def build_template(
     marks = landmarks(skin, parts)
     opened = skin.with_vertices(x + jaw + lids)
 
-    wrap = _wrap(opened, parts, marks, progress)
+    wrap = _wrap(opened, parts, marks, level, progress)
     triangle, wrap_weights, _ = TriangleTree(opened.vertices, opened.triangles).closest(wrap.vertices)
     wrap_ids = opened.triangles[triangle]
     triangle, skin_weights, _ = TriangleTree(wrap.vertices, wrap.triangles).closest(opened.vertices)
@@ -105,7 +105,7 @@ def _barycentric(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matr
     return csr_matrix((weights.ravel(), (rows, ids.ravel())), shape=shape)
 
 
-def _wrap(opened: Surface, parts: Ints, marks: Landmarks, progress: OnProgress) -> Surface:
+def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: OnProgress) -> Surface:
     """The sphere shrunk onto the opened skin, denser at lips and lids and in the pockets."""
     x = opened.vertices
     lips, lids = distance_to(x, x[marks.rim]), distance_to(x, x[marks.lids])
@@ -116,7 +116,7 @@ def _wrap(opened: Surface, parts: Ints, marks: Landmarks, progress: OnProgress) 
     def part_of_all(what: str, fraction: float) -> None:
         progress(what, 0.7 * fraction)
 
-    return shrink(opened, spacing, pockets, x[marks.rim].mean(axis=0), progress=part_of_all)
+    return shrink(opened, spacing, pockets, x[marks.rim].mean(axis=0), level=level, progress=part_of_all)
 
 
 def _connectors(columns: Columns, wrap: Floats, parts: Ints, marks: Landmarks) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .errors import MeshError
-from .layers import prism_tets
+from .layers import sub_layers
 from .mesh import Floats, Ints, Surface, TetMesh
 
 FREE, CRANIUM, MANDIBLE = 0, 1, 2
@@ -52,13 +52,18 @@ class LayeredHead:
         ):
             if getattr(self, name).shape != shape:
                 raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
-        vertices = np.vstack([self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices])
-        for name, outer in (("soft", 0), ("muscle", n)):
-            try:
-                mesh = TetMesh(vertices, prism_tets(triangles, outer, outer + n))
-            except MeshError as error:
-                raise MeshError(f"{name} {error}") from None
-            object.__setattr__(self, name, mesh)
+        try:
+            soft, muscle = self.sub_layers(1, 1)
+        except MeshError as error:
+            raise MeshError(f"layers {error}") from None
+        object.__setattr__(self, "soft", soft)
+        object.__setattr__(self, "muscle", muscle)
+
+    def sub_layers(self, soft: int, muscle: int) -> tuple[TetMesh, TetMesh]:
+        """Soft tissue and muscle with their prisms split into so many layers, over shared vertices; see `layers`."""
+        wraps = (self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices)
+        outer, inner = sub_layers(wraps, self.skin_wrap.triangles, (soft, muscle))
+        return outer, inner
 
     @property
     def vertices(self) -> Floats:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from .mesh import Ints
+from .errors import InputError
+from .mesh import Floats, Ints, TetMesh
 
 
 def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
@@ -30,3 +33,23 @@ def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
     even = (order == [0, 1, 2]).all(1) | (order == [1, 2, 0]).all(1) | (order == [2, 0, 1]).all(1)
     tets[even] = tets[even][..., [0, 2, 1, 3]]
     return tets.reshape(-1, 4)
+
+
+def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) -> tuple[TetMesh, ...]:
+    """One tet mesh per gap between consecutive wraps, gap k split evenly into counts[k] layers of prisms.
+
+    `wraps`: arrays (n, 3) [mm] from the outermost to the innermost over `triangles` (m, 3). The meshes share their
+    vertices: the wraps and those between them, stacked from outside to inside. With counts of one they are a
+    head's `soft` and `muscle`. Raises InputError for counts below one, MeshError for a split that inverts a tet.
+    """
+    if len(counts) != len(wraps) - 1 or min(counts) < 1:
+        raise InputError(f"sub-layers {tuple(counts)}: expected {len(wraps) - 1} counts of at least 1")
+    n, stack = len(wraps[0]), [wraps[0]]
+    for outer, inner, count in zip(wraps[:-1], wraps[1:], counts, strict=True):
+        stack += [outer + (k / count) * (inner - outer) for k in range(1, count)] + [inner]
+    vertices = np.vstack(stack)
+    firsts = np.concatenate([[0], np.cumsum(counts)])
+    return tuple(
+        TetMesh(vertices, np.vstack([prism_tets(triangles, k * n, (k + 1) * n) for k in range(first, last)]))
+        for first, last in zip(firsts[:-1], firsts[1:], strict=True)
+    )

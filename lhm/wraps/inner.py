@@ -19,7 +19,7 @@ LEAST_SINE = 0.04  # of a dihedral angle, 2.3 degrees: a tet below it is a defec
 LEAST_LENGTH = 0.5  # [mm]
 SLOPE = 0.8
 LEAST_COSINE = 0.3
-CREASE_ROUNDS = 12
+CREASE_ROUNDS = 40
 ROUNDS = 24
 
 

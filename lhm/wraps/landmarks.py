@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..identities.space import CAP, EYES, MOUTH, OUTSIDE
 from ..mesh import Floats, Ints, Surface
+from .depth import inscribed_radius
 
 Mask = NDArray[np.bool_]
 
@@ -49,10 +50,12 @@ def distance_to(points: Floats, places: Floats) -> Floats:
 
 
 def regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
-    """Masks over the skin's vertices: lips, mouth, eyes, lids, neck, face.
+    """Masks over the skin's vertices: lips, teeth, mouth, eyes, lids, ears, neck, face.
 
     "face": visible skin in front of the eyes' plane moved back by the face's width, above the chin's underside;
-    "neck": the lid over the cut and all within 25 mm of it; "lips" within 9 mm of the rim, "lids" within 6 mm.
+    "neck": the lid over the cut and all within 25 mm of it; "lips" within 9 mm of the rim, "lids" within 6 mm;
+    "teeth": the mouth's lining from 5 to 25 mm behind the rim; "ears": skin at the head's sides, between brow and
+    mouth, over tissue less than 12 mm thick, and all within 4 mm of it.
     """
     x, unit = skin.vertices, marks.face_width
     centre = marks.eyes.mean(axis=0)
@@ -60,9 +63,16 @@ def regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
     visible = parts == OUTSIDE
     front = (x[:, 2] > centre[2] - 0.6 * unit) & (np.abs(x[:, 0] - centre[0]) < 2.2 * unit)
     height = (x[:, 1] > centre[1] - 1.75 * drop) & (x[:, 1] < centre[1] + 0.9 * drop)
+    rim = distance_to(x, x[marks.rim])
+    beside = np.abs(x[:, 0] - centre[0]) > 0.6 * np.abs(x[visible, 0] - centre[0]).max()
+    between = (x[:, 1] > centre[1] - 1.3 * drop) & (x[:, 1] < centre[1] + 0.6 * drop)
+    beside &= distance_to(x, x[marks.lids]) > 20.0
+    thin = visible & beside & between & (inscribed_radius(x, skin.vertex_normals, 40.0) < 6.0)
     return {
-        "lips": visible & (distance_to(x, x[marks.rim]) < 9.0),
+        "lips": visible & (rim < 9.0),
         "lids": visible & (distance_to(x, x[marks.lids]) < 6.0),
+        "teeth": (parts == MOUTH) & (rim > 5.0) & (rim < 25.0),
+        "ears": visible & (distance_to(x, x[thin]) < 4.0) if thin.any() else thin,
         "mouth": parts == MOUTH,
         "eyes": parts == EYES,
         "neck": (parts == CAP) | (distance_to(x, x[parts == CAP]) < 25.0),

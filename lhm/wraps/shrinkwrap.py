@@ -12,7 +12,9 @@ from ..progress import OnProgress, silent
 from .columns import neighbours
 
 CLEARANCE = 0.3  # [mm] the wrap ends this far outside of the skin
-COARSE, COARSE_STEPS, FINE_STEPS = 11, 500, 260
+COARSE = 11
+STEPS = (500, 260, 160)
+"""How often a wrap of each level is moved; the sphere of frequency COARSE is the first, and each splits the last."""
 
 
 def concentrated(sphere: Floats, towards: Floats, factor: float) -> Floats:
@@ -33,10 +35,11 @@ def shrink(
     pockets: NDArray[np.bool_],
     focus: Floats,
     *,
+    level: int,
     concentration: float = 2.0,
     progress: OnProgress = silent,
 ) -> Surface:
-    """A sphere of 4,842 vertices shrunk onto a closed skin, into its pockets [mm].
+    """A sphere of 1,212, 4,842 or 19,362 vertices (`level` 1, 2, 3) shrunk onto a closed skin, into its pockets [mm].
 
     `spacing` (skin vertices): wanted length of the wrap's edges there, relative; `pockets`: mask of those in
     and around pockets; `focus` (3,): the point [mm] towards which the sphere's vertices are
@@ -47,14 +50,15 @@ def shrink(
     sphere, triangles = geodesic_sphere(COARSE)
     x = centre + 1.45 * radii * concentrated(sphere, (focus - centre) / radii, concentration)
     distance = SignedDistance(skin)
-    for level, steps in enumerate((COARSE_STEPS, FINE_STEPS)):
-        if level:
+    cost = [steps * 4**number for number, steps in enumerate(STEPS[:level])]
+    for number, steps in enumerate(STEPS[:level]):
+        if number:
             x, triangles = subdivide(x, triangles)
         ones = neighbours(triangles, len(x))
         for step in range(steps):
             x = _step(x, triangles, ones, distance, spacing, pockets)
             if step % 20 == 0:
-                progress("wrapping the skin", (0.2 if level else 0.0) + (0.8 if level else 0.2) * step / steps)
+                progress("wrapping the skin", (sum(cost[:number]) + cost[number] * step / steps) / sum(cost))
     return Surface(x, triangles)
 
 
