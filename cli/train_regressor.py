@@ -8,6 +8,7 @@ import numpy as np
 
 from ..lhm import identities, load_template, regressor
 from ..lhm.files.atomic import write_whole
+from ..lhm.files.surface_file import MILLIMETRES
 from .progress import shown
 
 AFile = click.Path(path_type=Path)
@@ -22,15 +23,23 @@ PUBLISHED = (
 @click.argument("folder", metavar="[DIR]", type=AFile, required=False)
 @click.option("--prior", type=click.IntRange(min=3, max=1000), help="this many synthetic pairs instead of DIR  [60]")
 @click.option("--identities", "space_name", default="anny", help="whose topology: 'anny' (default head) or 'ict:FILE'")
+@click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of the files in DIR")
 @click.option("--out", type=AFile, default="out/depth_regressor.npz", help="the regressor to write")
 @click.option("--picture", type=AFile, help="also draw the error per vertex into this PNG")
 @click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
 def train_regressor(
-    folder: Path | None, prior: int | None, space_name: str, out: Path, picture: Path | None, as_json: bool
+    folder: Path | None,
+    prior: int | None,
+    space_name: str,
+    unit: str,
+    out: Path,
+    picture: Path | None,
+    as_json: bool,
 ) -> int:
-    """Learn skull depths from the pairs NAME_skin.* and NAME_skull.* [mm] in DIR, test with each left out, write.
+    """Learn skull depths from the pairs NAME_skin.* and NAME_skull.* in DIR, test with each left out, write.
 
-    Without DIR the pairs are drawn from published mean depths and their spread: a prior, not anatomy.
+    Skins of another topology than the identities' are registered; they look along +z with +y up. Without DIR the
+    pairs are drawn from published mean depths and their spread: a prior, not anatomy.
     """
     if folder is not None and prior is not None:
         raise click.UsageError("DIR and --prior both say which pairs; give one", click.get_current_context())
@@ -38,12 +47,12 @@ def train_regressor(
         progress("depth regressor: identity space", 0.0)
         space = identities.from_text(space_name)
         template = load_template(space, progress=progress)
-        missed: tuple[regressor.Missed, ...] = ()
+        measured: tuple[regressor.PairReport, ...] = ()
         if folder is None:
             rng = np.random.default_rng(regressor.prior.SEED)
             pairs = regressor.prior_pairs(template, space, rng, prior or regressor.prior.PAIRS)
         else:
-            pairs, missed = regressor.read_pairs(folder, template, space, progress=progress)
+            pairs, measured = regressor.read_pairs(folder, template, space, unit=unit, progress=progress)
         tested = regressor.leave_one_out(pairs, template.skin_wrap, progress=progress)
         trained = regressor.DepthRegressor.fit(pairs, template.skin_wrap)
     trained.save(out)
@@ -58,15 +67,16 @@ def train_regressor(
         "leave_one_out_by_region_mm": {n: float(tested.per_vertex[m].mean()) for n, m in template.regions.items()},
         "predicting_the_mean_mm": tested.mean_depth,
         "per_pair_mm": dict(zip(pairs.names, tested.per_pair.tolist(), strict=True)),
-        "rays_missed": {pair.name: pair.vertices for pair in missed},
+        "rays_missed": {pair.name: pair.missed for pair in measured},
+        "registered_skin_off_mm": {pair.name: pair.off for pair in measured},
         "published": [{"model": model, "mean_mm": mean, "data": data} for model, mean, data in PUBLISHED],
         "regressor": str(out),
     }
-    click.echo(json.dumps(report, indent=1) if as_json else _lines(report, tested, missed))
+    click.echo(json.dumps(report, indent=1) if as_json else _lines(report, tested, measured))
     return 0
 
 
-def _lines(report: dict, tested: regressor.LeaveOneOut, missed: tuple[regressor.Missed, ...]) -> str:
+def _lines(report: dict, tested: regressor.LeaveOneOut, measured: tuple[regressor.PairReport, ...]) -> str:
     rows = [
         ("this regressor", report["leave_one_out_mm"], f"depth, each pair left out; {report['trained_on']}"),
         ("predicting the mean depth", report["predicting_the_mean_mm"], "the same pairs"),
@@ -75,7 +85,10 @@ def _lines(report: dict, tested: regressor.LeaveOneOut, missed: tuple[regressor.
     lines = [f"{name:<42} {mean:5.2f} mm  ({data})" for name, mean, data in rows]
     lines.append(f"{'pairs, best to worst':<42} {tested.per_pair.min():.2f} to {tested.per_pair.max():.2f} mm")
     lines += [f"{name:<42} {mean:5.2f} mm" for name, mean in report["leave_one_out_by_region_mm"].items()]
-    lines += [
-        f"pair {m.name}: {m.vertices} rays met no bone, its closest point was taken" for m in missed if m.vertices
-    ]
+    lines += [_measured(pair) for pair in measured]
     return "\n".join([*lines, f"regressor: {report['regressor']}"])
+
+
+def _measured(pair: regressor.PairReport) -> str:
+    registered = f"; registered {pair.off:.2f} mm off the skin" if pair.off else ""
+    return f"pair {pair.name}: at {pair.missed} vertices no ray met bone, whose closest point was taken{registered}"

@@ -2,7 +2,7 @@
 
 from .depths import DepthPairs, DepthRegressor
 from .evaluation import DepthErrors, LeaveOneOut, leave_one_out
-from .files import Missed, read_pairs
+from .files import PairReport, read_pairs
 from .measured import MeasuredDepths, inward_normals, measured_depths, moved_wrap
 from .prior import default_regressor, prior_pairs
 
@@ -12,7 +12,7 @@ __all__ = [
     "DepthRegressor",
     "LeaveOneOut",
     "MeasuredDepths",
-    "Missed",
+    "PairReport",
     "default_regressor",
     "inward_normals",
     "leave_one_out",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, MeshError
+from ..errors import InputError, SoftdecaError
 from ..files.surface_file import SUFFIXES, check_skin, read_surface
 from ..geometry.distance import SignedDistance
 from ..identities.space import LinearSpace
@@ -26,36 +26,48 @@ OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
 """Of a skull's vertices this share may lie this far [mm] outside the skin wrap: teeth do, in the mouth's pocket."""
 
 
-class Missed(NamedTuple):
-    """At how many of a pair's vertices no ray met the skull, so that its closest point was taken."""
+class PairReport(NamedTuple):
+    """How well a pair was measured.
+
+    `missed`: vertices at which no ray met the skull, so that its closest point was taken; `off`: mean distance [mm] of
+    the registered face to the skin, 0 for a skin of the space's own topology.
+    """
 
     name: str
-    vertices: int
+    missed: int
+    off: float
 
 
 def read_pairs(
-    folder: str | os.PathLike[str], template: Template, space: LinearSpace, *, progress: OnProgress = silent
-) -> tuple[DepthPairs, tuple[Missed, ...]]:
-    """The pairs NAME_skin.* and NAME_skull.* [mm] (OBJ, PLY, STL, NPZ) of a folder, their depths measured.
+    folder: str | os.PathLike[str],
+    template: Template,
+    space: LinearSpace,
+    *,
+    unit: str = "mm",
+    progress: OnProgress = silent,
+) -> tuple[DepthPairs, tuple[PairReport, ...]]:
+    """The pairs NAME_skin.* and NAME_skull.* (OBJ, PLY, STL, NPZ) of a folder, their depths measured.
 
-    Skins of the identity space's topology are taken as they are. Raises InputError, naming the pair or file, for a
-    missing partner, fewer than three pairs, a mesh that cannot be read or has not a head's size (units off), and a
-    skull that lies outside its skin.
+    Skins of the identity space's topology are taken as they are, others are registered (half a minute each; they look
+    along +z with +y up). Raises InputError, naming the pair or file, for a missing partner, fewer than three pairs, a
+    mesh that cannot be read or has not a head's size (units off), a skin that cannot be registered, and a skull that
+    lies outside its skin.
     """
     files = _files(Path(folder))
-    wraps, depths, missed = [], [], []
+    wraps, depths, reports = [], [], []
     for i, (name, (skin_file, skull_file)) in enumerate(files.items()):
         progress("depth regressor: pairs", i / len(files))
-        skin, skull = _skin(skin_file, space), _skull(skull_file)
+        skull = _skull(skull_file, unit)
+        skin, off = _skin(skin_file, unit, space)
         wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
         _check_inside(name, wrap, skull)
         measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
         wraps.append(wrap.vertices)
         depths.append(measured.depths)
-        missed.append(Missed(name, measured.missed))
+        reports.append(PairReport(name, measured.missed, off))
     progress("depth regressor: pairs", 1.0)
     label = f"{len(files)} pairs from {folder}"
-    return DepthPairs(label, tuple(files), np.stack(wraps), np.stack(depths)), tuple(missed)
+    return DepthPairs(label, tuple(files), np.stack(wraps), np.stack(depths)), tuple(reports)
 
 
 def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
@@ -79,23 +91,22 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     return {name: (pair["skin"], pair["skull"]) for name, pair in found.items()}
 
 
-def _skin(path: Path, space: LinearSpace) -> Surface:
-    skin = read_surface(path)
+def _skin(path: Path, unit: str, space: LinearSpace) -> tuple[Surface, float]:
+    skin = read_surface(path, unit=unit)
     try:
-        check_skin(skin)
-    except MeshError as error:
+        if skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles):
+            check_skin(skin)
+            return skin, 0.0
+        from ..registration import register  # loaded where a skin needs it: every import of `lhm` comes by here
+
+        registered = register(space.mean, space.parts, skin)
+    except SoftdecaError as error:
         raise InputError(f"{path}: {error}") from None
-    same = skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles)
-    if not same:
-        raise InputError(
-            f"{path}: {len(skin.vertices)} vertices and {len(skin.triangles)} triangles that are not those of the "
-            f"identity space {space.name!r}"
-        )
-    return skin
+    return registered.surface, registered.residual.mean
 
 
-def _skull(path: Path) -> Surface:
-    skull = read_surface(path)
+def _skull(path: Path, unit: str) -> Surface:
+    skull = read_surface(path, unit=unit)
     extent = np.ptp(skull.vertices[np.unique(skull.triangles)], axis=0)
     if extent.min() < SKULL_EXTENT[0] or extent.max() > SKULL_EXTENT[1]:
         size = " x ".join(f"{length:.4g}" for length in extent)

@@ -21,20 +21,23 @@ if TYPE_CHECKING:
 PLAUSIBLE = (1.0, 40.0)
 """Least and greatest depth [mm] of soft tissue over bone: over the nasal bones about 1, in a heavy cheek 30."""
 
+SLIPPED = 2.0
+"""A ray that goes this many times as far as bone is near has slipped through a gap that a skull wrap spans."""
+
 SMOOTH = 4.0
 """Implicit smoothing of the rays' directions, as of the layers' connectors."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDepths:
-    """Depths (n,) [mm] within PLAUSIBLE, and where a ray met bone, (n,); elsewhere the closest point of it counts."""
+    """Depths (n,) [mm] within PLAUSIBLE, and where a ray measured them, (n,); elsewhere the closest point counts."""
 
     depths: Floats = field(repr=False)
     met: Mask = field(repr=False)
 
     @property
     def missed(self) -> int:
-        """At how many vertices no ray met bone within the plausible range."""
+        """At how many vertices no ray measured the depth."""
         return int(np.count_nonzero(~self.met))
 
 
@@ -57,14 +60,13 @@ def inward_normals(skin_wrap: Surface) -> Floats:
 def measured_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) -> MeasuredDepths:
     """Distances from a skin wrap's vertices (n, 3) [mm] along `inward` (n, 3) to the first bone that a ray meets.
 
-    Where none is met within the plausible range (eye sockets, the nose's tip, the neck) the closest point of the
-    bones counts instead, limited to that range.
+    Where none is met within the plausible range (eye sockets, the nose's tip, the neck), or only one far behind the
+    closest (through a hole of thin bone, between the teeth, under the zygomatic arch), the closest point of the bones
+    counts instead, limited to that range.
     """
     starts = np.cumsum([0, *(len(bone.vertices) for bone in bones)])
     triangles = np.vstack([bone.triangles + start for bone, start in zip(bones, starts[:-1], strict=True)])
     tree = TriangleTree(np.vstack([bone.vertices for bone in bones]), triangles)
-    along = first_hits(tree, skin_wrap, inward, PLAUSIBLE[1])[1]
-    met = np.isfinite(along)
-    depths = along.copy()
-    depths[~met] = tree.closest(skin_wrap[~met])[2]
-    return MeasuredDepths(np.clip(depths, *PLAUSIBLE), met)
+    along, closest = first_hits(tree, skin_wrap, inward, PLAUSIBLE[1])[1], tree.closest(skin_wrap)[2]
+    met = along <= np.maximum(SLIPPED * closest, PLAUSIBLE[0])
+    return MeasuredDepths(np.clip(np.where(met, along, closest), *PLAUSIBLE), met)

@@ -5,10 +5,12 @@ import time
 import numpy as np
 import pytest
 import trimesh
+from scipy.sparse import csr_matrix
 
-from softdeca.lhm import InputError, Surface, identities, load_template
+from softdeca.lhm import FitError, InputError, Surface, identities, load_template
 from softdeca.lhm.geometry.bvh import TriangleTree
 from softdeca.lhm.geometry.rays import first_hits
+from softdeca.lhm.registration import Registration, Residual
 from softdeca.lhm.regressor import (
     DepthErrors,
     DepthPairs,
@@ -95,6 +97,16 @@ def test_where_no_ray_meets_bone_the_closest_point_counts_within_the_plausible_r
     assert measured.depths[lowest] == 40.0
     # Bone that touches the skin leaves the least depth, not none.
     assert measured_depths(skin.vertices, inward_normals(skin), [ball(99.99)]).depths.min() == 1.0
+
+
+def test_a_ray_that_slips_through_a_hole_does_not_measure_the_wall_behind():
+    highest = UNIT[:, 1].argmax()
+    around = (FACES == highest).any(axis=1)
+    skin, holed = ball(100.0), Surface(92.0 * UNIT, FACES[~around])
+    measured = measured_depths(skin.vertices, inward_normals(skin), [holed, ball(62.0)])
+    assert not measured.met[highest] and measured.met[UNIT[:, 1] < 0.98].all()
+    # The hole's rim is one edge of 8 degrees off the axis: 8 mm below the vertex and 92 sin 8° = 13 mm beside it.
+    assert 12 < measured.depths[highest] < 18
 
 
 def test_the_closed_form_of_leave_one_out_is_that_of_refitting():
@@ -264,9 +276,9 @@ def folder(tmp_path, template, space):
 
 
 def test_depths_of_a_folder_are_those_of_its_skulls(folder, template, space):
-    pairs, missed = read_pairs(folder, template, space)
+    pairs, reports = read_pairs(folder, template, space)
     assert pairs.names == ("p0", "p1", "p2", "p3") and pairs.label == f"4 pairs from {folder}"
-    assert all(m.vertices < 0.05 * 4842 for m in missed)
+    assert all(r.missed < 0.05 * 4842 and r.off == 0 for r in reports)
     known = np.linalg.norm(connectors(template), axis=1)
     scalp = template.regions["face"] & (template.skin_wrap.vertices[:, 1] > 50)
     for i in range(4):
@@ -302,6 +314,38 @@ def test_a_folder_that_is_wrong_is_refused_by_the_pairs_name(folder, template, s
     change(folder, *head(template, space, 1))
     with pytest.raises(InputError, match=message):
         read_pairs(folder, template, space)
+
+
+def test_skins_of_another_topology_are_registered(folder, template, space, monkeypatch):
+    """What comes back takes the skin's place; what fails names the file. The registration has tests of its own."""
+    skin, skull = head(template, space, 1, 0.9)
+    other = Surface(skin.vertices[::-1], len(skin.vertices) - 1 - skin.triangles)
+    write(folder, "p1", other, skull)
+
+    def registered(template_skin, parts, given):
+        np.testing.assert_array_equal(given.triangles, other.triangles)
+        assert template_skin is space.mean and parts is space.parts
+        return Registration(skin, Residual(0.25, 1.0, 2.0), csr_matrix((1, 1)), 0)
+
+    monkeypatch.setattr("softdeca.lhm.registration.register", registered)
+    pairs, reports = read_pairs(folder, template, space)
+    np.testing.assert_allclose(pairs.wraps[1], moved_wrap(template, skin.vertices))
+    assert [r.off for r in reports] == [0, 0.25, 0, 0]
+
+    def failing(template_skin, parts, given):
+        raise FitError("skin: no face found in it")
+
+    monkeypatch.setattr("softdeca.lhm.registration.register", failing)
+    with pytest.raises(InputError, match=r"p1_skin\.npz: skin: no face found"):
+        read_pairs(folder, template, space)
+
+
+def test_a_folder_in_centimetres(folder, template, space):
+    mm = read_pairs(folder, template, space)[0]
+    for seed in range(4):
+        skin, skull = head(template, space, seed, 0.7 + 0.2 * seed)
+        write(folder, f"p{seed}", _moved(skin, 0.1), _moved(skull, 0.1))
+    np.testing.assert_allclose(read_pairs(folder, template, space, unit="cm")[0].depths, mm.depths, atol=1e-6)
 
 
 def test_a_folder_that_is_not_there(tmp_path, template, space):
