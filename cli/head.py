@@ -10,7 +10,7 @@ import numpy as np
 from ..lhm import HeadReport, check_head, fit_head, identities, load_template
 from ..lhm.errors import FitError, InputError, MeshError
 from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import check_file, export_vtk, save_head
+from ..lhm.files.head_file import check_file, export_vtk, load_head, save_head
 from ..lhm.files.surface_file import MILLIMETRES, check_skin, read_surface
 from ..lhm.mesh import Surface
 from .progress import shown
@@ -29,7 +29,9 @@ head.add_command(train_regressor)
 
 
 @head.command()
-@click.option("--identities", "space_name", default="anny", help="whose topology: 'anny' (default head) or 'ict:FILE'")
+@click.option(
+    "--identities", "space_name", default="anny", help="whose topology: anny, ict:FILE, flame:FILE or folder:DIR"
+)
 @click.option("--skin", type=AFile, help="a neutral skin of that topology (OBJ, PLY, STL, NPZ); default: the mean")
 @click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of --skin")
 @click.option("--seed", type=click.IntRange(min=0), help="sample a random identity instead")
@@ -79,6 +81,31 @@ def fit(
 def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
     _report(check_file(file), as_json)
+    return 0
+
+
+@head.command()
+@click.argument("file", type=AFile)
+@click.option("--out", type=AFile, default="out/head", help="folder of the pictures")
+@click.option("--expression", help="show layers and sections simulated in this expression, as jawOpen*0.5+cheekPuff")
+@click.option("--identities", "space_name", default="anny", help="whose expressions: 'anny' or 'ict:FILE'")
+@click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
+def show(file: Path, out: Path, expression: str | None, space_name: str, vtk: Path | None) -> int:
+    """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
+    from ..benchmarks.head_pictures import head_pictures, posed
+    from ..benchmarks.study import parse_expression
+
+    weights = None if expression is None else parse_expression(expression)
+    shown_head = load_head(file)
+    with shown() as progress:
+        progress("pictures", 0.0)
+        pose = None if weights is None else posed(shown_head, identities.from_text(space_name), weights)
+        for name, png in head_pictures(shown_head, pose=pose).items():
+            write_whole(out / f"{name}.png", png)
+            click.echo(out / f"{name}.png")
+        progress("pictures", 1.0)
+    for path in export_vtk(vtk, shown_head) if vtk is not None else ():
+        click.echo(path)
     return 0
 
 

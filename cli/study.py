@@ -8,7 +8,9 @@ from .progress import shown
 
 
 @click.command()
-@click.option("--identities", default="anny", help="whose head: 'anny' (the default head) or 'ict:FILE'")
+@click.option(
+    "--identities", default="anny", help="whose head: 'anny' (the default), 'ict:FILE', 'flame:FILE' or 'folder:DIR'"
+)
 @click.option(
     "--out",
     default="out/study",

@@ -41,7 +41,10 @@ def from_text(text: str) -> LinearSpace:
     kind, _, path = text.partition(":")
     if kind == "anny" and not path:
         return Anny()
-    files = {"ict": ICTFaceKit, "flame": FLAME, "folder": MeshFolder}
-    if kind in files and path:
-        return files[kind](path)
+    if kind == "ict" and path:
+        return ICTFaceKit(path)
+    if kind == "flame" and path:
+        return FLAME(path)
+    if kind == "folder" and path:
+        return MeshFolder(path)
     raise InputError(f"identities {text!r}: expected 'anny', 'ict:FILE', 'flame:FILE' or 'folder:DIR'")

@@ -41,7 +41,8 @@ class _Csr(_Stored):
     kind = "csr"
 
 
-# The functions by which numpy's arrays and scalars are pickled; their module's name differs between versions 1 and 2.
+# The functions that make objects, arrays and numpy's scalars from a pickle; numpy 1 and 2 keep theirs elsewhere.
+_REBUILD = vars(copyreg)["_reconstructor"]
 _RECONSTRUCT, _SCALAR = np.zeros(1).__reduce__()[0], np.float64(0).__reduce__()[0]
 
 _KNOWN = {
@@ -52,8 +53,8 @@ _KNOWN = {
     "numpy.core.multiarray scalar": _SCALAR,
     "numpy._core.multiarray scalar": _SCALAR,
     "_codecs encode": codecs.encode,
-    "copy_reg _reconstructor": copyreg._reconstructor,
-    "copyreg _reconstructor": copyreg._reconstructor,
+    "copy_reg _reconstructor": _REBUILD,
+    "copyreg _reconstructor": _REBUILD,
     "__builtin__ object": object,
     "builtins object": object,
 }

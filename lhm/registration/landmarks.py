@@ -1,0 +1,108 @@
+"""Named places on a template's skin, and the points that a user gives for them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, MeshError
+from ..identities.space import MOUTH, OUTSIDE
+from ..mesh import Floats, Ints, Surface, as_points
+from ..wraps.landmarks import landmarks
+
+Pairs = tuple[Ints, Floats]
+"""Vertices of the template, shape (k,), and the points [mm] on the skin that belong to them, shape (k, 3)."""
+
+LEAST = 4
+
+
+def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
+    """Vertices of a template's skin [mm] by name: corners of eyes and mouth, tip and root of the nose, chin, lips.
+
+    "left" and "right" are the subject's, +x is the left. They follow from the rims of mouth and eyes in `parts` (n,)
+    and from the profile at mid-face. Raises MeshError for a skin without a mouth or without eyes.
+    """
+    x = skin.vertices
+    if not (parts == MOUTH).any():
+        raise MeshError("landmarks: the template has no mouth among its parts")
+    marks = landmarks(skin, parts)
+    if not len(marks.lids):
+        raise MeshError("landmarks: the template has no eyes among its parts")
+    ids = {}
+    for side, sign, centre in zip(("left", "right"), (1, -1), marks.eyes, strict=True):
+        lids = marks.lids[np.abs(x[marks.lids, 0] - centre[0]) < 0.9 * marks.face_width]
+        outwards = sign * x[lids, 0]
+        ids[f"{side} eye outer"], ids[f"{side} eye inner"] = lids[outwards.argmax()], lids[outwards.argmin()]
+        ids[f"{side} mouth corner"] = marks.rim[(sign * x[marks.rim, 0]).argmax()]
+    middle = marks.eyes.mean(axis=0)
+    drop = middle[1] - marks.mouth[1]
+    profile = np.flatnonzero((parts == OUTSIDE) & (np.abs(x[:, 0] - middle[0]) < 0.15 * marks.face_width))
+    profile = profile[x[profile, 2] > middle[2]]
+    height = (x[profile, 1] - marks.mouth[1]) / drop
+
+    def foremost(low: float, high: float) -> int:
+        band = profile[(height > low) & (height < high)]
+        if not len(band):
+            raise MeshError("landmarks: the template's profile has no vertex where a landmark should be")
+        return band[x[band, 2].argmax()]
+
+    ids["nose tip"] = foremost(0.2, 0.9)
+    root = profile[(height > 0.85) & (height < 1.25)]
+    ids["nose root"] = root[(x[root, 2] + np.abs(x[root, 0] - middle[0])).argmin()] if len(root) else foremost(0.9, 1.2)
+    ids["upper lip"], ids["lower lip"] = foremost(0.02, 0.2), foremost(-0.25, -0.02)
+    ids["chin"] = foremost(-0.9, -0.4)
+    return {name: int(vertex) for name, vertex in ids.items()}
+
+
+def named_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pairs:
+    """Pairs for points [mm] given by the names of `landmark_ids`; InputError names an unknown one or a bad point."""
+    ids = landmark_ids(skin, parts)
+    unknown = [name for name in points if name not in ids]
+    if unknown:
+        raise InputError(f"landmark {unknown[0]!r}: expected one of {', '.join(sorted(ids))}")
+    for name, point in points.items():
+        try:
+            good = np.shape(point) == (3,) and bool(np.isfinite(np.asarray(point, dtype=np.float64)).all())
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            raise InputError(f"landmark {name!r}: expected three finite numbers [mm]")
+    chosen = np.array([ids[name] for name in points], dtype=np.int64)
+    return chosen, np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
+
+
+def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
+    """Points [mm] by name from a JSON file, {"nose tip": [x, y, z], ...}; InputError names a file that is not that."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        read = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a JSON file of landmarks ({str(error)[:80]})") from None
+    if not isinstance(read, dict):
+        raise InputError(f'{path}: expected landmarks by name, {{"nose tip": [x, y, z], ...}}')
+    return read
+
+
+def checked_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
+    """The pairs as arrays; InputError for fewer than four, vertices out of range or repeated, points not finite."""
+    try:
+        ids, points = np.asarray(pairs[0]), as_points("landmarks", pairs[1])
+    except MeshError as error:
+        raise InputError(str(error)) from None
+    if ids.shape != (len(points),) or not np.issubdtype(ids.dtype, np.integer):
+        raise InputError(f"landmarks: expected as many vertex numbers as points ({len(points)}), got {ids.shape}")
+    if len(ids) < LEAST:
+        raise InputError(f"landmarks: {len(ids)} given, at least {LEAST} are needed")
+    bad = np.flatnonzero((ids < 0) | (ids >= n_vertices))
+    if bad.size:
+        raise InputError(f"landmarks: vertex {ids[bad[0]]} is outside the template's 0..{n_vertices - 1}")
+    if len(np.unique(ids)) < len(ids):
+        raise InputError("landmarks: a vertex of the template is given twice")
+    return ids.astype(np.int64), points

@@ -1,0 +1,111 @@
+"""Non-rigid ICP: a template that is laid onto a skin, stiff at first and ever softer (Amberg et al., CVPR 2007)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..geometry.bvh import TriangleTree
+from ..identities.space import EYES, MOUTH, OUTSIDE
+from ..mesh import Floats, Ints, Surface
+from ..progress import OnProgress
+from ..wraps.landmarks import Landmarks, Mask, distance_to
+from ..wraps.shrinkwrap import neighbours
+from .affine import SmoothAffine
+from .landmarks import Pairs
+from .matching import FACING, Target, robust
+
+STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
+STEPS = 4
+LATE = 8  # From this stage on matches are taken from lips and lids that cross.
+REPAIRS = 8
+LANDMARK, FADES = 5.0, 20.0
+"""Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
+exact."""
+LIP_ZONE, LIP_GAP, NEAR = 4.0, 2.0, 12.0
+
+
+def laid_onto(
+    start: Surface, parts: Ints, places: Landmarks, target: Target, marks: Pairs | None, progress: OnProgress
+) -> tuple[Floats, int]:
+    """The vertices (n, 3) [mm] of a template that stands at `start`, laid onto a skin; how many pairs cross anew.
+
+    `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
+    Visible vertices are drawn to their matches; those in hidden `parts` and those without a match are carried along.
+    Facing points of the two lips keep their gap. Where the surface comes to cross itself its vertices lose their
+    match, with more rings in each of up to 8 rounds, and the round with the fewest crossings counts.
+    """
+    x, triangles = start.vertices, start.triangles
+    model = SmoothAffine(x, triangles, lip_ties(start, places.rim))
+    edges = neighbours(triangles, len(x))
+    pockets = (parts == MOUTH) | (parts == EYES)
+    near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < NEAR)
+    own = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
+    drawn = parts == OUTSIDE
+    best, fewest = x, -1
+    for stage in range(len(STIFFNESSES) + REPAIRS):
+        repair = stage - len(STIFFNESSES) + 1
+        which = min(stage, len(STIFFNESSES) - 1)
+        for _ in range(STEPS):
+            x = _step(x, start, model, target, drawn, marks, STIFFNESSES[which], LIMITS[which])
+        progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
+        pairs = TriangleTree(x, triangles).self_crossings().tolist()
+        crossing = triangles[[pair for pair in pairs if tuple(pair) not in own]].reshape(-1, 6)
+        if repair >= 0 and (fewest < 0 or len(crossing) < fewest):
+            best, fewest = x, len(crossing)
+        if repair >= 0 and not len(crossing):
+            break
+        if LATE <= stage < len(STIFFNESSES) - 1:
+            crossing = crossing[near[crossing].any(axis=1)]
+        if stage >= LATE:
+            drawn = drawn & ~_around(crossing, edges, 1 + max(repair, 0) // 2)
+    return best, fewest
+
+
+def _step(
+    x: Floats,
+    start: Surface,
+    model: SmoothAffine,
+    target: Target,
+    drawn: Mask,
+    marks: Pairs | None,
+    stiffness: float,
+    limit: float,
+) -> Floats:
+    closest, distance, weights = target.match(x, start.with_vertices(x).vertex_normals)
+    weights = weights * drawn * robust(distance, limit)
+    if marks is not None:
+        ids, points = marks
+        more = LANDMARK * min(1.0, stiffness / FADES)
+        pulled = weights[ids, None] * closest[ids] + more * points
+        weights[ids] += more
+        closest[ids] = pulled / weights[ids, None]
+    return model.solve(stiffness, weights, closest)
+
+
+def lip_ties(skin: Surface, rim: Ints) -> csr_matrix:
+    """Differences (k, n) between points of one lip, near its `rim`, and the points of the other that they face.
+
+    A template's lips are half a millimetre apart: drawn to a skin one by one they would cross.
+    """
+    x, normals = skin.vertices, skin.vertex_normals
+    faces = skin.face_normals
+    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    lips = np.flatnonzero(distance_to(x, x[rim]) < LIP_ZONE)
+    triangle, weights, distance = TriangleTree(x, skin.triangles).closest_facing(x[lips], -normals[lips], faces, FACING)
+    corners = skin.triangles[triangle]
+    gap = np.einsum("kc,kcd->kd", weights, x[corners]) - x[lips]
+    faced = (triangle >= 0) & (distance < LIP_GAP) & (np.einsum("kd,kd->k", gap, normals[lips]) > 0)
+    count = int(faced.sum())
+    rows = np.append(np.arange(count), np.repeat(np.arange(count), 3))
+    columns = np.append(lips[faced], corners[faced].ravel())
+    values = np.append(np.ones(count), -weights[faced].ravel())
+    return csr_matrix((values, (rows, columns)), shape=(count, len(x)))
+
+
+def _around(crossing: Ints, edges: csr_matrix, rings: int) -> Mask:
+    hit = np.zeros(edges.shape[0])
+    hit[crossing.ravel()] = 1.0
+    for _ in range(rings):
+        hit = ((edges @ hit + hit) > 0).astype(np.float64)
+    return hit > 0

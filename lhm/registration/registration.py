@@ -1,0 +1,156 @@
+"""A template's topology on a skin of any other, and what ties the two."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..errors import FitError, InputError
+from ..geometry.bvh import TriangleTree
+from ..identities.space import EYES, MOUTH
+from ..mesh import Floats, Ints, Surface
+from ..progress import OnProgress, silent
+from ..wraps.landmarks import Landmarks, Mask, landmarks, regions
+from .checks import check_placed, registrable
+from .landmarks import Pairs, checked_pairs
+from .matching import FACING, Target
+from .nonrigid import laid_onto
+from .start import automatic, similarity
+
+LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
+WORST_FACE = 3.0
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Distance [mm] of the registered face's visible vertices to the skin."""
+
+    mean: float
+    p95: float
+    max: float
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A template's topology on a given skin.
+
+    `surface`: the template's triangles over the registered vertices [mm]; `residual` over the visible face;
+    `skin_weights` (skin vertices, n): barycentric, rows sum to one, displacements of the registered template times
+    these are those of the skin's own vertices; `crossings`: pairs of triangles that cross and did not in the template.
+    """
+
+    surface: Surface
+    residual: Residual
+    skin_weights: csr_matrix = field(repr=False)
+    crossings: int
+
+    @property
+    def vertices(self) -> Floats:
+        """The registered vertices [mm], shape (n, 3)."""
+        return self.surface.vertices
+
+
+def register(
+    template_skin: Surface,
+    parts: Ints,
+    skin: Surface,
+    *,
+    landmarks: Pairs | None = None,
+    progress: OnProgress = silent,
+) -> Registration:
+    """Lay a template's skin onto a neutral skin [mm] of any topology, open or closed (about half a minute).
+
+    `parts` (n,) are the template's, OUTSIDE, MOUTH, EYES or CAP; `landmarks` are template vertices and the points
+    [mm] on the skin that belong to them, at least four. Without landmarks the skin has to look along +z with +y up,
+    as the template does. Visible vertices come to lie on the skin; the mouth's lining, the eye sockets and what
+    the skin lacks are carried along smoothly.
+
+    Raises MeshError for a skin that is empty, not manifold, facing inwards or of another unit; InputError for
+    landmarks that are too few, out of range, off the skin or mirrored; FitError if no face is found in the skin or
+    the registered face stays off it.
+    """
+    places, face = _face(template_skin, parts)
+    whole = registrable(skin)
+    target = Target(whole)
+    progress("aligning the skin", 0.0)
+    if landmarks is None:
+        points, normals = template_skin.vertices[face], template_skin.vertex_normals[face]
+        motion, score = automatic(points, normals, target)
+        if not LEAST_SCALE <= motion.scale <= GREATEST_SCALE or score > WORST_START:
+            raise FitError(
+                f"skin: no face found in it (a template {motion.scale:.2g} times its size is {score:.1f} mm off, "
+                f"at most {WORST_START:g}); it has to look along +z with +y up, or landmarks be given"
+            )
+    else:
+        landmarks = checked_pairs(landmarks, len(template_skin.vertices))
+        check_placed(template_skin.vertices, landmarks, whole)
+        motion = similarity(template_skin.vertices[landmarks[0]], landmarks[1])
+    start = template_skin.with_vertices(motion(template_skin.vertices))
+    vertices, crossings = laid_onto(start, parts, places, target, landmarks, progress)
+    done = _registration(template_skin.with_vertices(vertices), face, skin, crossings)
+    if done.residual.mean > WORST_FACE:
+        raise FitError(
+            f"skin: the registered face is {done.residual.mean:.1f} mm off on average (at most {WORST_FACE:g}); "
+            f"is it a head that looks along +z? landmarks help"
+        )
+    return done
+
+
+def registered_by(
+    template_skin: Surface, parts: Ints, mapping: csr_matrix | tuple[Ints, Floats], skin: Surface
+) -> Registration:
+    """A registration from a known correspondence: where on the skin each template vertex lies.
+
+    `mapping`: weights (n, skin vertices), or per template vertex three skin vertices and their weights, both (n, 3).
+    Raises InputError for another shape, vertices out of range, and rows that do not sum to one.
+    """
+    n, m = len(template_skin.vertices), len(skin.vertices)
+    weights = _barycentric(mapping[0], mapping[1], n, m) if isinstance(mapping, tuple) else mapping
+    if weights.shape != (n, m):
+        raise InputError(f"mapping: expected shape ({n}, {m}), got {weights.shape}")
+    total = np.asarray(weights.sum(axis=1)).ravel()
+    bad = np.flatnonzero(~(np.abs(total - 1) < 1e-4))
+    if bad.size:
+        raise InputError(f"mapping: {bad.size} rows do not sum to one, the first is {bad[0]} ({total[bad[0]]:.4g})")
+    surface = template_skin.with_vertices(weights @ skin.vertices)
+    own = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
+    crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - own
+    return _registration(surface, _face(template_skin, parts)[1], skin, max(crossings, 0))
+
+
+def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
+    ids, weights = np.asarray(ids), np.asarray(weights, dtype=np.float64)
+    if ids.shape != (n, 3) or weights.shape != (n, 3) or not np.issubdtype(ids.dtype, np.integer):
+        raise InputError(f"mapping: expected vertex numbers and weights of shape ({n}, 3), got {ids.shape}")
+    bad = np.flatnonzero(((ids < 0) | (ids >= m)).any(axis=1))
+    if bad.size:
+        raise InputError(f"mapping: row {bad[0]} names skin vertices outside 0..{m - 1}")
+    return csr_matrix((weights.ravel(), (np.repeat(np.arange(n), 3), ids.ravel())), shape=(n, m))
+
+
+def _face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
+    if np.shape(parts) != (len(template_skin.vertices),):
+        raise InputError(f"parts: expected shape ({len(template_skin.vertices)},), got {np.shape(parts)}")
+    if not (parts == MOUTH).any() or not (parts == EYES).any():
+        raise InputError("parts: the template needs vertices of the mouth's lining and of the eye sockets")
+    places = landmarks(template_skin, parts)
+    return places, regions(template_skin, parts, places)["face"]
+
+
+def _registration(surface: Surface, face: Mask, skin: Surface, crossings: int) -> Registration:
+    gap = TriangleTree(skin.vertices, skin.triangles).closest(surface.vertices[face])[2]
+    residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
+    return Registration(surface, residual, _carrying(surface, skin), crossings)
+
+
+def _carrying(surface: Surface, skin: Surface) -> csr_matrix:
+    """Weights (skin vertices, n) of the closest point that faces the same way, else of the closest."""
+    faces = surface.face_normals
+    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    tree = TriangleTree(surface.vertices, surface.triangles)
+    triangle, weights, _ = tree.closest_facing(skin.vertices, skin.vertex_normals, faces, FACING)
+    lost = triangle < 0
+    triangle[lost], weights[lost], _ = tree.closest(skin.vertices[lost])
+    return _barycentric(surface.triangles[triangle], weights, len(skin.vertices), len(surface.vertices))

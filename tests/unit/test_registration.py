@@ -1,0 +1,224 @@
+"""Registration: its parts against closed forms, whole heads against known correspondence, bad input by its message."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.sparse import csr_matrix
+
+from softdeca.lhm import FitError, InputError, MeshError, Surface, identities
+from softdeca.lhm.files.surface_file import read_surface
+from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.identities.space import MOUTH, OUTSIDE
+from softdeca.lhm.registration import landmark_ids, named_landmarks, read_landmarks, register, registered_by
+from softdeca.lhm.registration.affine import SmoothAffine
+from softdeca.lhm.registration.matching import Target
+from softdeca.lhm.registration.start import similarity
+from softdeca.lhm.wraps.landmarks import landmarks
+
+
+@pytest.fixture(scope="module")
+def space():
+    return identities.Anny()
+
+
+@pytest.fixture(scope="module")
+def person(space):
+    return space.sample(np.random.default_rng(1))[1]
+
+
+def turned(degrees: float, axis: int) -> np.ndarray:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    rotation = np.eye(3)
+    i, j = [k for k in range(3) if k != axis]
+    rotation[i, i], rotation[i, j], rotation[j, i], rotation[j, j] = c, -s, s, c
+    return rotation
+
+
+def test_similarity_is_recovered():
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    moved = 1.3 * points @ turned(40, 1).T + [5, -2, 1]
+    found = similarity(points, moved)
+    assert found.scale == pytest.approx(1.3)
+    np.testing.assert_allclose(found(points), moved, atol=1e-12)
+
+
+def test_of_two_sheets_the_one_that_faces_the_same_way_is_matched():
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 10
+    up, down = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[6, 5, 4], [7, 6, 4]])
+    target = Target(Surface(np.vstack([square, square + [0, 0, 1.0]]), np.vstack([up, down])))
+    points = np.array([[5.0, 6, 0.9], [5, 6, 0.9], [5, 6, 0.9], [14, 5, 0]])
+    normals = np.array([[0.0, 0, 1], [0, 0, -1], [1, 0, 0], [0, 0, 1]])
+    closest, distance, weight = target.match(points, normals)
+    np.testing.assert_allclose(closest[:2], [[5, 6, 0], [5, 6, 1]])
+    np.testing.assert_allclose(distance[:2], [0.9, 0.1])
+    # No sheet faces along x, and the last point lies beside the sheet, closest to its open edge.
+    assert weight.tolist() == [1, 1, 0, 0]
+
+
+def test_affine_maps_carry_what_is_not_held():
+    x, triangles = geodesic_sphere(5)
+    x = 100 * x
+    model = SmoothAffine(x, triangles, csr_matrix((0, len(x))))
+    matrix = np.eye(3) + 0.1 * np.random.default_rng(2).normal(size=(3, 3))
+    held = x[:, 2] > -20
+    moved = model.solve(1e-3, held.astype(float), x @ matrix.T + 7)
+    np.testing.assert_allclose(moved[held], (x @ matrix.T + 7)[held], atol=0.05)
+    # Held nowhere else, the rest follows, and returns slowly to the start's gradients: within the map's own size.
+    error = np.linalg.norm(moved - x @ matrix.T - 7, axis=1)[~held]
+    assert error.max() < 0.3 * np.linalg.norm(x @ matrix.T - x, axis=1).max()
+
+
+def test_a_person_is_found_again_in_finer_triangles_without_landmarks(space, person):
+    x, triangles = trimesh.remesh.subdivide(person.vertices, person.triangles)
+    order = np.random.default_rng(3).permutation(len(x))
+    number = np.argsort(order)
+    skin = Surface(1.05 * x[order] @ turned(8, 0).T + [30, -200, 50], number[triangles])
+    found = register(space.mean, space.parts, skin)
+    truth = 1.05 * person.vertices @ turned(8, 0).T + [30, -200, 50]
+    off = np.linalg.norm(found.vertices - truth, axis=1)
+    assert found.residual.mean < 0.2 and found.residual.p95 < 0.5
+    # Points may slide along the skin: in the mean by less than the 4 mm that the template's edges in the face have.
+    assert off[space.parts == OUTSIDE].mean() < 4.0
+    assert found.crossings == 0
+    weights = found.skin_weights
+    assert weights.shape == (len(x), len(truth))
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-12)
+    visible = number[: len(truth)][space.parts == OUTSIDE]
+    carried = np.linalg.norm(weights @ found.vertices - skin.vertices, axis=1)[visible]
+    assert np.quantile(carried, 0.95) < 1.5
+
+
+def test_an_open_face_at_any_angle_is_registered_by_its_landmarks(space, person):
+    names = landmark_ids(space.mean, space.parts)
+    rotation = turned(90, 1) @ turned(180, 2)
+    moved = person.vertices @ rotation.T + 500
+    points = {name: moved[vertex] for name, vertex in names.items()}
+    front = person.vertices[person.triangles][:, :, 2].min(axis=1) > 70
+    skin = Surface(moved, person.triangles[front])
+    found = register(space.mean, space.parts, skin, landmarks=named_landmarks(space.mean, space.parts, points))
+    off = np.linalg.norm(found.vertices - moved, axis=1)
+    assert off[list(names.values())].max() < 3.0
+    # Mouth and eye sockets go along, and the missing back keeps a head's size.
+    assert off[space.parts == MOUTH].mean() < 4.0
+    assert off.max() < 60.0
+
+
+def test_ict_facekit_from_the_default_head(space, data):
+    found = register(space.mean, space.parts, identities.ICTFaceKit(data / "ict_facekit.npz").mean)
+    assert found.residual.mean < 0.2 and found.residual.p95 < 0.6 and found.residual.max < 5.0
+    assert found.crossings == 0
+    _lips_and_lids_in_order(space, found)
+
+
+def test_a_ct_scan_with_closed_mouth_and_artefacts_from_the_default_head(space, data):
+    found = register(space.mean, space.parts, read_surface(data / "visible_male" / "vm_skin.ply"))
+    # Streaks of the teeth cross the lips in this scan: there the template is carried along, up to 12 mm off.
+    assert found.residual.mean < 0.8 and found.residual.p95 < 4.0 and found.residual.max < 15.0
+    assert found.crossings == 0
+    _lips_and_lids_in_order(space, found)
+
+
+def _lips_and_lids_in_order(space, found):
+    ids = landmark_ids(space.mean, space.parts)
+    x = found.vertices
+    height = {name: x[vertex, 1] for name, vertex in ids.items()}
+    order = ["nose root", "nose tip", "upper lip", "lower lip", "chin"]
+    assert all(height[a] > height[b] + 3 for a, b in zip(order, order[1:], strict=False))
+    across = [x[ids[name], 0] for name in ("right eye outer", "right eye inner", "left eye inner", "left eye outer")]
+    assert across == sorted(across)
+    # Facing points of the lips keep their order along the template's gap.
+    rest = space.mean.vertices
+    rim = landmarks(space.mean, space.parts).rim
+    middle = rim[np.abs(rest[rim, 0]) < 15]
+    upper, lower = (middle[side] for side in (rest[middle, 1] > np.median(rest[middle, 1]), rest[middle, 1] < -43.0))
+    assert x[upper, 1].mean() > x[lower, 1].mean() - 0.1
+
+
+def test_landmarks_of_both_heads_lie_where_their_names_say(space):
+    x = space.mean.vertices[list(landmark_ids(space.mean, space.parts).values())]
+    ids = landmark_ids(space.mean, space.parts)
+    assert len(set(ids.values())) == len(ids) == 11 and np.isfinite(x).all()
+    assert space.mean.vertices[ids["nose tip"], 2] == space.mean.vertices[:, 2].max()
+    assert space.mean.vertices[ids["left eye outer"], 0] > 35 > -35 > space.mean.vertices[ids["right eye outer"], 0]
+
+
+def test_a_given_mapping_is_taken_as_it_is(space, person):
+    n = len(person.vertices)
+    shuffled = np.random.default_rng(4).permutation(n)
+    skin = Surface(person.vertices[shuffled], np.argsort(shuffled)[person.triangles])
+    ids = np.argsort(shuffled)[:, None].repeat(3, axis=1)
+    found = registered_by(space.mean, space.parts, (ids, np.tile([0.5, 0.25, 0.25], (n, 1))), skin)
+    np.testing.assert_allclose(found.vertices, person.vertices, atol=1e-12)
+    assert found.residual.max < 1e-9 and found.crossings == 0
+    sparse = csr_matrix((np.ones(n), (np.arange(n), ids[:, 0])), shape=(n, n))
+    assert np.array_equal(registered_by(space.mean, space.parts, sparse, skin).vertices, found.vertices)
+    with pytest.raises(InputError, match="row 0 names skin vertices outside"):
+        registered_by(space.mean, space.parts, (ids + n, np.ones((n, 3)) / 3), skin)
+    with pytest.raises(InputError, match="do not sum to one, the first is 0"):
+        registered_by(space.mean, space.parts, 0.5 * sparse, skin)
+    with pytest.raises(InputError, match="expected shape"):
+        registered_by(space.mean, space.parts, sparse[1:], skin)
+
+
+def _one_edge_too_many(skin):
+    i, j = skin.triangles[0, :2]
+    return Surface(skin.vertices, np.vstack([skin.triangles, [i, j, np.argmax(skin.vertices[:, 1])]]))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "error", "message"),
+    [
+        (lambda s: Surface(s.vertices, np.zeros((0, 3), int)), MeshError, "no triangles"),
+        (lambda s: Surface(s.vertices / 1000, s.triangles), MeshError, "metres: use unit='m'"),
+        (lambda s: Surface(s.vertices / 10, s.triangles), MeshError, "centimetres: use unit='cm'"),
+        (lambda s: Surface(s.vertices * 100, s.triangles), MeshError, "units off"),
+        (lambda s: Surface(s.vertices * [-1, 1, 1], s.triangles), MeshError, "mirrored"),
+        (lambda s: Surface(s.vertices, np.vstack([s.triangles[:1, ::-1], s.triangles[1:]])), MeshError, "against one"),
+        (_one_edge_too_many, MeshError, "more than two triangles"),
+        (lambda s: Surface(100 * geodesic_sphere(12)[0], geodesic_sphere(12)[1]), FitError, "no face found"),
+        (lambda s: Surface(s.vertices * [-1, 1, -1], s.triangles), FitError, "no face found.*look along"),
+    ],
+)
+def test_bad_skins_are_named(space, person, spoil, error, message):
+    with pytest.raises(error, match=message) as raised:
+        register(space.mean, space.parts, spoil(person))
+    assert "\n" not in str(raised.value)
+
+
+def test_bad_landmarks_are_named(space, person, tmp_path):
+    ids = np.array(list(landmark_ids(space.mean, space.parts).values()))
+    points = person.vertices[ids]
+
+    def given(ids, points):
+        return register(space.mean, space.parts, person, landmarks=(ids, points))
+
+    for bad, message in (
+        ((ids[:3], points[:3]), "3 given, at least 4"),
+        ((ids + len(space.mean.vertices), points), "outside the template's 0..4462"),
+        ((ids, points[:-1]), "as many vertex numbers as points"),
+        ((ids[[0, 0, 1, 2]], points[:4]), "given twice"),
+        ((ids, points * np.nan), "not finite"),
+        ((ids, points * [-1, 1, 1]), "left and right exchanged"),
+        ((ids, points / 1000), "units off"),
+        ((ids, points + [0, 0, 60]), "off the skin"),
+    ):
+        with pytest.raises(InputError, match=message):
+            given(*bad)
+    with pytest.raises(InputError, match="'nose'.*nose tip"):
+        named_landmarks(space.mean, space.parts, {"nose": [0, 0, 0]})
+    with pytest.raises(InputError, match="'chin'.*three finite"):
+        named_landmarks(space.mean, space.parts, {"chin": [0, 0]})
+    with pytest.raises(InputError, match="eye sockets"):
+        register(space.mean, np.full(len(space.parts), OUTSIDE), person)
+
+    file = tmp_path / "marks.json"
+    file.write_text(json.dumps({"chin": [1, 2, 3]}))
+    assert read_landmarks(file) == {"chin": [1, 2, 3]}
+    for content in ("{", "[1, 2]"):
+        file.write_text(content)
+        with pytest.raises(InputError, match="marks.json"):
+            read_landmarks(file)
+    with pytest.raises(InputError, match="no such file"):
+        read_landmarks(tmp_path / "none.json")
