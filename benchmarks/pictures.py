@@ -124,7 +124,7 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     _look(plotter, centre, height, (1.0, 0.05, 0.15))
     n = len(head.bone)
     for column, (name, colours) in enumerate(
-        (("skin wrap", np.zeros(n)), ("skull wrap: cranium, mandible, free", head.bone)), start=1
+        (("skin wrap", np.zeros(n)), ("skull wrap: cranium white, mandible blue, rest free", head.bone)), start=1
     ):
         plotter.subplot(0, column)
         first = 0 if column == 1 else 2 * n
@@ -142,5 +142,42 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
         )
         plotter.add_text(name, position="upper_edge", font_size=9, color="black")
         _look(plotter, centre, height, VIEW)
+    plotter.set_background("white", all_renderers=True)
+    return _png(plotter)
+
+
+def coloured(
+    panels: Sequence[tuple[str, Surface, Floats | None, Sequence[float]]],
+    *,
+    title: str,
+    limits: tuple[float, float],
+    points: tuple[Floats, Floats] | None = None,
+    size: int = 520,
+) -> bytes:
+    """Surfaces side by side at one scale, (caption, surface, values (n,) or None, view), with one colour bar.
+
+    A surface without values is faded, and `points` (k, 3) [mm] with values (k,) are drawn in it, for all panels.
+    """
+    pyvista = _pyvista()
+    shape = (1, len(panels))
+    plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
+    x = panels[0][1].vertices
+    centre, height = (x.max(0) + x.min(0)) / 2, 1.3 * np.ptp(x[:, 1])
+    bar = {"title": title, "n_labels": 5, "fmt": "%.3g", "title_font_size": 16, "label_font_size": 14, "color": "black"}
+    bar |= {"width": 0.8, "height": 0.08, "position_x": 0.1, "position_y": 0.02}
+    for column, (caption, surface, values, view) in enumerate(panels):
+        plotter.subplot(0, column)
+        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        how = {"cmap": "viridis", "clim": limits, "show_scalar_bar": column == len(panels) // 2, "scalar_bar_args": bar}
+        if values is not None:
+            plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
+        else:
+            plotter.add_mesh(mesh, color=SKIN, opacity=0.25, smooth_shading=True)
+        if points is not None:
+            how["cmap"] = "inferno"
+            dots = pyvista.PolyData(np.asarray(points[0]))
+            plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
+        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
+        _look(plotter, centre, height, view)
     plotter.set_background("white", all_renderers=True)
     return _png(plotter)

