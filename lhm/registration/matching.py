@@ -42,7 +42,8 @@ class Target:
 
 def robust(distance: Floats, limit: float) -> Floats:
     """Tukey's biweight of distances [mm]: 1 at zero, 0 from `limit` on."""
-    return np.clip(1 - (distance / limit) ** 2, 0, None) ** 2
+    inside = np.maximum(1 - (distance / limit) ** 2, 0.0)
+    return inside * inside
 
 
 def open_edges(triangles: Ints) -> Ints:
