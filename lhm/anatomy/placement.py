@@ -245,8 +245,10 @@ def _joints_opened(anatomy: Anatomy) -> Anatomy:
 
 def _inside(muscle: Surface, phi: SignedDistance) -> Surface | None:
     """A muscle at least MUSCLE_DEPTH inside the skin, without what leaves the head; None if nothing is left."""
-    distance = phi(muscle.vertices)[0]
-    kept = (distance[muscle.triangles] < OUTSIDE_HEAD).all(axis=1)
+    x, skin = muscle.vertices, phi.tree.vertices
+    # The sharp edge of a neck's cut may be folded and then tells no side; the head's box does.
+    boxed = ((x >= skin.min(axis=0)) & (x <= skin.max(axis=0))).all(axis=1)
+    kept = (boxed & (phi(x)[0] < OUTSIDE_HEAD))[muscle.triangles].all(axis=1)
     if not kept.any():
         return None
     muscle = part_of(muscle, kept)
