@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, vstack
 
 from ..geometry.bvh import TriangleTree
 from ..identities.space import EYES, MOUTH, OUTSIDE
@@ -22,7 +22,7 @@ REPAIRS = 8
 LANDMARK, FADES = 5.0, 20.0
 """Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
 exact."""
-LIP_ZONE, LIP_GAP, NEAR = 4.0, 2.0, 12.0
+LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
 
 
 def laid_onto(
@@ -36,7 +36,7 @@ def laid_onto(
     match, with more rings in each of up to 8 rounds, and the round with the fewest crossings counts.
     """
     x, triangles = start.vertices, start.triangles
-    model = SmoothAffine(x, triangles, lip_ties(start, places.rim))
+    model = SmoothAffine(x, triangles, vstack([lip_ties(start, places.rim), flap_ties(start, parts)]).tocsr())
     edges = neighbours(triangles, len(x))
     pockets = (parts == MOUTH) | (parts == EYES)
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < NEAR)
@@ -88,18 +88,35 @@ def lip_ties(skin: Surface, rim: Ints) -> csr_matrix:
 
     A template's lips are half a millimetre apart: drawn to a skin one by one they would cross.
     """
-    x, normals = skin.vertices, skin.vertex_normals
-    faces = skin.face_normals
+    lips = np.flatnonzero(distance_to(skin.vertices, skin.vertices[rim]) < LIP_ZONE)
+    return _opposite(skin, lips, skin.triangles, LIP_GAP, 1.0)
+
+
+def flap_ties(skin: Surface, parts: Ints) -> csr_matrix:
+    """Differences (k, n) between points of the mouth's lining and the visible skin on the other side of lip or cheek.
+
+    The skin is drawn and the lining is not: without ties lips and cheeks would end as thick as chance has it.
+    """
+    visible = skin.triangles[(parts[skin.triangles] == OUTSIDE).all(axis=1)]
+    return _opposite(skin, np.flatnonzero(parts == MOUTH), visible, FLAP, -1.0)
+
+
+def _opposite(skin: Surface, points: Ints, triangles: Ints, reach: float, side: float) -> csr_matrix:
+    """Rows x_i - sum_c w_c x_c of vertices and the closest point in `triangles` that faces the other way.
+
+    It lies within `reach` [mm], before the vertex (side 1) or behind it (side -1).
+    """
+    x, normals = skin.vertices, skin.vertex_normals[points]
+    faces = Surface(x, triangles).face_normals
     faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
-    lips = np.flatnonzero(distance_to(x, x[rim]) < LIP_ZONE)
-    triangle, weights, distance = TriangleTree(x, skin.triangles).closest_facing(x[lips], -normals[lips], faces, FACING)
-    corners = skin.triangles[triangle]
-    gap = np.einsum("kc,kcd->kd", weights, x[corners]) - x[lips]
-    faced = (triangle >= 0) & (distance < LIP_GAP) & (np.einsum("kd,kd->k", gap, normals[lips]) > 0)
-    count = int(faced.sum())
+    triangle, weights, distance = TriangleTree(x, triangles).closest_facing(x[points], -normals, faces, FACING)
+    corners = triangles[triangle]
+    gap = np.einsum("kc,kcd->kd", weights, x[corners]) - x[points]
+    used = (triangle >= 0) & (distance < reach) & (side * np.einsum("kd,kd->k", gap, normals) > 0)
+    count = int(used.sum())
     rows = np.append(np.arange(count), np.repeat(np.arange(count), 3))
-    columns = np.append(lips[faced], corners[faced].ravel())
-    values = np.append(np.ones(count), -weights[faced].ravel())
+    columns = np.append(points[used], corners[used].ravel())
+    values = np.append(np.ones(count), -weights[used].ravel())
     return csr_matrix((values, (rows, columns)), shape=(count, len(x)))
 
 

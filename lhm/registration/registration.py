@@ -38,12 +38,14 @@ class Registration:
 
     `surface`: the template's triangles over the registered vertices [mm]; `residual` over the visible face;
     `skin_weights` (skin vertices, n): barycentric, rows sum to one, displacements of the registered template times
-    these are those of the skin's own vertices; `crossings`: pairs of triangles that cross and did not in the template.
+    these are those of the skin's own vertices; `template_weights` (n, skin vertices): the other way; `crossings`:
+    pairs of triangles that cross and did not in the template.
     """
 
     surface: Surface
     residual: Residual
     skin_weights: csr_matrix = field(repr=False)
+    template_weights: csr_matrix = field(repr=False)
     crossings: int
 
     @property
@@ -142,7 +144,7 @@ def _face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
 def _registration(surface: Surface, face: Mask, skin: Surface, crossings: int) -> Registration:
     gap = TriangleTree(skin.vertices, skin.triangles).closest(surface.vertices[face])[2]
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
-    return Registration(surface, residual, _carrying(surface, skin), crossings)
+    return Registration(surface, residual, _carrying(surface, skin), _carrying(skin, surface), crossings)
 
 
 def _carrying(surface: Surface, skin: Surface) -> csr_matrix:
