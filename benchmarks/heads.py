@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import wait
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,9 @@ class _Worker:
     def begin(cls, task: _Task):
         threading.Thread(target=cls._end_with_parent, daemon=True).start()
         cls.task = task
+        # A worker that is done leaves at once: its process object holds the task to the interpreter's end, where
+        # the solvers in it complain on stderr of being left.
+        Finalize(None, os._exit, args=(0,), exitpriority=-10)
         task.warm()
 
     @staticmethod

@@ -76,6 +76,12 @@ def test_two_workers_resume_a_torn_file_to_the_same_result(three, tmp_path):
     assert said[-1].startswith("heads: 3 of 3, 0 failed, ")
 
 
+def test_workers_end_without_a_word(tmp_path):
+    arguments = [*COMMAND, "--count", "2", "--workers", "2", "--out", str(tmp_path)]
+    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0 and all(line.endswith(" s)") for line in ended.stderr.splitlines() if line)
+
+
 def test_another_campaign_in_the_folder_is_refused(three):
     out, _ = three
     with pytest.raises(InputError, match="another sigma .2.5, expected 4"):
