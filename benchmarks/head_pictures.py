@@ -145,8 +145,11 @@ def quality(head: LayeredHead) -> bytes:
     angles = smallest_dihedrals(head.vertices, head.tets)
     worst = np.argsort(angles)[:WORST]
     points = head.vertices[head.tets[worst]].mean(axis=1)
-    views = ((f"the worst {len(worst)} of {len(angles)} tets", FRONT), ("from the subject's left", SIDE))
-    views += (("from the subject's right", (-1.0, 0.05, 0.15)),)
+    views = (
+        (f"the worst {len(worst)} of {len(angles)} tets", FRONT),
+        ("from the subject's left", SIDE),
+        ("from the subject's right", (-1.0, 0.05, 0.15)),
+    )
     return coloured(
         [(text, head.skin_wrap, None, view) for text, view in views],
         title="smallest dihedral angle [degrees]",

@@ -217,14 +217,14 @@ def _crossings(trees: Sequence[TriangleTree]) -> dict[str, int]:
     return counts
 
 
-def _order(wraps: Sequence[Surface], inside: Sequence[SignedDistance]) -> dict[str, float]:
+def _order(wraps: Sequence[Surface], inside: Sequence[SignedDistance]) -> dict[str, Any]:
     return {
         "muscle_outside_skin_wrap": float(inside[0](wraps[1].vertices)[0].max()),
         "skull_outside_muscle_wrap": float(inside[1](wraps[2].vertices)[0].max()),
     }
 
 
-def _thickness(skin: Floats, muscle: Floats, skull: Floats) -> dict[str, float]:
+def _thickness(skin: Floats, muscle: Floats, skull: Floats) -> dict[str, Any]:
     soft, deep, whole = (np.linalg.norm(a - b, axis=1) for a, b in ((skin, muscle), (muscle, skull), (skin, skull)))
     return {
         "least_thickness": float(whole.min()),
@@ -236,7 +236,7 @@ def _thickness(skin: Floats, muscle: Floats, skull: Floats) -> dict[str, float]:
 
 def _fit(
     skin: Surface, wraps: Sequence[Surface], to_wrap: SignedDistance, regions: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, float]:
+) -> dict[str, Any]:
     everywhere = np.ones(len(wraps[0].vertices), bool)
     face = regions.get("face", everywhere)
     pockets = regions.get("mouth", ~everywhere) | regions.get("eyes", ~everywhere)
@@ -260,11 +260,11 @@ def _share_outside(signed: Floats) -> float:
     return float(np.count_nonzero(signed > OUTSIDE_TOLERANCE) / max(len(signed), 1))
 
 
-def _spread(distance: Floats) -> dict[str, float]:
+def _spread(distance: Floats) -> dict[str, Any]:
     return {"mean": float(distance.mean()), "95": float(np.quantile(distance, 0.95)), "max": float(distance.max())}
 
 
-def _openings(wrap: Surface, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, float | None]:
+def _openings(wrap: Surface, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, Any]:
     way, detour = lid_path(wrap.vertices, wrap.triangles, regions)
     lips = lip_path(wrap.vertices, wrap.triangles, regions)
     return {"lip_path": lips, "lid_path": way, "lid_detour": detour}
