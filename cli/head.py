@@ -7,12 +7,15 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm import HeadReport, check_head, fit_head, identities, load_template
+from ..lhm import HeadReport, Template, check_head, fit_head, identities, load_template
 from ..lhm.errors import FitError, InputError, MeshError
 from ..lhm.files.atomic import write_whole
 from ..lhm.files.head_file import check_file, export_vtk, load_head, save_head
 from ..lhm.files.surface_file import MILLIMETRES, check_skin, read_surface
+from ..lhm.files.template_file import read_template, save_template
 from ..lhm.mesh import Surface
+from ..lhm.registration import named_landmarks, read_landmarks
+from ..lhm.regressor import DepthRegressor
 from .progress import shown
 from .train_regressor import train_regressor
 
@@ -32,8 +35,12 @@ head.add_command(train_regressor)
 @click.option(
     "--identities", "space_name", default="anny", help="whose topology: anny, ict:FILE, flame:FILE or folder:DIR"
 )
-@click.option("--skin", type=AFile, help="a neutral skin of that topology (OBJ, PLY, STL, NPZ); default: the mean")
+@click.option("--skin", type=AFile, help="a neutral skin of any topology (OBJ, PLY, STL, NPZ); default: the mean")
 @click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of --skin")
+@click.option("--landmarks", type=AFile, help="JSON of named points [mm] on a skin of another topology")
+@click.option("--template", "template_file", type=AFile, help="a template by `head template`; default: the space's own")
+@click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
+@click.option("--regressor", "regressor_file", type=AFile, help="depths by `head train-regressor`; default: a prior")
 @click.option("--seed", type=click.IntRange(min=0), help="sample a random identity instead")
 @click.option("--out", type=AFile, default="out/head.npz", help="the head to write")
 @click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
@@ -43,6 +50,10 @@ def fit(
     space_name: str,
     skin: Path | None,
     unit: str,
+    landmarks: Path | None,
+    template_file: Path | None,
+    level: int,
+    regressor_file: Path | None,
     seed: int | None,
     out: Path,
     vtk: Path | None,
@@ -52,17 +63,26 @@ def fit(
     """Fit the layered head (wraps and tets) to a skin, check it and write it."""
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
-    given = None if skin is None else _neutral_skin(skin, unit)
+    surface = None if skin is None else read_surface(skin, unit=unit)
     with shown() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
-        template = load_template(space, progress=progress)
-        if given is not None:
-            surface = given
+        if template_file is None:
+            template = load_template(space, level=level, progress=progress)
+        else:
+            template = read_template(template_file)
+        pairs = None
+        if landmarks is not None:
+            pairs = named_landmarks(template.skin, template.parts, read_landmarks(landmarks))
+        regressor = None
+        if regressor_file is not None:
+            regressor = DepthRegressor.load(regressor_file, template.skin_wrap)
+        if skin is not None and surface is not None:
+            _check_skin(skin, surface, template)
         else:
             surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
         progress("head: layers fitted to the skin", 0.3)
-        fitted = fit_head(template, surface)
+        fitted = fit_head(template, surface, regressor=regressor, landmarks=pairs, progress=progress)
         progress("head", 1.0)
     _report(check_head(fitted), as_json)
     save_head(out, fitted)
@@ -72,6 +92,24 @@ def fit(
         from ..benchmarks.pictures import cut_away
 
         write_whole(picture, cut_away(fitted))
+    return 0
+
+
+@head.command()
+@click.option("--identities", "space_name", default="ict:ict_facekit.npz", help="whose mean head: anny or ict:FILE")
+@click.option("--anatomy", type=AFile, required=True, help="bones and muscles: BodyParts3D's head as .npz")
+@click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
+@click.option("--out", type=AFile, default="out/template.npz", help="the template to write; `head fit --template` it")
+@as_json_option
+def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: bool) -> int:
+    """Build a template from real anatomy, check its own head and write it (some two minutes)."""
+    from ..lhm.anatomy.template import anatomical_template
+
+    with shown() as progress:
+        built = anatomical_template(identities.from_text(space_name), anatomy, level=level, progress=progress)
+        progress("template", 1.0)
+    _report(check_head(built.head), as_json)
+    save_template(out, built)
     return 0
 
 
@@ -109,13 +147,12 @@ def show(file: Path, out: Path, expression: str | None, space_name: str, vtk: Pa
     return 0
 
 
-def _neutral_skin(file: Path, unit: str) -> Surface:
-    surface = read_surface(file, unit=unit)
+def _check_skin(file: Path, surface: Surface, template: Template) -> None:
+    same = len(surface.vertices) == len(template.skin.vertices)
     try:
-        check_skin(surface)
+        check_skin(surface, openings=0 if same else 1)
     except MeshError as error:
         raise InputError(f"{file}: {error}") from None
-    return surface
 
 
 def _report(report: HeadReport, as_json: bool) -> None:

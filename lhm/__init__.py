@@ -1,6 +1,7 @@
 """The layered head model: surfaces, wraps, fitting, identities and expressions. Geometry only, no physics."""
 
 from . import expressions, identities
+from .build import build_template
 from .check import HeadReport, check_head
 from .errors import FitError, InputError, MeshError, SoftdecaError
 from .fit import fit_head
@@ -18,6 +19,7 @@ __all__ = [
     "Surface",
     "Template",
     "TetMesh",
+    "build_template",
     "check_head",
     "expressions",
     "fit_head",

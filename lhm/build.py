@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from .anatomy.connectors import connectors_to
 from .arkit import ARKIT
 from .errors import FitError, InputError
 from .files.cache import cached
 from .files.template_file import arrays_of, template_from
 from .geometry.bvh import TriangleTree
+from .geometry.distance import SignedDistance, across_edges
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
@@ -19,13 +22,17 @@ from .regressor import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
 from .wraps import depth, inner
 from .wraps.columns import Columns
-from .wraps.labels import bone_labels
-from .wraps.landmarks import Landmarks, distance_to, landmarks, regions
+from .wraps.labels import bone_labels, held_labels
+from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 12
+FORMAT = 13
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
+MUSCLE_BOUNDS = (0.3, 0.8)
+"""Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
+LONGEST = 25.0
+"""[mm] Bone farther away than that, seen from nose, lids, ear lobes or nape, is not what lies under them."""
 SHORTENED = 0.95
 MUSCLE = 0.6
 """The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
@@ -52,23 +59,33 @@ def template_of(space: LinearSpace, *, level: int = DEFAULT_LEVEL, progress: OnP
 
 def build_template(
     skin: Surface,
+    muscles: Surface | None = None,
+    skull: Surface | None = None,
     *,
     parts: Ints | None = None,
     jaw: Floats | None = None,
     lids: Floats | None = None,
+    bone_of: Callable[[Floats], Ints] | None = None,
     level: int = DEFAULT_LEVEL,
     name: str = "custom",
     progress: OnProgress = silent,
 ) -> Template:
-    """A template around a closed skin [mm].
+    """A template around a closed skin [mm], and over closed surfaces of muscles and skull inside it where given.
 
-    `parts` (n,): OUTSIDE, MOUTH, EYES or CAP per vertex of the skin; `jaw`, `lids` (n, 3) [mm]: displacements that
-    open mouth and lids, so that the wrap can enter them; without, a closed mouth stays closed. Raises FitError,
-    naming what failed, if no valid layers could be made.
+    Without `skull` the skull wrap is grown inward by published depths, without `muscles` the muscle wrap lies at a
+    fixed share of the way. `parts` (n,): OUTSIDE, MOUTH, EYES or CAP per vertex of the skin; `jaw`, `lids` (n, 3)
+    [mm]: displacements that open mouth and lids, so that the wrap can enter them; without, a closed mouth stays
+    closed. `bone_of`: FREE, CRANIUM or MANDIBLE of points (k, 3); default: from how the skin follows `jaw`.
+
+    Raises InputError for surfaces that are not inside one another, FitError, naming what failed, if no valid layers
+    could be made.
     """
     x = skin.vertices
     parts = np.full(len(x), OUTSIDE) if parts is None else parts
     jaw, lids = (np.zeros_like(x) if shape is None else shape for shape in (jaw, lids))
+    for inside, what in ((muscles, "muscles"), (skull, "skull")):
+        if inside is not None:
+            _check_inside(inside, skin, what)
     marks = landmarks(skin, parts)
     opened = skin.with_vertices(x + jaw + lids)
 
@@ -80,24 +97,41 @@ def build_template(
     wrap_from_skin = _barycentric(wrap_ids, wrap_weights, shape)
     skin_from_wrap = _barycentric(wrap.triangles[triangle], skin_weights, shape[::-1])
     columns = Columns(wrap.triangles, len(wrap.vertices))
+    nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
+    masks = {region: mask[nearest] for region, mask in regions(skin, parts, marks).items()}
 
     progress("layers", 0.7)
-    nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
     try:
         rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
-        connectors, room = _connectors(columns, rest, parts[nearest], marks)
-        stack = inner.valid_layers(columns, np.vstack([rest, rest + MUSCLE * connectors, rest + connectors]))
+        connectors, share, room = _connectors(columns, rest, masks, marks, muscles, skull)
+        stack = inner.valid_layers(columns, np.vstack([rest, rest + share[:, None] * connectors, rest + connectors]))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
-    masks = {region: mask[nearest] for region, mask in regions(skin, parts, marks).items()}
-    n = columns.n
-    rest, depths = stack[:n], np.linalg.norm(stack[2 * n :] - stack[:n], axis=1)
+    rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
     # A column that had to be shortened shows that there is less room than the ball inside its skin has.
     room = np.where(depths < SHORTENED * np.linalg.norm(connectors, axis=1), np.minimum(depths, room), room)
-    from_lips = distance_to(rest, x[marks.rim])
-    bone = bone_labels(rest, rest + wrap_from_skin @ jaw, depths, masks, from_lips, columns.edges)
+    opened_wrap, from_lips = rest + wrap_from_skin @ jaw, distance_to(rest, x[marks.rim])
+    if bone_of is None:
+        bone = bone_labels(rest, opened_wrap, depths, masks, from_lips, columns.edges)
+    else:
+        bone = held_labels(bone_of(stack[2 * columns.n :]), rest, opened_wrap, depths, masks, from_lips)
     progress("layers", 1.0)
-    return Template(name, skin, parts, wrap.triangles, stack, room, bone, wrap_from_skin, skin_from_wrap, masks)
+    ties = (wrap_from_skin, skin_from_wrap)
+    skull_bone = None if bone_of is None or skull is None else bone_of(skull.vertices)
+    return Template(
+        name, skin, parts, wrap.triangles, stack, room, bone, *ties, masks, muscles, skull, skull_bone=skull_bone
+    )
+
+
+def _check_inside(inside: Surface, skin: Surface, what: str) -> None:
+    if (across_edges(inside.triangles) < 0).any():
+        raise InputError(f"{what}: the surface is open; it has to be closed")
+    outside = SignedDistance(skin)(inside.vertices)[0]
+    if outside.max() > 0:
+        raise InputError(
+            f"{what}: {np.count_nonzero(outside > 0)} of {len(outside)} vertices lie outside the skin, the farthest "
+            f"by {outside.max():.3g} mm (none may)"
+        )
 
 
 def _barycentric(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
@@ -119,13 +153,39 @@ def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: 
     return shrink(opened, spacing, pockets, x[marks.rim].mean(axis=0), level=level, progress=part_of_all)
 
 
-def _connectors(columns: Columns, wrap: Floats, parts: Ints, marks: Landmarks) -> tuple[Floats, Floats]:
-    """From skin to skull wrap [mm], shape (n, 3): landmark depths where there is room, smoothed; and the room (n,)."""
+def _connectors(
+    columns: Columns,
+    wrap: Floats,
+    masks: Mapping[str, Mask],
+    marks: Landmarks,
+    muscles: Surface | None,
+    skull: Surface | None,
+) -> tuple[Floats, Floats, Floats]:
+    """From skin to skull wrap [mm], shape (n, 3), the muscle wrap's share of the way, and the room, both (n,).
+
+    Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance.
+    """
     normals = inner.cone_normals(columns, wrap)[0]
     wanted = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
-    wanted[parts == MOUTH], wanted[parts == EYES] = depth.LINING, depth.SOCKET
+    wanted[masks["mouth"]], wanted[masks["eyes"]] = depth.LINING, depth.SOCKET
     room = depth.ROOM * depth.inscribed_radius(wrap, normals, 40.0)
+    directions = _unit(inner.smoothed(columns, -normals, 4.0))
+    if skull is not None:
+        met, found = connectors_to(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
+        # A ray that meets bone shows that there is room up to it.
+        wanted[found] = room[found] = np.linalg.norm(met[found], axis=1)
     length = np.maximum(np.minimum(wanted, room), depth.LEAST)
     connectors = inner.smoothed(columns, -length[:, None] * normals, 1.0)
     size = np.linalg.norm(connectors, axis=1)
-    return connectors * (np.minimum(length, size) / size)[:, None], room
+    connectors *= (np.minimum(length, size) / size)[:, None]
+    share = np.full(columns.n, MUSCLE)
+    if muscles is not None:
+        met, found = connectors_to(columns.surface(wrap), normals, _unit(connectors), muscles)
+        reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
+        share[found] = np.clip(reach, *MUSCLE_BOUNDS)
+        share = inner.smoothed(columns, share[:, None], 0.5)[:, 0]
+    return connectors, share, room
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import weakref
+from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from .errors import FitError
 from .geometry.warp import TriharmonicWarp, farthest_points
 from .head import LayeredHead
-from .mesh import Floats, Surface
+from .mesh import Floats, Ints, Surface
+from .progress import OnProgress, silent
+from .registration import register, registered_by
+from .registration.landmarks import Pairs
 from .regressor import DepthRegressor
 from .template import Template
 from .wraps import inner
+from .wraps.carried import Carrier, SkullCarrier
 from .wraps.skull import SkullFit
 
 CENTRES = 1000
@@ -36,34 +41,69 @@ class _Prepared:
         self.at_wraps = self.warp.basis(np.vstack([template.stack[:n], template.stack[2 * n :]]))
         self.skull_fit = SkullFit(template.columns, template.stack[:n], template.stack[2 * n :])
         self.edge = template.columns.mean_edge(template.stack[:n])
+        _, muscle, skull = template.stack.reshape(3, -1, 3)
+        self.muscles, self.skull = None, None
+        if template.muscles is not None:
+            self.muscles = Carrier.of(template.muscles, muscle, np.arange(n))
+        if template.skull is not None:
+            self.skull = SkullCarrier(template.skull, template.skull_bone, skull, template.bone)
 
 
 _prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
 
 
-def fit_head(template: Template, skin: Surface, *, regressor: DepthRegressor | None = None) -> LayeredHead:
-    """The layered head of a neutral skin [mm] with the template's triangles.
+def fit_head(
+    template: Template,
+    skin: Surface,
+    *,
+    regressor: DepthRegressor | None = None,
+    landmarks: Pairs | None = None,
+    mapping: csr_matrix | tuple[Ints, Floats] | None = None,
+    progress: OnProgress = silent,
+) -> LayeredHead:
+    """The layered head of a neutral skin [mm].
 
     In the paper's order: the template's wraps are warped with the skin (Eq. 3); `regressor` (default: the template's)
     says how deep the skull wrap lies, and Eq. 4 finds it; the muscle wrap follows by the ten-percent rule; columns
-    that cross or hold a flat tet are shortened (`wraps.inner`). Raises FitError naming the gate that failed: another
-    topology, a wrap that crosses itself, or defects that are left.
+    that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
+
+    A skin with the template's triangles needs nothing else. On another topology the template's skin is laid first,
+    by `mapping` (as in `registered_by`), or found (`register`, half a minute) from `landmarks` if given; the head's
+    skin is then the given one, tied to the wraps through the other.
+
+    Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
+    and what `register` and `registered_by` raise.
     """
-    if skin.vertices.shape != template.skin.vertices.shape or not np.array_equal(
+    same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
         skin.triangles, template.skin.triangles
-    ):
-        raise FitError(
-            f"skin: {len(skin.vertices)} vertices and {len(skin.triangles)} triangles that are not those of template "
-            f"{template.name!r}; skins of another topology cannot be fitted yet"
-        )
+    )
+    if same and mapping is None:
+        return _fitted(template, skin, regressor)
+    if mapping is None:
+        laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
+    else:
+        laid = registered_by(template.skin, template.parts, mapping, skin)
+    head = _fitted(template, laid.surface, regressor)
+    return replace(
+        head,
+        skin=skin,
+        wrap_from_skin=(head.wrap_from_skin @ laid.template_weights).tocsr(),
+        skin_from_wrap=(laid.skin_weights @ head.skin_from_wrap).tocsr(),
+    )
+
+
+def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None) -> LayeredHead:
     prepared = _prepared.get(template)
     if prepared is None:
         prepared = _prepared[template] = _Prepared(template)
     wrap, start = _warped(template, prepared, skin.vertices)
     depths = _depths(template, prepared, wrap, regressor or template.regressor)
     skull, _ = prepared.skull_fit.fitted(wrap, depths, start)
-    muscle = _muscle(template, wrap, skull)
-    return template.layered(skin, inner.valid_layers(template.columns, np.vstack([wrap, muscle, skull])))
+    stack = np.vstack([wrap, _muscle(template, wrap, skull), skull])
+    stack = inner.valid_layers(template.columns, stack)
+    _, muscle, skull = stack.reshape(3, -1, 3)
+    muscles = prepared.muscles and prepared.muscles.surface.with_vertices(prepared.muscles.vertices(muscle))
+    return template.layered(skin, stack, muscles=muscles, skull=prepared.skull and prepared.skull.moved(skull))
 
 
 def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floats, Floats]:

@@ -24,6 +24,7 @@ class LayeredHead:
     in this order). `bone` says per skull-wrap vertex whether it is FREE (0), of the CRANIUM (1) or the MANDIBLE (2).
     `wrap_from_skin` (n, skin vertices) and `skin_from_wrap` (skin vertices, n) are sparse weights, rows summing to one,
     that carry displacements from one surface to the other. `regions` are named masks over the wrap's vertices.
+    `muscles` and `skull`: the surfaces under the inner wraps, where the template has them.
     Raises MeshError for wraps of different triangles, and for inverted tets by index.
     """
 
@@ -35,6 +36,8 @@ class LayeredHead:
     wrap_from_skin: csr_matrix
     skin_from_wrap: csr_matrix
     regions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    muscles: Surface | None = field(default=None, repr=False)
+    skull: Surface | None = field(default=None, repr=False)
     soft: TetMesh = field(init=False, repr=False)
     muscle: TetMesh = field(init=False, repr=False)
 

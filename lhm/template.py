@@ -79,7 +79,7 @@ class Template:
     @property
     def head(self) -> LayeredHead:
         """The template's own head."""
-        return self.layered(self.skin, self.stack)
+        return self.layered(self.skin, self.stack, muscles=self.muscles, skull=self.skull)
 
     def layered(
         self, skin: Surface, stack: Floats, *, muscles: Surface | None = None, skull: Surface | None = None
@@ -87,7 +87,8 @@ class Template:
         """A head of this template's triangulation from its skin and the stacked wraps (3 n, 3) [mm]."""
         skin_wrap, muscle_wrap, skull_wrap = (Surface(wrap, self.triangles) for wrap in stack.reshape(3, -1, 3))
         ties = (self.wrap_from_skin, self.skin_from_wrap)
-        return LayeredHead(skin, skin_wrap, muscle_wrap, skull_wrap, self.bone, *ties, self.regions)
+        wraps = (skin_wrap, muscle_wrap, skull_wrap)
+        return LayeredHead(skin, *wraps, self.bone, *ties, self.regions, muscles, skull)
 
 
 def load_template(

@@ -20,6 +20,7 @@ from .npz import read_arrays, write_arrays
 
 FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
+_INSIDE = ("muscles", "skull")
 _WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
 
 
@@ -32,6 +33,10 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         weights = getattr(head, name)
         arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
+    for name in _INSIDE:
+        surface = getattr(head, name)
+        if surface is not None:
+            arrays |= {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
     write_arrays(path, arrays)
 
 
@@ -45,7 +50,11 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
             csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
             for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
         )
-        return LayeredHead(skin, *wraps, bone, wrap_from_skin, skin_from_wrap, regions)
+        inside = (
+            Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"]) if f"{name}_vertices" in arrays else None
+            for name in _INSIDE
+        )
+        return LayeredHead(skin, *wraps, bone, wrap_from_skin, skin_from_wrap, regions, *inside)
 
 
 def check_file(path: str | os.PathLike[str]) -> HeadReport:
@@ -87,8 +96,10 @@ def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:
     """Write skin, wraps, and the tets with their layer (0 soft, 1 muscle) as .vtu files [mm]; return their paths."""
     folder = Path(folder)
     files = []
-    for name in ("skin", *_WRAPS):
+    for name in ("skin", *_WRAPS, *_INSIDE):
         surface = getattr(head, name)
+        if surface is None:
+            continue
         data = {"bone": head.bone.astype(np.int32)} if name == "skull_wrap" else {}
         mesh = meshio.Mesh(surface.vertices, [("triangle", surface.triangles)], point_data=data)
         files.append(_write(folder / f"{name}.vtu", mesh))

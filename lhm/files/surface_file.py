@@ -59,8 +59,10 @@ def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return vertices, triangles
 
 
-def check_skin(surface: Surface) -> None:
+def check_skin(surface: Surface, *, openings: int = 0) -> None:
     """Raise MeshError unless a skin is one closed, consistently oriented surface of a head's size.
+
+    Up to `openings` holes are let pass: a scan is open at the neck.
 
     The message says how many holes there are, which edge has more than two triangles, how many pieces, or what the
     extent [mm] is where the unit seems wrong.
@@ -71,11 +73,10 @@ def check_skin(surface: Surface) -> None:
     if (count > 2).any():
         first = unique[count > 2][0]
         raise MeshError(f"skin: {(count > 2).sum()} edges have more than two triangles, the first is {first.tolist()}")
-    if (count == 1).any():
-        holes = _pieces(unique[count == 1])
-        raise MeshError(
-            f"skin: the surface is open, with {holes} {'hole' if holes == 1 else 'holes'}; it must be closed"
-        )
+    holes = _pieces(unique[count == 1])
+    if holes > openings:
+        wanted = "it must be closed" + (f" but for {openings}" if openings else "")
+        raise MeshError(f"skin: the surface is open, with {holes} {'hole' if holes == 1 else 'holes'}; {wanted}")
     if len(np.unique(edges, axis=0)) != len(edges):
         raise MeshError("skin: neighbouring triangles are oriented against one another")
     pieces = _pieces(unique)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..errors import InputError, MeshError
 from ..mesh import Surface
 from ..template import Template
+from .npz import read_arrays, write_arrays
+
+FORMAT = "softdeca template 1"
 
 _TIES = ("wrap_from_skin", "skin_from_wrap")
 _SURFACES = ("muscles", "skull")
@@ -52,3 +57,21 @@ def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
         *surfaces,
         arrays.get("skull_bone"),
     )
+
+
+def save_template(path: str | os.PathLike[str], template: Template) -> None:
+    """Write a template to a .npz file, whole or not at all; its regressor is not part of it."""
+    write_arrays(path, arrays_of(template) | {"format": np.array(FORMAT)})
+
+
+def read_template(path: str | os.PathLike[str]) -> Template:
+    """Read a template; InputError names a file that is missing, damaged or something else."""
+    arrays = read_arrays(path, of="a template")
+    if str(arrays.get("format")) != FORMAT:
+        raise InputError(f"{path}: not a template of this version (expected {FORMAT!r})")
+    try:
+        return template_from(arrays)
+    except KeyError as error:
+        raise InputError(f"{path}: not a template, array {error.args[0]!r} is missing") from None
+    except (MeshError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: damaged, {error}") from None

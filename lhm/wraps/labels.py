@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -34,7 +36,7 @@ def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
 
 
 def bone_labels(
-    rest: Floats, opened: Floats, depths: Floats, regions: dict[str, Mask], from_lips: Floats, edges: csr_matrix
+    rest: Floats, opened: Floats, depths: Floats, regions: Mapping[str, Mask], from_lips: Floats, edges: csr_matrix
 ) -> Ints:
     """FREE, CRANIUM or MANDIBLE per vertex, shape (n,), from how the skin over it follows jawOpen.
 
@@ -57,3 +59,22 @@ def bone_labels(
     bone[still & far] = CRANIUM
     bone[mandible] = MANDIBLE
     return bone
+
+
+def held_labels(
+    bone: Ints, rest: Floats, opened: Floats, depths: Floats, regions: Mapping[str, Mask], from_lips: Floats
+) -> Ints:
+    """The given labels (n,), but FREE where tissue needs room to move.
+
+    That is within 12 mm of the lips, in the mouth, over a cranium whose skin moves, and over a mandible from whose
+    rigid motion the skin departs by much of the depth. The arguments are those of `bone_labels`. The neck's cut and
+    the eye sockets, where no bone may be near, are held as CRANIUM.
+    """
+    far = from_lips > FROM_LIPS
+    mandible = (bone == MANDIBLE) & far & ~regions["mouth"]
+    rotation, translation = rigid_motion(rest[mandible], opened[mandible])
+    mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
+    size = np.linalg.norm(opened - rest, axis=1)
+    held = (regions["neck"] | regions["eyes"]) & (size < HELD * size.max())
+    cranium = ((bone == CRANIUM) & far & ~regions["mouth"] & (size < HELD * size.max())) | held
+    return np.where(mandible, MANDIBLE, np.where(cranium, CRANIUM, FREE))

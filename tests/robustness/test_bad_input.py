@@ -33,7 +33,7 @@ SKINS = {
     "empty.obj": (lambda: "", "empty"),
     "missing.obj": (None, "no such file"),
     "metres.obj": (lambda: ball(0.001), "units off"),
-    "sphere.obj": (ball, "another topology"),
+    "sphere.obj": (ball, "no face found"),
     "head.fbx": (lambda: "Kaydara", "unknown kind of file"),
 }
 
@@ -126,8 +126,8 @@ def test_a_head_with_an_array_of_wrong_shape_or_missing_is_refused(tmp_path, sph
 @pytest.mark.parametrize("option", ["--out", "--vtk", "--picture"])
 def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, sphere_head, option):
     # The fit itself is beside the point here: what is written is a sphere.
-    monkeypatch.setattr("softdeca.cli.head.load_template", lambda space, progress: None)
-    monkeypatch.setattr("softdeca.cli.head.fit_head", lambda template, skin: sphere_head)
+    monkeypatch.setattr("softdeca.cli.head.load_template", lambda space, **_: None)
+    monkeypatch.setattr("softdeca.cli.head.fit_head", lambda *_, **__: sphere_head)
     (tmp_path / "way").write_text("a file")
     wanted = {"--out": tmp_path / "head.npz"} | {option: tmp_path / "way" / "x.png"}
     ended = command("head", "fit", *(word for pair in wanted.items() for word in pair))
