@@ -42,7 +42,8 @@ class _Prepared:
         self.skull_fit = SkullFit(template.columns, template.stack[:n], template.stack[2 * n :])
         self.edge = template.columns.mean_edge(template.stack[:n])
         _, muscle, skull = template.stack.reshape(3, -1, 3)
-        self.muscles, self.skull = None, None
+        self.muscles: Carrier | None = None
+        self.skull: SkullCarrier | None = None
         if template.muscles is not None:
             self.muscles = Carrier.of(template.muscles, muscle, np.arange(n))
         if template.skull is not None:
@@ -102,8 +103,12 @@ def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None)
     stack = np.vstack([wrap, _muscle(template, wrap, skull), skull])
     stack = inner.valid_layers(template.columns, stack)
     _, muscle, skull = stack.reshape(3, -1, 3)
-    muscles = prepared.muscles and prepared.muscles.surface.with_vertices(prepared.muscles.vertices(muscle))
-    return template.layered(skin, stack, muscles=muscles, skull=prepared.skull and prepared.skull.moved(skull))
+    return template.layered(
+        skin,
+        stack,
+        muscles=None if prepared.muscles is None else prepared.muscles.moved(muscle),
+        skull=None if prepared.skull is None else prepared.skull.moved(skull),
+    )
 
 
 def _warped(template: Template, prepared: _Prepared, skin: Floats) -> tuple[Floats, Floats]:

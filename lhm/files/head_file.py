@@ -34,10 +34,22 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
     for name in _INSIDE:
-        surface = getattr(head, name)
-        if surface is not None:
-            arrays |= {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
+        arrays |= arrays_of_surface(name, getattr(head, name))
     write_arrays(path, arrays)
+
+
+def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
+    """A surface as two named arrays; none for None."""
+    if surface is None:
+        return {}
+    return {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
+
+
+def surface_in(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
+    """The surface of that name, or None where there is none; KeyError for half of one."""
+    if f"{name}_vertices" not in arrays:
+        return None
+    return Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
 
 
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
@@ -50,11 +62,11 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
             csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
             for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
         )
-        inside = (
-            Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"]) if f"{name}_vertices" in arrays else None
-            for name in _INSIDE
+        inside = {name: surface_in(arrays, name) for name in _INSIDE}
+        skin_wrap, muscle_wrap, skull_wrap = wraps
+        return LayeredHead(
+            skin, skin_wrap, muscle_wrap, skull_wrap, bone, wrap_from_skin, skin_from_wrap, regions, **inside
         )
-        return LayeredHead(skin, *wraps, bone, wrap_from_skin, skin_from_wrap, regions, *inside)
 
 
 def check_file(path: str | os.PathLike[str]) -> HeadReport:

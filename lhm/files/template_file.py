@@ -11,17 +11,19 @@ from scipy.sparse import csr_matrix
 from ..errors import InputError, MeshError
 from ..mesh import Surface
 from ..template import Template
+from .head_file import arrays_of_surface, surface_in
 from .npz import read_arrays, write_arrays
 
 FORMAT = "softdeca template 1"
 
 _TIES = ("wrap_from_skin", "skin_from_wrap")
+_ARRAYS = ("parts", "triangles", "stack", "room", "bone")
 _SURFACES = ("muscles", "skull")
 
 
 def arrays_of(template: Template) -> dict[str, np.ndarray]:
     """All that a template holds, as named arrays."""
-    arrays = {name: getattr(template, name) for name in ("parts", "triangles", "stack", "room", "bone")}
+    arrays = {name: getattr(template, name) for name in _ARRAYS}
     arrays |= {"name": np.array(template.name)}
     arrays |= {"skin_vertices": template.skin.vertices, "skin_triangles": template.skin.triangles}
     for name in _TIES:
@@ -30,9 +32,7 @@ def arrays_of(template: Template) -> dict[str, np.ndarray]:
         arrays |= {f"{name}_shape": np.array(weights.shape)}
     arrays |= {f"region_{name}": mask for name, mask in template.regions.items()}
     for name in _SURFACES:
-        surface = getattr(template, name)
-        if surface is not None:
-            arrays |= {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
+        arrays |= arrays_of_surface(name, getattr(template, name))
     if template.skull_bone is not None:
         arrays["skull_bone"] = template.skull_bone
     return arrays
@@ -40,22 +40,20 @@ def arrays_of(template: Template) -> dict[str, np.ndarray]:
 
 def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
     """The template of such arrays; KeyError for one that is missing."""
-    ties = (
+    wrap_from_skin, skin_from_wrap = (
         csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), arrays[f"{name}_shape"])
         for name in _TIES
     )
-    surfaces = (
-        Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"]) if f"{name}_vertices" in arrays else None
-        for name in _SURFACES
-    )
     return Template(
-        str(arrays["name"]),
-        Surface(arrays["skin_vertices"], arrays["skin_triangles"]),
-        *(arrays[name] for name in ("parts", "triangles", "stack", "room", "bone")),
-        *ties,
-        {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")},
-        *surfaces,
-        arrays.get("skull_bone"),
+        name=str(arrays["name"]),
+        skin=Surface(arrays["skin_vertices"], arrays["skin_triangles"]),
+        wrap_from_skin=wrap_from_skin,
+        skin_from_wrap=skin_from_wrap,
+        regions={name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")},
+        muscles=surface_in(arrays, "muscles"),
+        skull=surface_in(arrays, "skull"),
+        skull_bone=arrays.get("skull_bone"),
+        **{name: arrays[name] for name in _ARRAYS},
     )
 
 

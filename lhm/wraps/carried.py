@@ -39,10 +39,10 @@ class Carrier:
         count = min(CENTRES, len(among))
         return cls(surface, wrap, among[farthest_points(wrap[among], count, first)])
 
-    def vertices(self, wrap: Floats) -> Floats:
-        """The surface's vertices [mm] when the wrap's are at `wrap` (n, 3) [mm]."""
+    def moved(self, wrap: Floats) -> Surface:
+        """The surface [mm] when the wrap is at `wrap` (n, 3) [mm]."""
         coefficients = self._warp.coefficients(wrap[self.chosen] - self.wrap[self.chosen])
-        return self.surface.vertices + self._basis @ coefficients
+        return self.surface.with_vertices(self.surface.vertices + self._basis @ coefficients)
 
 
 class SkullCarrier:
@@ -51,16 +51,17 @@ class SkullCarrier:
     def __init__(self, skull: Surface, skull_bone: Ints | None, wrap: Floats, bone: Ints):
         self.skull = skull
         self.cranium = Carrier.of(skull, wrap, np.flatnonzero(bone != MANDIBLE))
-        self.mandible = None
+        self.mandible: Carrier | None = None
         if skull_bone is not None and (skull_bone == MANDIBLE).any() and np.count_nonzero(bone == MANDIBLE) >= 8:
             self.mandible = Carrier.of(skull, wrap, np.flatnonzero(bone == MANDIBLE))
             self.share = _mandibular(skull.vertices, skull_bone)[:, None]
 
     def moved(self, wrap: Floats) -> Surface:
         """The skull [mm] when the skull wrap is at `wrap` (n, 3) [mm]."""
-        x = self.cranium.vertices(wrap)
-        if self.mandible is not None:
-            x = (1 - self.share) * x + self.share * self.mandible.vertices(wrap)
+        moved = self.cranium.moved(wrap)
+        if self.mandible is None:
+            return moved
+        x = (1 - self.share) * moved.vertices + self.share * self.mandible.moved(wrap).vertices
         return self.skull.with_vertices(x)
 
 
