@@ -114,7 +114,7 @@ class HeadReport:
     skin_to_wrap_95: float = _figure("mm")
     skin_to_wrap_max: float = _figure("mm")
     # Around the corner of a small mouth it is 39 mm, on one lip or across lips that are bridged under 20.
-    lip_path: float | None = _figure("mm", "at least", 30.0)
+    lip_path: float | None = _figure("mm", "at least", 40.0)
     lid_path: float | None = _figure("mm")
     # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.
     lid_detour: float | None = _figure("", "at least", 1.4)

@@ -53,7 +53,11 @@ def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
         muscles=surface_in(arrays, "muscles"),
         skull=surface_in(arrays, "skull"),
         skull_bone=arrays.get("skull_bone"),
-        **{name: arrays[name] for name in _ARRAYS},
+        parts=arrays["parts"],
+        triangles=arrays["triangles"],
+        stack=arrays["stack"],
+        room=arrays["room"],
+        bone=arrays["bone"],
     )
 
 

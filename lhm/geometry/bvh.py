@@ -140,19 +140,36 @@ def _apart(a, b):
 
 
 @njit(cache=True)
+def _common(a, b):
+    for i in range(3):
+        if a[i] == b[0] or a[i] == b[1] or a[i] == b[2]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _boxes(corners):
+    boxes = np.empty((len(corners), 6))
+    for t in range(len(corners)):
+        for c in range(3):
+            x, y, z = corners[t, 0, c], corners[t, 1, c], corners[t, 2, c]
+            boxes[t, c], boxes[t, 3 + c] = min(x, y, z), max(x, y, z)
+    return boxes
+
+
+@njit(cache=True)
 def _crossings(query, query_ids, same, corners, ids, order, start, stop, left, box):
     """Pairs (query, triangle) that cross, leaving out pairs with a common vertex; `same` lists each pair once."""
     found = []
     stack = np.empty(128, np.int64)
-    own = np.empty(6)
+    boxes = _boxes(corners)
+    own = boxes if same else _boxes(query)
     for q in range(len(query)):
-        for c in range(3):
-            own[c], own[3 + c] = query[q, :, c].min(), query[q, :, c].max()
         stack[0], size = 0, 1
         while size > 0:
             size -= 1
             node = stack[size]
-            if _apart(own, box[node]):
+            if _apart(own[q], box[node]):
                 continue
             if left[node] >= 0:
                 stack[size], stack[size + 1] = left[node], left[node] + 1
@@ -160,13 +177,9 @@ def _crossings(query, query_ids, same, corners, ids, order, start, stop, left, b
                 continue
             for k in range(start[node], stop[node]):
                 t = order[k]
-                if same and t <= q:
+                if (same and t <= q) or _apart(own[q], boxes[t]) or _common(query_ids[q], ids[t]):
                     continue
-                common = False
-                for i in range(3):
-                    for j in range(3):
-                        common = common or query_ids[q, i] == ids[t, j]
-                if not common and triangles_cross(query[q], corners[t]):
+                if triangles_cross(query[q], corners[t]):
                     found.append((q, t))
     return found
 
@@ -183,7 +196,7 @@ class TriangleTree:
 
     def __post_init__(self):
         object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.triangles]))
-        low, high = self.corners.min(axis=1), self.corners.max(axis=1)
+        low, high = np.hsplit(_boxes(self.corners), 2)
         nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
         object.__setattr__(self, "_nodes", nodes)
 

@@ -57,4 +57,4 @@ def test_a_head_that_misses_a_gate_is_not_accepted(command, tmp_path, sphere_hea
     save_head(tmp_path / "thin.npz", replace(sphere_head, muscle_wrap=muscle, skull_wrap=skull))
     ended = command("head", "check", tmp_path / "thin.npz")
     assert ended.status == 1 and len(ended.errors) == 1
-    assert "least thickness: 0.1 mm (at least 0.2)" in ended.errors[0]
+    assert "least thickness: 0.1 mm (at least 0.2 mm)" in ended.errors[0]
