@@ -5,27 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from ..lhm.mesh import Floats, Surface
+from ..lhm.regressor import MeasuredDepths
 from .pictures import Panel, strip
 
 HALF_TURN = np.array([-1.0, 1.0, -1.0])
 
 
 def depth_error(skin_wrap: Surface, errors: Floats, caption: str) -> bytes:
-    """PNG of errors (n,) [mm] per vertex on the skin wrap; colours end at the 99 % quantile."""
-    top = float(np.quantile(errors, 0.99))
+    """PNG of errors (n,) [mm] per vertex on the skin wrap, NaN is grey; colours end at the 99 % quantile."""
+    top = float(np.nanquantile(errors, 0.99))
     return strip([Panel(caption, skin_wrap, errors, top), Panel("from behind", _turned(skin_wrap), errors, top)])
 
 
-def depth_comparison(skin_wrap: Surface, predicted: Floats, measured: Floats) -> bytes:
-    """PNG of measured and predicted depths (n,) [mm] of one head beside the size of their difference."""
-    off = np.abs(predicted - measured)
-    top = float(np.quantile(measured, 0.95))
+def depth_comparison(skin_wrap: Surface, predicted: Floats, measured: MeasuredDepths) -> bytes:
+    """PNG of one head's measured depths, grey where no ray met bone, beside the predicted ones (n,) [mm]."""
+    met = np.where(measured.met, measured.depths, np.nan)
+    top, behind = float(np.nanquantile(met, 0.95)), _turned(skin_wrap)
     return strip(
         [
-            Panel("measured depth", skin_wrap, measured, top),
+            Panel("measured depth", skin_wrap, met, top),
             Panel("predicted depth", skin_wrap, predicted, top),
-            Panel("difference", skin_wrap, off, 0.5 * top),
-            Panel("from behind", _turned(skin_wrap), off, 0.5 * top),
+            Panel("measured, from behind", behind, met, top),
+            Panel("predicted, from behind", behind, predicted, top),
         ],
     )
 

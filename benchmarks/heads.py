@@ -5,17 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import multiprocessing
-import os
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
-from multiprocessing.connection import wait
-from multiprocessing.util import Finalize
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +17,7 @@ from ..lhm.errors import InputError, SoftdecaError
 from ..lhm.files.atomic import write_whole
 from ..lhm.identities.space import CLIP, LinearSpace
 from ..lhm.progress import OnProgress
+from ..surrogate.pool import results_of
 from . import machine
 from .alone import alone_in
 from .head_rows import HeadRows
@@ -87,7 +79,8 @@ def run_heads(config: HeadsConfig, progress: OnProgress) -> dict:
         rows = HeadRows(config.out, campaign)
         pending = [seed for seed in config.seeds if seed not in rows.by_seed]
         tell = _Rate(config.count, pending, progress)
-        for row in _measured(config, pending, _Task(space, template, config.sigma)):
+        task = _Task(space, template, config.sigma)
+        for row in results_of(task, pending, workers=config.workers, name="heads", begin=task.warm):
             rows.append(row)
             tell(rows, config)
         results = {
@@ -129,68 +122,6 @@ class _Task:
         spans = (middle[0] - begin[0], middle[1] - begin[1], end[0] - middle[0], end[1] - middle[1])
         row["seconds"] = {name: round(span, 4) for name, span in zip(names, spans, strict=True)}
         return row | {"figures": asdict(report), "problems": list(report.problems)}
-
-
-def _measured(config: HeadsConfig, pending: list[int], task: _Task) -> Iterator[dict]:
-    if not pending:
-        return
-    if config.workers == 1 or len(pending) == 1:
-        task.warm()
-        yield from map(task, pending)
-        return
-    context = multiprocessing.get_context("spawn")
-    try:
-        count = min(config.workers, len(pending))
-        with ProcessPoolExecutor(count, context, initializer=_Worker.begin, initargs=(task,)) as pool:
-            try:
-                # Workers inherit what is blocked while they are started: Ctrl-C reaches every process of a terminal,
-                # but the parent alone decides, and ends its workers by SIGTERM.
-                before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-                try:
-                    futures = [pool.submit(_Worker.measure, seed) for seed in pending]
-                finally:
-                    signal.pthread_sigmask(signal.SIG_SETMASK, before)
-                for future in as_completed(futures):
-                    yield future.result()
-            except BaseException:
-                _Worker.stop_all(pool)
-                raise
-    except BrokenProcessPool:
-        raise SoftdecaError("heads: a worker process died; run again to go on where it stopped") from None
-
-
-class _Worker:
-    """What a worker process keeps between heads, so that space and template travel to it once."""
-
-    task: _Task
-
-    @classmethod
-    def begin(cls, task: _Task):
-        threading.Thread(target=cls._end_with_parent, daemon=True).start()
-        cls.task = task
-        # A worker that is done leaves at once: its process object holds the task to the interpreter's end, where
-        # the solvers in it complain on stderr of being left.
-        Finalize(None, os._exit, args=(0,), exitpriority=-10)
-        task.warm()
-
-    @staticmethod
-    def _end_with_parent():
-        # A parent that is killed outright can stop nobody.
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            wait([parent.sentinel])
-            os._exit(1)
-
-    @classmethod
-    def measure(cls, seed: int) -> dict:
-        return cls.task(seed)
-
-    @staticmethod
-    def stop_all(pool: ProcessPoolExecutor):
-        # The pool cancels what waits: its thread fails on a future that was cancelled by somebody else.
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.terminate()
 
 
 class _Rate:

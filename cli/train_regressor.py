@@ -6,17 +6,13 @@ from pathlib import Path
 import click
 import numpy as np
 
+from ..benchmarks.published import SKULL_PLACES
 from ..lhm import identities, load_template, regressor
 from ..lhm.files.atomic import write_whole
 from ..lhm.files.surface_file import MILLIMETRES
 from .progress import shown
 
 AFile = click.Path(path_type=Path)
-PUBLISHED = (
-    ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people"),
-    ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
-)
-"""Mean errors [mm] of the fitted skull wrap's places; this command's are of depths along the connectors."""
 
 
 @click.command("train-regressor")
@@ -69,7 +65,7 @@ def train_regressor(
         "per_pair_mm": dict(zip(pairs.names, tested.per_pair.tolist(), strict=True)),
         "rays_missed": {pair.name: pair.missed for pair in measured},
         "registered_skin_off_mm": {pair.name: pair.off for pair in measured},
-        "published": [{"model": model, "mean_mm": mean, "data": data} for model, mean, data in PUBLISHED],
+        "published": [{"model": model, "mean_mm": mean, "data": data} for model, mean, data in SKULL_PLACES],
         "regressor": str(out),
     }
     click.echo(json.dumps(report, indent=1) if as_json else _lines(report, tested, measured))
@@ -80,7 +76,7 @@ def _lines(report: dict, tested: regressor.LeaveOneOut, measured: tuple[regresso
     rows = [
         ("this regressor", report["leave_one_out_mm"], f"depth, each pair left out; {report['trained_on']}"),
         ("predicting the mean depth", report["predicting_the_mean_mm"], "the same pairs"),
-        *((model, mean, f"place of the skull wrap; {data}") for model, mean, data in PUBLISHED),
+        *((model, mean, f"place of the skull wrap; {data}") for model, mean, data in SKULL_PLACES),
     ]
     lines = [f"{name:<42} {mean:5.2f} mm  ({data})" for name, mean, data in rows]
     lines.append(f"{'pairs, best to worst':<42} {tested.per_pair.min():.2f} to {tested.per_pair.max():.2f} mm")

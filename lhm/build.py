@@ -26,7 +26,7 @@ from .wraps.labels import bone_labels, held_labels
 from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 13
+FORMAT = 14
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 MUSCLE_BOUNDS = (0.3, 0.8)
@@ -103,13 +103,13 @@ def build_template(
     progress("layers", 0.7)
     try:
         rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
-        connectors, share, room = _connectors(columns, rest, masks, marks, muscles, skull)
+        connectors, share, wanted, room = _connectors(columns, rest, masks, marks, muscles, skull)
         stack = inner.valid_layers(columns, np.vstack([rest, rest + share[:, None] * connectors, rest + connectors]))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
-    # A column that had to be shortened shows that there is less room than the ball inside its skin has.
-    room = np.where(depths < SHORTENED * np.linalg.norm(connectors, axis=1), np.minimum(depths, room), room)
+    # A column that ended shorter than wanted shows that there is less room than the ball inside its skin has.
+    room = np.where(depths < SHORTENED * wanted, np.minimum(depths, room), room)
     opened_wrap, from_lips = rest + wrap_from_skin @ jaw, distance_to(rest, x[marks.rim])
     if bone_of is None:
         bone = bone_labels(rest, opened_wrap, depths, masks, from_lips, columns.edges)
@@ -160,8 +160,8 @@ def _connectors(
     marks: Landmarks,
     muscles: Surface | None,
     skull: Surface | None,
-) -> tuple[Floats, Floats, Floats]:
-    """From skin to skull wrap [mm], shape (n, 3), the muscle wrap's share of the way, and the room, both (n,).
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """From skin to skull wrap [mm], shape (n, 3); the muscle wrap's share of the way, wanted depth and room, (n,).
 
     Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance.
     """
@@ -184,7 +184,7 @@ def _connectors(
         reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
         share[found] = np.clip(reach, *MUSCLE_BOUNDS)
         share = inner.smoothed(columns, share[:, None], 0.5)[:, 0]
-    return connectors, share, room
+    return connectors, share, wanted, room
 
 
 def _unit(vectors: Floats) -> Floats:

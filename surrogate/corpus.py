@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import signal
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
-from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced
+from ..lhm.identities import IdentitySpace
+from ..lhm.mesh import Surface
 from ..lhm.progress import OnProgress, silent
-from .plan import CorpusPlan, IdentitySpace, Split
+from .plan import CorpusPlan, Split
+from .pool import results_of
 from .samples import Samples, surface_hash
 from .shard import Shard, read_shard, write_shard
 from .simulate import Fit, simulate_identity
+
+
+class CorpusSpace(IdentitySpace, Protocol):
+    """What a corpus asks of a space of identities; it has to be picklable for worker processes."""
+
+    @property
+    def mean(self) -> Surface:
+        """The mean neutral skin [mm]; with its triangles it stands for the template."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ class Corpus:
     Raises InputError if the folder holds a corpus of another plan or template.
     """
 
-    def __init__(self, folder: str | PathLike[str], plan: CorpusPlan, space: IdentitySpace):
+    def __init__(self, folder: str | PathLike[str], plan: CorpusPlan, space: CorpusSpace):
         self.folder, self.plan, self.space = Path(folder), plan, space
         self._manifest = {"plan": plan.digest, "space": space.name, "template": surface_hash(space.mean)}
         found = self._read_manifest()
@@ -90,29 +99,10 @@ class Corpus:
             content = {**self._manifest, "content": json.loads(self.plan.to_json())}
             temporary.write_text(json.dumps(content, indent=1))
         done = self.plan.people - len(pending)
-        for identity in self._simulate(pending, fit, workers):
+        for identity in results_of(partial(self.make, fit=fit), pending, workers=workers, name="corpus"):
             done += 1
             on_progress(f"corpus: identity {identity} simulated", done / self.plan.people)
         return self.status()
-
-    def _simulate(self, pending: list[int], fit: Fit, workers: int) -> Iterator[int]:
-        if workers == 1 or len(pending) < 2:
-            for identity in pending:
-                yield self.make(identity, fit)
-            return
-        context = multiprocessing.get_context("spawn")
-        try:
-            count = min(workers, len(pending))
-            with ProcessPoolExecutor(count, context, initializer=_Worker.begin, initargs=(self, fit)) as pool:
-                futures = [pool.submit(_Worker.make, identity) for identity in pending]
-                try:
-                    for future in as_completed(futures):
-                        yield future.result()
-                except BaseException:
-                    _Worker.stop_all(futures)
-                    raise
-        except BrokenProcessPool:
-            raise SoftdecaError("corpus: a worker process died; run again to go on where it stopped") from None
 
     def make(self, identity: int, fit: Fit) -> int:
         """Simulate one identity and write its shard; returns the identity."""
@@ -171,38 +161,3 @@ class Corpus:
             blended=blended,
             simulated=blended + np.concatenate([s.corrected[m] for s, m in pairs]).astype(np.float32),
         )
-
-
-class _Worker:
-    """What a worker process keeps between identities, so that template and space travel to it once."""
-
-    corpus: Corpus
-    fit: Fit
-
-    stopped: bool = False
-
-    @classmethod
-    def begin(cls, corpus: Corpus, fit: Fit):
-        cls.corpus, cls.fit = corpus, staticmethod(fit)
-        # Ctrl-C reaches every process of the terminal; the parent alone decides, and ends its workers by SIGTERM.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, cls._stop)
-
-    @classmethod
-    def make(cls, identity: int) -> int:
-        if cls.stopped:
-            raise SystemExit(1)
-        return cls.corpus.make(identity, cls.fit)
-
-    @classmethod
-    def _stop(cls, *_):
-        # An exception rather than the end of the process, so that a file that is being written is removed.
-        cls.stopped = True
-        raise SystemExit(1)
-
-    @staticmethod
-    def stop_all(futures: list[Future]):
-        for future in futures:
-            future.cancel()
-        for child in multiprocessing.active_children():
-            child.terminate()

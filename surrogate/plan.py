@@ -5,39 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from ..lhm.errors import InputError
+from ..lhm.identities import IdentitySpace
 from ..lhm.mesh import Floats, Ints, Surface
 from ..reference import Parameters
 from .sampling import sample_weights
 
 Split = Literal["train", "test"]
 IDENTITY, EXPRESSION, PARAMETER, DRAW = range(4)
-
-
-class IdentitySpace(Protocol):
-    """What a corpus asks of a space of identities; it has to be picklable for worker processes."""
-
-    @property
-    def name(self) -> str:
-        """The name by which a checkpoint knows the space."""
-        ...
-
-    @property
-    def mean(self) -> Surface:
-        """The mean neutral skin [mm]; with its triangles it stands for the template."""
-        ...
-
-    def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
-        """A random identity's code, shape (c,), and neutral skin [mm]."""
-        ...
-
-    def expression_deltas(self, code: Floats) -> Floats:
-        """What each of the 52 expressions adds [mm], shape (52, n, 3)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from ..lhm.geometry.deformation import DeformationTransfer, weighted_edges
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
 from .checkpoint import Checkpoint
-from .plan import IdentitySpace
 from .samples import Floats32, normalise_parameters
 
 
@@ -139,7 +138,7 @@ class BoundSurrogate:
         return blended
 
 
-def _open_space(name: str) -> IdentitySpace | None:
+def _open_space(name: str) -> identities.IdentitySpace | None:
     """The built-in space that a checkpoint names, if it names one."""
     return identities.Anny() if name == "anny" else None
 

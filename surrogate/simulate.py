@@ -9,9 +9,10 @@ import numpy as np
 
 from ..lhm.errors import SoftdecaError
 from ..lhm.head import LayeredHead
+from ..lhm.identities import IdentitySpace
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, Prepared, Solution, facial_scene, prepare
-from .plan import CorpusPlan, IdentitySpace
+from .plan import CorpusPlan
 from .shard import ACCEPTED, Shard
 
 Fit = Callable[[Surface], LayeredHead]

@@ -8,41 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from ...lhm.errors import SceneError
+from ...lhm.geometry.factor import factorise
 from ...lhm.mesh import Floats, Ints
-
-try:
-    from cholespy import CholeskySolverD, MatrixType
-except ImportError:
-    CholeskySolverD = None
 
 Solver = Callable[[Floats], Floats]
 
 # Relative diagonal shift of parts that nothing holds, whose matrix is singular. It changes the steps, not the answer.
 SHIFT = 1e-7
-
-
-def factorise(matrix: csr_matrix) -> Solver:
-    """Factor a symmetric positive definite matrix (n, n); the result maps right-hand sides (n, k) to solutions."""
-    if CholeskySolverD is None:
-        lu = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        return lu.solve
-    solver = CholeskySolverD(
-        matrix.shape[0],
-        matrix.indptr.astype(np.int32),
-        matrix.indices.astype(np.int32),
-        matrix.data.astype(np.float64),
-        MatrixType.CSR,
-    )
-
-    def solve(right: Floats) -> Floats:
-        solution = np.empty_like(right)
-        solver.solve(right, solution)
-        return solution
-
-    return solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +52,7 @@ class System:
             diagonal = reduced.diagonal()
             shift = np.where(loose[free] >= 0, SHIFT * diagonal, 0.0)
             shift[diagonal == 0] = 1.0
-            reduced = (reduced + csr_matrix((shift, (np.arange(len(free)),) * 2), shape=reduced.shape)).tocsr()
+            reduced = (reduced + csr_matrix((shift, (np.arange(len(free)),) * 2), shape=reduced.shape)).tocsc()
             groups.append(Group(components, free, factorise(reduced), loose))
         return cls(tuple(groups), ~held)
 

@@ -34,6 +34,14 @@ if __name__ == "__main__":
         space.fit, workers=2, on_progress=lambda what, share: print(what, file=sys.stderr, flush=True)
     )
 """
+POOL = """
+import sys, time
+from softdeca.surrogate.pool import results_of
+if __name__ == "__main__":
+    print("begin", file=sys.stderr, flush=True)
+    for _ in results_of(time.sleep, [0.01] * 5000, workers=2, name="pool"):
+        print("done", file=sys.stderr, flush=True)
+"""
 
 
 def run(*arguments, **how):
@@ -78,6 +86,19 @@ def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(tmp_path):
         assert name.startswith("identity-")
         with h5py.File(tmp_path / "corpus" / name) as shard:
             assert shard.keys()
+
+
+@pytest.mark.parametrize("moment", ["begin", "done"])
+def test_ctrl_c_ends_a_pool_whose_workers_start_or_run(moment, tmp_path):
+    (tmp_path / "pool.py").write_text(POOL)
+    arguments = [sys.executable, tmp_path / "pool.py"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        rest, seconds = interrupted(process, moment)
+    said = rest.replace("done\n", "")
+    assert process.returncode != 0 and said.rstrip().endswith("KeyboardInterrupt") and said.count("Traceback") == 1
+    assert seconds < 20
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)
 
 
 def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
