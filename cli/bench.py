@@ -115,11 +115,11 @@ def _depth_lines(results: Mapping) -> str:
         for what, errors in (("predicted depth", row["depth"]), ("fitted skull wrap", row["skull_wrap"])):
             figures = f"mean {errors['mean']:5.2f}  median {errors['median']:5.2f}  95 % {errors['quantile_95']:5.2f}"
             bias = f"  bias {errors['bias']:+5.2f}" if "bias" in errors else ""
-            lines.append(f"{f'{what}, {region}':<42} {figures}{bias} mm")
+            lines.append(f"{f'{what}, {region}':<46} {figures}{bias} mm")
     for mark in results["landmarks_mm"]:
         measured = f"{mark['measured']:5.2f} measured" + ("" if mark["met"] else " (closest bone)")
         where = f"{mark['landmark']}, {mark['side']}"
-        lines.append(f"{where:<42} {mark['predicted']:5.2f} predicted, {measured}, error {mark['error']:+5.2f} mm")
+        lines.append(f"{where:<46} {mark['predicted']:5.2f} predicted, {measured}, error {mark['error']:+5.2f} mm")
     for row in results["published"]:
-        lines.append(f"{row['model']:<42} mean {row['mean_mm']:5.2f} mm  (place of the skull wrap; {row['data']})")
+        lines.append(f"{row['model']:<46} mean {row['mean_mm']:5.2f} mm  (place of the skull wrap; {row['data']})")
     return "\n".join(lines)

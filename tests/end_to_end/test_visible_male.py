@@ -39,6 +39,7 @@ def test_the_fitted_skull_wrap_over_a_real_skull(checked):
     # A wrap that follows the depths is on the scalp no farther from the bone than they are.
     assert regions["scalp"]["skull_wrap"]["mean"] < 2.0 and regions["scalp"]["skull_wrap"]["quantile_95"] < 4.0
     # In the face the room in front of the mouth's pocket limits it besides.
+    assert regions["face"]["fitted_mean"] < regions["face"]["predicted_mean"]
     assert regions["face"]["skull_wrap"]["mean"] < 12.0
 
 

@@ -1,0 +1,136 @@
+"""softdeca bench depth: a skin and its skull in, a report out; skulls made so that the errors are known."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import trimesh
+
+from softdeca.benchmarks.person import check_inside
+from softdeca.lhm import Surface, fit_head, identities, load_template
+from softdeca.lhm.geometry.distance import SignedDistance
+from softdeca.lhm.regressor import DepthRegressor, inward_normals, moved_wrap, prior_pairs
+from softdeca.lhm.regressor.files import OUTSIDE
+
+DEEPER = 2.0
+
+
+def write(path, vertices, triangles):
+    np.savez(path, vertices=vertices, triangles=triangles)
+    return path
+
+
+@pytest.fixture(scope="module")
+def space():
+    return identities.Anny()
+
+
+@pytest.fixture(scope="module")
+def person(space):
+    return space.sample(np.random.default_rng(0))[1]
+
+
+@pytest.fixture
+def skin(person, tmp_path):
+    return write(tmp_path / "skin.npz", person.vertices, person.triangles)
+
+
+def test_a_skull_deeper_than_predicted_by_so_much_gives_that_error(command, space, person, skin, tmp_path):
+    template = load_template(space)
+    wrap = template.skin_wrap.with_vertices(moved_wrap(template, person.vertices))
+    depths = template.regressor.predict(wrap.vertices) + DEEPER
+    # Two files: what one skull is may come as several bones.
+    bones, corners = wrap.vertices + depths[:, None] * inward_normals(wrap), wrap.triangles
+    half = bones[corners[:, 0], 0] > 0
+    left, right = (write(tmp_path / f"{n}.npz", bones, corners[m]) for n, m in (("left", half), ("right", ~half)))
+    out = tmp_path / "out"
+    ended = command("bench", "depth", "--skin", skin, "--skull", left, "--skull", right, "--out", out, "--json")
+    assert ended.status == 0 and ended.errors == []
+    results = json.loads(ended.out)
+    assert results == json.loads((out / "results.json").read_text())
+    scalp = results["regions_mm"]["scalp"]
+    # Rays start at the vertices, whose own bone is the first met: the difference is exact there.
+    assert scalp["measured_share"] > 0.99
+    assert scalp["depth"]["median"] == pytest.approx(DEEPER, abs=1e-6)
+    assert scalp["depth"]["bias"] == pytest.approx(-DEEPER, abs=0.05)
+    error = {(row["landmark"], row["side"]): row["error"] for row in results["landmarks_mm"]}
+    assert error["supraorbital", "left"] == pytest.approx(-DEEPER, abs=0.05)
+    assert results["heads"] == 1 and results["registered_off_mm"] == 0
+    assert [row["mean_mm"] for row in results["published"]] == [3.83, 1.98]
+
+
+def test_the_fitted_skull_wrap_is_no_distance_from_itself(command, space, person, skin, tmp_path):
+    template = load_template(space)
+    pairs = prior_pairs(template, space, np.random.default_rng(5), 4)
+    regressor = DepthRegressor.fit(pairs, template.skin_wrap)
+    regressor.save(tmp_path / "regressor.npz")
+    fitted = fit_head(template, person, regressor=regressor).skull_wrap
+    skull = write(tmp_path / "skull.npz", fitted.vertices / 10, fitted.triangles)
+    skin_cm = write(tmp_path / "skin_cm.npz", person.vertices / 10, person.triangles)
+    arguments = ("--regressor", tmp_path / "regressor.npz", "--unit", "cm", "--out", tmp_path / "out")
+    ended = command("bench", "depth", "--skin", skin_cm, "--skull", skull, *arguments)
+    assert ended.status == 0 and ended.errors == []
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert results["regressor"] == {"trained_on": pairs.label, "pairs": 4}
+    for row in results["regions_mm"].values():
+        assert row["skull_wrap"]["max"] < 1e-6 < row["depth"]["mean"]
+    assert "n = 1" in ended.out and "3.83 mm" in ended.out and "1.98 mm" in ended.out
+    assert ended.out.splitlines()[-1] == f"report: {tmp_path / 'out' / 'index.html'}"
+
+
+def _skull(folder, name, change):
+    fitted = load_template().head.skull_wrap
+    return write(folder / name, change(fitted.vertices), fitted.triangles)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda x: 1e-3 * x, "skull.npz: its extent is .* units off"),
+        (lambda x: x + [0.0, 80.0, 0.0], "skull: .* of it lie outside the skin"),
+        (lambda x: 0.5 * x, "skull: met from [0-9] % of the face, at least 10 % are needed"),
+        (lambda x: np.full_like(x, np.nan), "skull.npz: .*finite"),
+    ],
+)
+def test_a_skull_that_is_not_this_skins_is_named_in_one_line(command, skin, tmp_path, change, message):
+    skull = _skull(tmp_path, "skull.npz", change)
+    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
+    assert ended.status == 1 and len(ended.errors) == 1, ended
+    assert ended.errors[0].startswith("softdeca: error: ")
+    assert re.search(message, ended.errors[0]), ended.errors[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_teeth_in_the_mouths_pocket_are_not_outside(space):
+    template = load_template(space)
+    wrap, skull = template.skin_wrap, template.head.skull_wrap
+    pocket = wrap.vertices[template.regions["mouth"]].mean(axis=0)
+    teeth = trimesh.creation.icosphere(5, radius=1.0)
+    both = [skull.vertices, teeth.vertices + pocket], [skull.triangles, teeth.faces + len(skull.vertices)]
+    outside = SignedDistance(wrap)(both[0][1])[0]
+    assert (outside > OUTSIDE).all() and len(outside) > 2 * len(skull.vertices)
+    check_inside(template, wrap, Surface(*map(np.vstack, both)))
+
+
+def test_a_skin_without_a_face_is_named_in_one_line(command, tmp_path):
+    ball = trimesh.creation.icosphere(3, radius=100.0)
+    sphere = write(tmp_path / "sphere.npz", ball.vertices, ball.faces)
+    skull = _skull(tmp_path, "skull.npz", lambda x: x)
+    ended = command("bench", "depth", "--skin", sphere, "--skull", skull, "--out", tmp_path / "out")
+    assert ended.status == 1 and len(ended.errors) == 1 and "sphere.npz: skin: no face found" in ended.errors[0]
+
+
+def test_missing_files_and_options_are_named_in_one_line(command, skin, tmp_path):
+    skull, out = _skull(tmp_path, "skull.npz", lambda x: x), tmp_path / "out"
+    files = {"--skin": skin, "--skull": skull}
+    for option, text in (("--skin", "none.ply: no such file"), ("--skull", "none.ply: no such file")):
+        arguments = [a for pair in (files | {option: tmp_path / "none.ply"}).items() for a in pair]
+        ended = command("bench", "depth", *arguments, "--out", out)
+        assert ended.status == 1 and len(ended.errors) == 1 and text in ended.errors[0]
+        left = [a for pair in files.items() if pair[0] != option for a in pair]
+        ended = command("bench", "depth", *left, "--out", out)
+        assert ended.status == 2 and len(ended.errors) == 1 and f"'{option}'" in ended.errors[0]
+    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--regressor", skull, "--out", out)
+    assert ended.status == 1 and len(ended.errors) == 1 and "skull.npz" in ended.errors[0]
+    assert not out.exists()
