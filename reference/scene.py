@@ -8,6 +8,7 @@ import numpy as np
 
 from ..lhm.errors import MeshError, SceneError
 from ..lhm.mesh import Floats, Ints, TetMesh
+from .materials import Material
 from .terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Term, Traction, Volume
 
 
@@ -59,6 +60,10 @@ class Scene:
                     raise SceneError(
                         f"term {position} ({term.name}): {key} has {len(value)} values for {len(self.tets)} tets"
                     )
+        if isinstance(term, Hyperelastic) and term.fibres is not None and term.fibres.ndim == 2:
+            count = len(self.tets_of(term))
+            if len(term.fibres) != count:
+                raise SceneError(f"term {position} ({term.name}): {len(term.fibres)} fibres for {count} tets")
         if isinstance(term, (SurfaceStrain, Traction)) and term.triangles.size:
             a, b, c = (self.vertices[term.triangles[:, k]] for k in range(3))
             flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
@@ -112,8 +117,7 @@ class Scene:
             if isinstance(term, (Strain, Volume)):
                 total += float(np.sum(term.stiffness * self.volumes[self.tets_of(term)] ** (2 / 3)))
             elif isinstance(term, Hyperelastic):
-                modulus = 2 * term.material.mu + abs(term.material.lmbda)
-                total += float(np.sum(modulus * self.volumes[self.tets_of(term)] ** (2 / 3)))
+                total += float(np.sum(term.material.stiffness * self.volumes[self.tets_of(term)] ** (2 / 3)))
             elif isinstance(term, SurfaceStrain):
                 a, b = (self.vertices[term.triangles[:, k]] for k in range(2))
                 total += float(np.sum(term.stiffness * np.linalg.norm(b - a, axis=1)))
@@ -155,9 +159,12 @@ class Scene:
                     raise SceneError(f"{mine.name}.{key} differs from the prepared scene's: prepare it anew")
 
 
-def refuse_unknown(scene: Scene, solver: str, known: tuple[type[Term], ...]):
-    """Raise SceneError that names the first term a solver cannot model."""
+def refuse_unknown(scene: Scene, solver: str, known: tuple[type[Term], ...], laws: tuple[type[Material], ...] = ()):
+    """Raise SceneError that names the first term, or the first law of a Hyperelastic term, a solver cannot model."""
     for term in scene.terms:
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
+        if isinstance(term, Hyperelastic) and not isinstance(term.material, laws):
+            names = ", ".join(kind.__name__ for kind in laws)
+            raise SceneError(f"solver {solver!r} cannot model {term.material.name} on linear tets; it models {names}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..lhm.errors import MeshError, SceneError
 from ..lhm.mesh import as_elements, as_points
-from .materials import Material
+from .materials import Guccione, Incompressible, Material
 
 
 def _per_item(name: str, values, count: int | None, low: float, *, strict: bool = False):
@@ -86,7 +86,10 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Hyperelastic(Term):
-    """The energy of a hyperelastic law, integral of psi(F) over the tets."""
+    """The energy of a hyperelastic law, integral of psi(F) over the tets.
+
+    Raises SceneError for a law without a volumetric part that is not Incompressible.
+    """
 
     material: Material
     tets: np.ndarray | None = field(default=None, repr=False)
@@ -94,7 +97,15 @@ class Hyperelastic(Term):
     def __post_init__(self):
         if not isinstance(self.material, Material):
             raise SceneError(f"Hyperelastic: expected a material, got {type(self.material).__name__}")
+        if not self.material.resists_volume_change:
+            raise SceneError(f"Hyperelastic: {self.material.name} without kappa must be made Incompressible")
         self._set(tets=None if self.tets is None else _ids("Hyperelastic.tets", self.tets))
+
+    @property
+    def fibres(self) -> np.ndarray | None:
+        """The law's fibre directions, shape (3,) or (m, 3); None if it has none."""
+        law = self.material.law if isinstance(self.material, Incompressible) else self.material
+        return law.fibres if isinstance(law, Guccione) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
+from ..materials import NeoHookean
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
@@ -15,6 +16,7 @@ from .numbering import Numbering
 from .problem import Problem, State
 
 TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction)
+LAWS = (NeoHookean,)
 VARYING = {
     Target: ("positions",),
     Fixed: ("values",),
@@ -38,7 +40,7 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     """
     if element not in ELEMENTS:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there is {', '.join(ELEMENTS)}")
-    refuse_unknown(scene, "fenicsx", TERMS)
+    refuse_unknown(scene, "fenicsx", TERMS, LAWS)
     return PreparedFenicsx(scene, linear_solver)
 
 

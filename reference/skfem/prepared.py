@@ -8,7 +8,7 @@ import numpy as np
 
 from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
-from .. import terms
+from .. import materials, terms
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from .carry import carry
@@ -26,6 +26,7 @@ KNOWN = (
     terms.Gravity,
     terms.Traction,
 )
+LAWS = (materials.NeoHookean,)
 VARYING: dict[type[terms.Term], tuple[str, ...]] = {
     terms.Target: ("positions",),
     terms.Fixed: ("values",),
@@ -95,7 +96,7 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
 
     Raises SceneError for a term or an element that this solver does not model.
     """
-    refuse_unknown(scene, "skfem", KNOWN)
+    refuse_unknown(scene, "skfem", KNOWN, LAWS)
     if element != "P1":
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there is P1")
     if not len(scene.tets):

@@ -1,0 +1,27 @@
+"""A law made incompressible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...lhm.errors import SceneError
+from .material import Material
+
+
+@dataclass(frozen=True)
+class Incompressible(Material):
+    """The isochoric part of a law, with J = 1 enforced by the pressure of a mixed element; `law`'s kappa is not used.
+
+    Displacement elements refuse it by name. Raises SceneError for what is no law, or is incompressible already.
+    """
+
+    law: Material
+
+    def __post_init__(self):
+        if not isinstance(self.law, Material) or isinstance(self.law, Incompressible):
+            raise SceneError(f"{self.name}: expected a compressible law, got {type(self.law).__name__}")
+
+    @property
+    def stiffness(self) -> float:
+        """See Material."""
+        return self.law.stiffness

@@ -1,0 +1,104 @@
+"""Laws as parameters: moduli at rest, what they refuse, and which scenes and solvers take them."""
+
+import numpy as np
+import pytest
+
+from softdeca.reference import MissingDependencyError, Scene, SceneError, materials, prepare, terms
+from softdeca.reference.materials import (
+    Corotated,
+    Guccione,
+    Incompressible,
+    IsochoricNeoHookean,
+    MooneyRivlin,
+    NeoHookean,
+    StableNeoHookean,
+    StVenantKirchhoff,
+    Volumetric,
+    tissues,
+)
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+TETS = [[0, 1, 2, 3], [1, 2, 3, 4]]
+FROM_YOUNG = [NeoHookean, StableNeoHookean, Corotated, StVenantKirchhoff, IsochoricNeoHookean]
+
+
+@pytest.mark.parametrize("law", FROM_YOUNG)
+def test_young_and_poisson_give_lame(law):
+    """E = mu (3 lmbda + 2 mu) / (lmbda + mu) and nu = lmbda / (2 (lmbda + mu))."""
+    mu, lmbda = law.from_young(15.0, 0.45).lame
+    assert mu * (3 * lmbda + 2 * mu) / (lmbda + mu) == pytest.approx(15.0)
+    assert lmbda / (2 * (lmbda + mu)) == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize("law", FROM_YOUNG)
+@pytest.mark.parametrize("young, poisson", [(1.0, 0.5), (1.0, -1.0), (0.0, 0.3), (np.nan, 0.3), (1.0, np.nan)])
+def test_moduli_out_of_range_are_refused(law, young, poisson):
+    with pytest.raises(SceneError, match="Young's modulus must be positive|Poisson's ratio must lie in"):
+        law.from_young(young, poisson)
+
+
+@pytest.mark.parametrize("law", [NeoHookean, StableNeoHookean, Corotated, StVenantKirchhoff])
+@pytest.mark.parametrize("mu, lmbda", [(-1.0, 1.0), (np.nan, 1.0), (1.0, -1.0), (1.0, np.inf)])
+def test_lame_parameters_out_of_range_are_named(law, mu, lmbda):
+    with pytest.raises(SceneError, match=rf"{law.__name__}: (mu|lmbda) must"):
+        law(mu, lmbda)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: IsochoricNeoHookean(0.0, 1.0), "IsochoricNeoHookean: mu must be positive and finite, got 0.0"),
+        (lambda: IsochoricNeoHookean(1.0, -1.0), "kappa must be positive and finite, got -1.0"),
+        (lambda: IsochoricNeoHookean(1.0, 1.0, "ln J"), r"volumetric must be 'kappa/2 \(J-1\)\^2' or .*, got 'ln J'"),
+        (lambda: MooneyRivlin(-1.0, 2.0, 1.0), "MooneyRivlin: C10 must be at least 0"),
+        (lambda: MooneyRivlin(0.0, 0.0, 1.0), "C10 \\+ C01 must be positive"),
+        (lambda: MooneyRivlin(1.0, 0.0, 1.0, C20=np.nan), "C20 must be at least 0 and finite, got nan"),
+        (lambda: Guccione(2.0, 8.0, 2.0, 4.0), r"Guccione: needs fibres of shape \(3,\) or \(m, 3\), got shape \(0,\)"),
+        (lambda: Guccione(2.0, 8.0, 2.0, 4.0, "x"), "Guccione: needs fibres"),
+        (lambda: Guccione(2.0, 8.0, 2.0, 4.0, [1.0, 0.0]), r"needs fibres .* got shape \(2,\)"),
+        (lambda: Guccione(2.0, 8.0, 2.0, 4.0, [[1.0, 0, 0], [0, 0, 0]]), r"not zero \(number 1\)"),
+        (lambda: Guccione(2.0, 8.0, 0.0, 4.0, [1.0, 0, 0]), "bt must be positive"),
+        (lambda: Incompressible("rubber"), "Incompressible: expected a compressible law, got str"),
+        (lambda: Incompressible(Incompressible(NeoHookean(1.0, 1.0))), "got Incompressible"),
+        (lambda: terms.Hyperelastic(MooneyRivlin(1.0, 0.5)), "MooneyRivlin without kappa must be made Incompressible"),
+    ],
+)
+def test_parameters_out_of_range_are_named(make, message):
+    with pytest.raises(SceneError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_fibres_are_unit_vectors_one_per_tet():
+    law = Guccione(2.0, 8.0, 2.0, 4.0, [[2.0, 0, 0], [0, 3.0, 4.0]], kappa=10.0)
+    assert law.fibres == pytest.approx(np.array([[1.0, 0, 0], [0, 0.6, 0.8]]))
+    assert law == Guccione(2.0, 8.0, 2.0, 4.0, law.fibres, kappa=10.0)
+    assert law != Guccione(2.0, 8.0, 2.0, 4.0, [1.0, 0, 0], kappa=10.0)
+    Scene(CORNERS, TETS, [terms.Hyperelastic(law)])
+    for material in (law, Incompressible(law)):
+        with pytest.raises(SceneError, match="2 fibres for 1 tets"):
+            Scene(CORNERS, TETS, [terms.Hyperelastic(material, tets=[0])])
+
+
+def test_a_volumetric_part_has_the_name_of_its_formula():
+    law = IsochoricNeoHookean(1.0, 2.0, "kappa/4 (J^2-1-2 ln J)")
+    assert law.volumetric is Volumetric.LOGARITHMIC
+    assert law == IsochoricNeoHookean(1.0, 2.0, Volumetric.LOGARITHMIC)
+
+
+def test_tissues():
+    """The moduli that the sources state: mu 5 kPa and nu .41 for the face, mu 0.8 kPa for fat."""
+    mu, lmbda = tissues.FACE.lame
+    assert mu == pytest.approx(5.0) and lmbda / (2 * (lmbda + mu)) == pytest.approx(0.41, abs=0.005)
+    assert tissues.FAT.lame[0] == pytest.approx(0.8)
+    assert tissues.skin([0, 0, 2.0]).fibres == pytest.approx([0, 0, 1.0])
+
+
+@pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
+def test_linear_tets_refuse_incompressible_laws_by_name(solver):
+    scene = Scene(CORNERS, TETS, [terms.Hyperelastic(Incompressible(materials.NeoHookean(1.0, 1.0)))])
+    try:
+        with pytest.raises(SceneError, match=f"solver '{solver}' cannot model Incompressible"):
+            prepare(scene, solver=solver)
+    except MissingDependencyError as missing:
+        pytest.skip(str(missing))
