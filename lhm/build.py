@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -14,7 +14,8 @@ from .errors import FitError, InputError
 from .files.cache import cached
 from .files.template_file import arrays_of, template_from
 from .geometry.bvh import TriangleTree
-from .geometry.distance import SignedDistance, across_edges
+from .geometry.distance import SignedDistance, is_closed
+from .head import CRANIUM
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
@@ -26,13 +27,16 @@ from .wraps.labels import bone_labels, held_labels
 from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 14
+FORMAT = 15
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 MUSCLE_BOUNDS = (0.3, 0.8)
 """Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
 LONGEST = 25.0
 """[mm] Bone farther away than that, seen from nose, lids, ear lobes or nape, is not what lies under them."""
+OUTLIER = 1.5
+"""A ray so many times longer than those around it has slipped past the bone that they met."""
+PULLS = 2
 SHORTENED = 0.95
 MUSCLE = 0.6
 """The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
@@ -75,7 +79,9 @@ def build_template(
     Without `skull` the skull wrap is grown inward by published depths, without `muscles` the muscle wrap lies at a
     fixed share of the way. `parts` (n,): OUTSIDE, MOUTH, EYES or CAP per vertex of the skin; `jaw`, `lids` (n, 3)
     [mm]: displacements that open mouth and lids, so that the wrap can enter them; without, a closed mouth stays
-    closed. `bone_of`: FREE, CRANIUM or MANDIBLE of points (k, 3); default: from how the skin follows `jaw`.
+    closed. Where `parts` name no mouth and eyes, no face is known, and tissue without a skull under it is as thick as
+    a scalp. `bone_of`: FREE, CRANIUM or MANDIBLE of points (k, 3); default: from how the skin follows `jaw`, and all
+    CRANIUM without.
 
     Raises InputError for surfaces that are not inside one another, FitError, naming what failed, if no valid layers
     could be made.
@@ -87,6 +93,8 @@ def build_template(
         if inside is not None:
             _check_inside(inside, skin, what)
     marks = landmarks(skin, parts)
+    if jaw.any() and not marks.known:
+        raise InputError("parts: a jaw that opens needs vertices of the mouth's lining and of the eye sockets")
     opened = skin.with_vertices(x + jaw + lids)
 
     wrap = _wrap(opened, parts, marks, level, progress)
@@ -103,18 +111,23 @@ def build_template(
     progress("layers", 0.7)
     try:
         rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
-        connectors, share, wanted, room = _connectors(columns, rest, masks, marks, muscles, skull)
-        stack = inner.valid_layers(columns, np.vstack([rest, rest + share[:, None] * connectors, rest + connectors]))
+        wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull)
+        stack = inner.valid_layers(columns, wanted.stack(rest, rest + wanted.connectors))
+        for _ in range(PULLS if skull is not None else 0):
+            stack = inner.valid_layers(columns, _pulled(columns, stack, wanted, skull))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
     # A column that ended shorter than wanted shows that there is less room than the ball inside its skin has.
-    room = np.where(depths < SHORTENED * wanted, np.minimum(depths, room), room)
+    room = np.where(depths < SHORTENED * wanted.depth, np.minimum(depths, wanted.room), wanted.room)
     opened_wrap, from_lips = rest + wrap_from_skin @ jaw, distance_to(rest, x[marks.rim])
-    if bone_of is None:
+    skull_wrap = stack[2 * columns.n :]
+    if not marks.known:
+        bone = np.full(columns.n, CRANIUM) if bone_of is None else bone_of(skull_wrap)
+    elif bone_of is None:
         bone = bone_labels(rest, opened_wrap, depths, masks, from_lips, columns.edges)
     else:
-        bone = held_labels(bone_of(stack[2 * columns.n :]), rest, opened_wrap, depths, masks, from_lips)
+        bone = held_labels(bone_of(skull_wrap), rest, opened_wrap, depths, masks, from_lips)
     progress("layers", 1.0)
     ties = (wrap_from_skin, skin_from_wrap)
     skull_bone = None if bone_of is None or skull is None else bone_of(skull.vertices)
@@ -124,8 +137,8 @@ def build_template(
 
 
 def _check_inside(inside: Surface, skin: Surface, what: str) -> None:
-    if (across_edges(inside.triangles) < 0).any():
-        raise InputError(f"{what}: the surface is open; it has to be closed")
+    if not is_closed(inside.triangles):
+        raise InputError(f"{what}: the surface is open or not consistently oriented; it has to be closed")
     outside = SignedDistance(skin)(inside.vertices)[0]
     if outside.max() > 0:
         raise InputError(
@@ -150,32 +163,57 @@ def _wrap(opened: Surface, parts: Ints, marks: Landmarks, level: int, progress: 
     def part_of_all(what: str, fraction: float) -> None:
         progress(what, 0.7 * fraction)
 
-    return shrink(opened, spacing, pockets, x[marks.rim].mean(axis=0), level=level, progress=part_of_all)
+    focus = x[marks.rim].mean(axis=0) if marks.known else x[x[:, 2].argmax()]
+    return shrink(opened, spacing, pockets, focus, level=level, progress=part_of_all)
 
 
-def _connectors(
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """Where the inner wraps are wanted.
+
+    `connectors` (n, 3) [mm] from skin to skull wrap; the muscle wrap's `share` of the way, `depth` and `room` [mm] and
+    whether the skull wrap is to lie on a given skull, all (n,).
+    """
+
+    connectors: Floats
+    share: Floats
+    depth: Floats
+    room: Floats
+    on_skull: Mask
+
+    def stack(self, skin: Floats, skull: Floats) -> Floats:
+        """The stacked wraps (3 n, 3) [mm] over a skin and a skull wrap."""
+        return np.vstack([skin, skin + self.share[:, None] * (skull - skin), skull])
+
+
+def _wanted(
     columns: Columns,
     wrap: Floats,
-    masks: Mapping[str, Mask],
+    parts: Ints,
     marks: Landmarks,
     muscles: Surface | None,
     skull: Surface | None,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """From skin to skull wrap [mm], shape (n, 3); the muscle wrap's share of the way, wanted depth and room, (n,).
-
-    Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance.
-    """
+) -> _Wanted:
+    """Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance."""
     normals = inner.cone_normals(columns, wrap)[0]
-    wanted = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
-    wanted[masks["mouth"]], wanted[masks["eyes"]] = depth.LINING, depth.SOCKET
+    if marks.known:
+        length = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
+    else:
+        length = np.full(columns.n, depth.SCALP)
+    length[parts == MOUTH], length[parts == EYES] = depth.LINING, depth.SOCKET
     room = depth.ROOM * depth.inscribed_radius(wrap, normals, 40.0)
-    directions = _unit(inner.smoothed(columns, -normals, 4.0))
+    met, on_skull, smoothing = np.zeros_like(wrap), np.zeros(columns.n, bool), 1.0
     if skull is not None:
-        met, found = connectors_to(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
+        directions = _unit(inner.smoothed(columns, -normals, 4.0))
+        met, on_skull = connectors_to(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
+        reach = np.linalg.norm(met, axis=1)
+        on_skull = on_skull & ~(reach > OUTLIER * _middle_around(columns, np.where(on_skull, reach, length)))
         # A ray that meets bone shows that there is room up to it.
-        wanted[found] = room[found] = np.linalg.norm(met[found], axis=1)
-    length = np.maximum(np.minimum(wanted, room), depth.LEAST)
-    connectors = inner.smoothed(columns, -length[:, None] * normals, 1.0)
+        length[on_skull] = room[on_skull] = reach[on_skull]
+        smoothing = 0.2
+    wanted = length
+    length = np.maximum(np.minimum(length, room), depth.LEAST)
+    connectors = inner.smoothed(columns, np.where(on_skull[:, None], met, -length[:, None] * normals), smoothing)
     size = np.linalg.norm(connectors, axis=1)
     connectors *= (np.minimum(length, size) / size)[:, None]
     share = np.full(columns.n, MUSCLE)
@@ -184,7 +222,21 @@ def _connectors(
         reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
         share[found] = np.clip(reach, *MUSCLE_BOUNDS)
         share = inner.smoothed(columns, share[:, None], 0.5)[:, 0]
-    return connectors, share, wanted, room
+    return _Wanted(connectors, share, wanted, room, on_skull)
+
+
+def _pulled(columns: Columns, stack: Floats, wanted: _Wanted, skull: Surface) -> Floats:
+    """The wraps with the skull wrap most of the way to the closest point of the skull, where it is to lie on it."""
+    x = stack[2 * columns.n :]
+    triangle, weights, _ = TriangleTree(skull.vertices, skull.triangles).closest(x)
+    closest = np.einsum("kc,kcd->kd", weights, skull.vertices[skull.triangles[triangle]])
+    return wanted.stack(stack[: columns.n], x + np.where(wanted.on_skull[:, None], 0.8 * (closest - x), 0.0))
+
+
+def _middle_around(columns: Columns, values: Floats) -> Floats:
+    """The median of each vertex's own value and its neighbours', shape (n,)."""
+    starts, others = columns.edges.indptr, columns.edges.indices
+    return np.array([np.median([values[v], *values[others[starts[v] : starts[v + 1]]]]) for v in range(columns.n)])
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -40,6 +40,14 @@ class SignedDistance:
         return side * distance, direction, triangle, weights
 
 
+def is_closed(triangles: Ints) -> bool:
+    """Whether each edge is run through once in either direction: a closed, consistently oriented surface."""
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    n = int(triangles.max()) + 1
+    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
+    return bool((np.diff(forth) > 0).all() and np.array_equal(forth, back))
+
+
 def across_edges(triangles: Ints) -> Ints:
     """The triangle across edge k (corner k to k + 1) of each triangle of a closed surface, shape (m, 3)."""
     n = int(triangles.max()) + 1

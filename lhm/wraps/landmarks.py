@@ -25,14 +25,24 @@ class Landmarks:
     eyes: Floats
 
     @property
+    def known(self) -> bool:
+        """Whether mouth and eyes were found."""
+        return bool(np.isfinite(self.mouth).all())
+
+    @property
     def face_width(self) -> float:
         """Half the distance between the eyes [mm], the unit of the face."""
         return 0.5 * float(np.linalg.norm(self.eyes[0] - self.eyes[1]))
 
 
 def landmarks(skin: Surface, parts: Ints) -> Landmarks:
-    """Find them on a neutral skin whose vertices' parts are known; +x is the subject's left."""
+    """Find them on a neutral skin whose vertices' parts are known; +x is the subject's left.
+
+    Without a mouth's lining or eye sockets among the parts there are none: no face is known, and places are NaN.
+    """
     rim, lids = (_rim(skin.triangles, parts, part) for part in (MOUTH, EYES))
+    if not len(rim) or not len(lids):
+        return Landmarks(rim, lids, np.full(3, np.nan), np.full((2, 3), np.nan))
     sockets = skin.vertices[parts == EYES]
     middle = 0.5 * (skin.vertices[:, 0].min() + skin.vertices[:, 0].max())
     eyes = np.stack([sockets[side].mean(axis=0) for side in (sockets[:, 0] > middle, sockets[:, 0] <= middle)])
@@ -45,7 +55,9 @@ def _rim(triangles: Ints, parts: Ints, part: int) -> Ints:
 
 
 def distance_to(points: Floats, places: Floats) -> Floats:
-    """Distance [mm] of each point to the nearest of `places`, shape (k,)."""
+    """Distance [mm] of each point to the nearest of `places`, shape (k,); infinite if there are none."""
+    if not len(places):
+        return np.full(len(points), np.inf)
     return cKDTree(places).query(points)[0]
 
 
@@ -55,9 +67,13 @@ def regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
     "face": visible skin in front of the eyes' plane moved back by the face's width, above the chin's underside;
     "neck": the lid over the cut and all within 25 mm of it; "lips" within 9 mm of the rim, "lids" within 6 mm;
     "teeth": the mouth's lining from 5 to 25 mm behind the rim; "ears": skin at the head's sides, between brow and
-    mouth, over tissue less than 12 mm thick, and all within 4 mm of it.
+    mouth, over tissue less than 12 mm thick, and all within 4 mm of it. Only the neck where no face is known.
     """
-    x, unit = skin.vertices, marks.face_width
+    x = skin.vertices
+    neck = (parts == CAP) | (distance_to(x, x[parts == CAP]) < 25.0)
+    if not marks.known:
+        return {"neck": neck}
+    unit = marks.face_width
     centre = marks.eyes.mean(axis=0)
     drop = centre[1] - marks.mouth[1]
     visible = parts == OUTSIDE
@@ -75,6 +91,6 @@ def regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
         "ears": visible & (distance_to(x, x[thin]) < 4.0) if thin.any() else thin,
         "mouth": parts == MOUTH,
         "eyes": parts == EYES,
-        "neck": (parts == CAP) | (distance_to(x, x[parts == CAP]) < 25.0),
+        "neck": neck,
         "face": visible & front & height,
     }

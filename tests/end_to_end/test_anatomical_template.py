@@ -1,0 +1,77 @@
+"""The template from real anatomy by its command, and a fit to another identity."""
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError, build_template, check_head, fit_head, identities
+from softdeca.lhm.files.head_file import load_head
+from softdeca.lhm.files.template_file import read_template
+from softdeca.lhm.geometry.bvh import TriangleTree
+from softdeca.lhm.geometry.distance import SignedDistance
+from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.head import CRANIUM, MANDIBLE
+from softdeca.lhm.mesh import Surface
+
+
+def test_template_and_fit(command, data, tmp_path):
+    space = f"ict:{data / 'ict_facekit.npz'}"
+    anatomy = data / "bodyparts3d_head.npz"
+    file = tmp_path / "template.npz"
+    built = command("head", "template", "--identities", space, "--anatomy", anatomy, "--level", 1, "--out", file)
+    assert built.status == 0, built.errors
+    template = read_template(file)
+    n = template.columns.n
+    assert n == 1212 and template.skull is not None and template.muscles is not None
+    skull_wrap = template.stack[2 * n :]
+    scalp = (template.bone == CRANIUM) & (skull_wrap[:, 1] > template.marks.eyes[:, 1].mean() + 15.0)
+    gap = TriangleTree(template.skull.vertices, template.skull.triangles).closest(skull_wrap[scalp])[2]
+    # Over the braincase nothing is in the way of lying on the bone.
+    assert np.quantile(gap, 0.9) < 0.5
+    assert (template.bone == MANDIBLE).sum() >= 3
+    # The muscles' surface contains the skull's, and so the wraps' order is anatomical, not a fixed share.
+    share = np.linalg.norm(template.stack[n : 2 * n] - template.stack[:n], axis=1)
+    share /= np.linalg.norm(skull_wrap - template.stack[:n], axis=1)
+    assert share.std() > 0.05
+
+    fitted = command(
+        *("head", "fit", "--identities", space, "--template", file, "--seed", 1, "--out", tmp_path / "head.npz")
+    )
+    assert fitted.status == 0, fitted.errors
+    head = load_head(tmp_path / "head.npz")
+    assert head.skull is not None and head.muscles is not None
+    assert np.abs(head.skull.vertices - template.skull.vertices).max() > 1.0
+    outside = SignedDistance(head.skin)(head.skull.vertices)[0]
+    assert np.quantile(outside, 0.999) < 0
+
+
+def test_a_skull_outside_the_skin_is_named():
+    x, triangles = geodesic_sphere(6)
+    skin = Surface(100.0 * x, triangles)
+    with pytest.raises(InputError, match="skull: 362 of 362 vertices lie outside the skin, the farthest by 10"):
+        build_template(skin, None, Surface(110.0 * x, triangles))
+    with pytest.raises(InputError, match="muscles: the surface is open"):
+        build_template(skin, Surface(90.0 * x, triangles[:-1]))
+
+
+def test_three_spheres():
+    """A skin of which nothing is known but that it is closed, with muscles and a skull off its centre inside."""
+    x, triangles = geodesic_sphere(12)
+    muscles, skull = Surface(92.0 * x + [0, 2.0, 0], triangles), Surface(85.0 * x + [0, 4.0, 0], triangles)
+    template = build_template(Surface(100.0 * x, triangles), muscles, skull, level=1)
+    # It has no jaw: that is the one gate which it misses.
+    assert check_head(template.head).problems == ("mandible vertices: 0 (at least 3)",)
+    n = template.columns.n
+    for surface, wrap in ((muscles, template.stack[n : 2 * n]), (skull, template.stack[2 * n :])):
+        gap = TriangleTree(surface.vertices, surface.triangles).closest(wrap)[2]
+        # The wraps' own triangles, 17 mm long, leave spheres of 85 mm by 17² / (8 * 85) = 0.4 mm.
+        assert np.quantile(gap, 0.95) < 0.8, gap.max()
+    moved = fit_head(template, Surface(110.0 * x, triangles))
+    assert len(check_head(moved).problems) == 1
+    assert np.linalg.norm(moved.skull.vertices - [0, 4.4, 0], axis=1).mean() == pytest.approx(93.5, rel=0.01)
+
+
+def test_a_template_is_no_head(command, tmp_path):
+    space = identities.Anny()
+    np.savez(tmp_path / "other.npz", a=space.mean.vertices)
+    ended = command("head", "fit", "--template", tmp_path / "other.npz")
+    assert ended.status == 1 and "not a template" in ended.errors[0]
