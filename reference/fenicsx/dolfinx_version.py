@@ -110,6 +110,17 @@ def vector_space(domain):
     return _fem.functionspace(domain, ("Lagrange", 1, (3,)))
 
 
+def cell_vectors(domain, cells: Ints, vectors: Floats):
+    """A function that is one vector per cell: vectors (3,) or (k, 3) on cells (k,), zero elsewhere."""
+    if VERSION < (0, 6):
+        space = _fem.VectorFunctionSpace(domain, ("DG", 0))
+    else:
+        space = _fem.functionspace(domain, ("DG", 0, (3,)))
+    result = function(space)
+    result.x.array.reshape(-1, 3)[cell_dofs(space, 1)[cells, 0]] = vectors
+    return result
+
+
 def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
     """Tensors of a shape at the points of the quadrature rule of a degree."""
     if VERSION < (0, 6):

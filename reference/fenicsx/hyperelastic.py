@@ -2,55 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import ufl
 
 from ...lhm.mesh import Floats, Ints
-from ..materials import NeoHookean
+from ..materials import Material
 from . import dolfinx_version as seam
+from .densities import DENSITIES
+from .quadrature import DEGREE
 
 
-def neo_hookean(F, mu, lmbda):
-    """mu/2 (I1 - 3) - mu ln J + lmbda/2 ln²J (Bonet and Wood 2008, Eq. 6.27); not a number where J <= 0."""
-    log_J = ufl.ln(ufl.det(F))
-    return mu / 2 * (ufl.inner(F, F) - 3) - mu * log_J + lmbda / 2 * log_J**2
+def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
+    """A law's parameters as UFL's: constants, so that forms are compiled once per law, and vectors per cell.
+
+    Vectors of shape (3,) or, in the order of cells (k,), (k, 3).
+    """
+    found: dict[str, Any] = {}
+    for field in fields(material):
+        value = getattr(material, field.name)
+        if isinstance(value, np.ndarray):
+            found[field.name] = seam.cell_vectors(domain, cells, value)
+        elif isinstance(value, (int, float, np.number)):
+            found[field.name] = seam.constant(domain, float(value))
+        else:
+            found[field.name] = value
+    return SimpleNamespace(**found)
+
+
+def density(displacement, cells: Ints, material: Material):
+    """A law's psi, and the deformation gradient that it can be derived by, as UFL's expressions."""
+    F = ufl.variable(ufl.Identity(3) + ufl.grad(displacement))
+    return DENSITIES[type(material)](F, symbols(material, displacement.function_space.mesh, cells)), F
 
 
 @dataclass(frozen=True, eq=False)
 class HyperelasticForms:
-    """Compiled energy, gradient and tangent of a law on some cells; mu and lmbda are read when assembled."""
+    """Compiled energy, gradient and tangent of a law on some cells (k,), and dP/dF there."""
 
     cells: Ints
-    mu: Any
-    lmbda: Any
     energy: Any
     gradient: Any
     tangent: Any
+    _dP_dF: Callable[[Ints], Floats]
 
     @classmethod
-    def of(cls, displacement, cells: Ints) -> HyperelasticForms:
-        """Forms for the displacement function [mm] on cells (k,)."""
+    def of(cls, displacement, cells: Ints, material: Material, points: Floats) -> HyperelasticForms:
+        """Forms for the displacement function [mm] on cells (k,), which a law's vectors go by; dP/dF at `points`."""
         space = displacement.function_space
-        mu, lmbda = (seam.constant(space.mesh, value) for value in (1.0, 1.0))
-        F = ufl.Identity(3) + ufl.grad(displacement)
-        energy = neo_hookean(F, mu, lmbda) * seam.cell_measure(space.mesh, cells)
+        psi, F = density(displacement, cells, material)
+        dx = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": DEGREE})
+        energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
-        return cls(cells, mu, lmbda, *(seam.compile_form(form) for form in (energy, gradient, tangent)))
-
-    def set(self, material: NeoHookean):
-        """Take a material's parameters [kPa]."""
-        self.mu.value = material.mu
-        self.lmbda.value = material.lmbda
+        dP_dF = seam.evaluator(ufl.diff(ufl.diff(psi, F), F), points, space.mesh)
+        return cls(cells, *(seam.compile_form(form) for form in (energy, gradient, tangent)), dP_dF)
 
     def assemble_energy(self) -> float:
-        """Energy [µJ]; infinite where J <= 0 in any cell."""
+        """Energy [µJ]; infinite where the law does not hold in any cell."""
         value = seam.assemble_scalar(self.energy)
         return value if np.isfinite(value) else np.inf
 
     def add_gradient(self, into: Floats):
         """Add the gradient [mN] to an array of dofs (3n,)."""
         seam.add_vector(self.gradient, into)
+
+    def point_tangent(self) -> Floats:
+        """dP/dF [kPa] at the points, shape (k q, 9, 9)."""
+        return self._dP_dF(self.cells).reshape(-1, 9, 9)
+
+    def softened_tangent(self, kept: float) -> Floats:
+        """dP/dF [kPa] at the points, shape (k q, 9, 9), every negative eigenvalue multiplied by `kept`."""
+        values, vectors = np.linalg.eigh(self.point_tangent())
+        return (vectors * np.maximum(values, kept * values)[:, None, :]) @ vectors.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Energy densities as functions of signed singular values: PD's strain and volume energies, and neo-Hooke.
+"""Energy densities as functions of signed singular values: PD's strain and volume energies, corotated, neo-Hooke.
 
 Each law gives psi (m,) with gradient (m, 3) and Hessian (m, 3, 3) at singular values s (m, 3) that come ordered as
 `principal.signed_svd` orders them. Neo-Hooke here serves for the projected tangent; its stress, and the tangent that
@@ -55,6 +55,23 @@ class VolumeLaw:
         away = s - t
         h = self.stiffness[:, None, None] * (np.eye(3) - _nearest_derivative(s, t))
         return 0.5 * self.stiffness * np.sum(away**2, axis=1), self.stiffness[:, None] * away, h
+
+
+@dataclass(frozen=True, eq=False)
+class CorotatedLaw:
+    """mu Σ(s - 1)² + lmbda/2 (Σ(s - 1))²; mu and lmbda [kPa] are (m,)."""
+
+    mu: Floats
+    lmbda: Floats
+
+    def evaluate(self, s: Floats) -> tuple[Floats, Floats, Floats]:
+        """psi, p, h."""
+        strain = s - 1.0
+        trace = strain.sum(axis=1)
+        psi = self.mu * np.sum(strain**2, axis=1) + 0.5 * self.lmbda * trace**2
+        p = 2.0 * self.mu[:, None] * strain + (self.lmbda * trace)[:, None]
+        h = 2.0 * self.mu[:, None, None] * np.eye(3) + self.lmbda[:, None, None]
+        return psi, p, h
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,17 +6,18 @@ import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
-from ..materials import NeoHookean
+from ..materials import Corotated
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
+from .densities import DENSITIES
 from .linear import LINEAR_SOLVERS
 from .newton import Newton
 from .numbering import Numbering
 from .problem import Problem, State
 
 TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction)
-LAWS = (NeoHookean,)
+LAWS = (*DENSITIES, Corotated)
 VARYING = {
     Target: ("positions",),
     Fixed: ("values",),

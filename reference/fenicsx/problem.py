@@ -8,14 +8,16 @@ import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
+from ..materials import Corotated, NeoHookean
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, SurfaceStrain, Target, Volume
 from . import dolfinx_version as seam
 from . import principal
 from .assembly import BlockMatrix, rigid_motions, stiffness_matrix
+from .densities import DENSITIES
 from .dolfinx_version import PETSc
 from .hyperelastic import HyperelasticForms
-from .laws import NeoHookeanLaw, PrincipalLaw, StrainLaw, VolumeLaw
+from .laws import CorotatedLaw, NeoHookeanLaw, PrincipalLaw, StrainLaw, VolumeLaw
 from .membrane import Membrane
 from .numbering import Numbering
 from .quadrature import QuadratureForms
@@ -43,13 +45,16 @@ class Problem:
         self.numbering = numbering
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
-        self._hyperelastic = [
-            HyperelasticForms.of(self._displacement, self._cells(scene, term)) for term in scene.of(Hyperelastic)
-        ]
         solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
         empty = np.empty(0, dtype=np.int64)
         cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
         self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes)
+        self._hyperelastic = [self._forms(term, self._cells(scene, term)) for term in self._by_ufl(scene)]
+        self._tensors = [
+            (self._points(forms.cells), forms)
+            for forms, term in zip(self._hyperelastic, self._by_ufl(scene), strict=True)
+            if not isinstance(term.material, NeoHookean)
+        ]
         n = len(numbering.X)
         triangles = [numbering.dofs_of(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._blocks = [BlockMatrix(t, n) for t in triangles]
@@ -62,7 +67,18 @@ class Problem:
         self.set(scene)
 
     def _cells(self, scene: Scene, term) -> Ints:
-        return np.sort(self.numbering.cell[scene.tets_of(term)])
+        return self.numbering.cell[scene.tets_of(term)]
+
+    def _points(self, cells: Ints) -> Ints:
+        """The quadrature points of cells (k,), counted within QuadratureForms, shape (k q,)."""
+        q = self._quadrature.per_cell
+        return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
+
+    def _by_ufl(self, scene: Scene) -> list[Hyperelastic]:
+        return [term for term in scene.of(Hyperelastic) if type(term.material) in DENSITIES]
+
+    def _forms(self, term: Hyperelastic, cells: Ints) -> HyperelasticForms:
+        return HyperelasticForms.of(self._displacement, cells, term.material, self._quadrature.points)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -78,26 +94,25 @@ class Problem:
             Spring(order.dof[t.vertices], t.positions, np.broadcast_to(t.stiffness, len(t.vertices)))
             for t in scene.of(Target)
         ]
-        for forms, term in zip(self._hyperelastic, scene.of(Hyperelastic), strict=True):
-            forms.set(term.material)
-        self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume))]
-        self._stand_ins = [self._law(scene, term) for term in scene.of(Hyperelastic)]
+        solids = scene.of(Hyperelastic)
+        corotated = [term for term in solids if isinstance(term.material, Corotated)]
+        self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume), *corotated)]
+        self._stand_ins = [self._law(scene, term) for term in solids if isinstance(term.material, NeoHookean)]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
     def _law(self, scene: Scene, term: Strain | Volume | Hyperelastic) -> Law:
         tets = scene.tets_of(term)
-        cells = self.numbering.cell[tets]
-        q = self._quadrature.per_cell
-        points = (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
+        points = self._points(self._cells(scene, term))
 
         def at_points(values) -> Floats:
-            return np.repeat(np.broadcast_to(values, len(tets)), q).astype(np.float64)
+            return np.repeat(np.broadcast_to(values, len(tets)), self._quadrature.per_cell).astype(np.float64)
 
         if isinstance(term, Strain):
             return points, StrainLaw(at_points(term.stiffness), at_points(term.limit))
         if isinstance(term, Volume):
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        return points, NeoHookeanLaw(at_points(term.material.mu), at_points(term.material.lmbda))
+        law = CorotatedLaw if isinstance(term.material, Corotated) else NeoHookeanLaw
+        return points, law(*(at_points(modulus) for modulus in term.material.lame))
 
     def at(self, u: Floats) -> State:
         """The problem at a displacement [mm], shape (n, 3)."""
@@ -183,11 +198,16 @@ class State:
         problem = self._problem
         matrix = self._begin()
         laws = [*problem._laws, *problem._stand_ins]
+        total: Floats | None = None
         if laws:
             U, s, V = self._svd()
             _, p, h = self._principal(laws)
-            tangent = principal.tangent(U, V, principal.modes(s, p, h).softened(kept))
-            problem._quadrature.add_tangent(tangent, matrix)
+            total = principal.tangent(U, V, principal.modes(s, p, h).softened(kept))
+        for points, forms in problem._tensors:
+            total = np.zeros((len(problem._quadrature.volume), 9, 9)) if total is None else total
+            total[points] += forms.softened_tangent(kept)
+        if total is not None:
+            problem._quadrature.add_tangent(total, matrix)
         return self._finish(matrix, kept)
 
     def _begin(self) -> PETSc.Mat:

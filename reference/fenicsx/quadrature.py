@@ -23,6 +23,7 @@ class QuadratureForms:
         domain = space.mesh
         points, weights = seam.quadrature_rule(DEGREE)
         self.cells = cells
+        self.points = points
         self.per_cell = len(points)
         self.volume = np.outer(cell_volumes[cells], weights / weights.sum()).ravel()
         self._gradient_at = seam.evaluator(ufl.grad(displacement), points, domain)
