@@ -18,11 +18,11 @@ from ..lhm.geometry.bvh import TriangleTree
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..lhm.regressor import DepthErrors, DepthRegressor, MeasuredDepths, inward_normals, measured_depths, moved_wrap
+from ..lhm.regressor.files import check_inside, read_skin, read_skull
 from ..lhm.wraps.depth import LANDMARKS
 from ..lhm.wraps.landmarks import Mask
 from . import machine
 from .depth_error import depth_comparison, depth_error
-from .person import check_inside, read_skin, read_skull
 from .published import SKULL_PLACES
 from .report import machine_rows, rendered
 
@@ -73,7 +73,7 @@ class DepthCheck:
         FitError for a skin that no head can be fitted to.
         """
         wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
-        check_inside(template, wrap, skull)
+        check_inside("skull", template, wrap, skull)
         measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
         met = float(measured.met[template.regions["face"]].mean())
         if met < LEAST_MEASURED:
@@ -165,13 +165,13 @@ def run_depth(config: DepthConfig, progress: OnProgress) -> dict:
     another template, and for a skin that cannot be registered.
     """
     progress("depth check: inputs", 0.0)
-    skull = read_skull(config.skull, config.unit)
+    skull = read_skull(config.skull, unit=config.unit)
     space = identities.from_text(config.identities)
     template = load_template(space, progress=progress)
     regressor = template.regressor
     if config.regressor is not None:
         regressor = DepthRegressor.load(config.regressor, template.skin_wrap)
-    skin, registered_off = read_skin(config.skin, space, config.unit, progress)
+    skin, registered_off = read_skin(config.skin, space, unit=config.unit, progress=progress)
     progress("depth check: depths and skull wrap", 0.5)
     check = DepthCheck.of(template, regressor, skin, skull)
     results = {

@@ -27,10 +27,10 @@ from .wraps.labels import bone_labels, held_labels
 from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 15
+FORMAT = 16
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
-MUSCLE_BOUNDS = (0.3, 0.8)
+MUSCLE_BOUNDS = (0.35, 0.7)
 """Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
 LONGEST = 25.0
 """[mm] Bone farther away than that, seen from nose, lids, ear lobes or nape, is not what lies under them."""

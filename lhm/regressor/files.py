@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 LEAST_PAIRS = 3
 SKULL_EXTENT = (60.0, 300.0)
 OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
-"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap: teeth do, in the mouth's pocket."""
+"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap."""
 
 
 class PairReport(NamedTuple):
@@ -57,10 +58,10 @@ def read_pairs(
     wraps, depths, reports = [], [], []
     for i, (name, (skin_file, skull_file)) in enumerate(files.items()):
         progress("depth regressor: pairs", i / len(files))
-        skull = _skull(skull_file, unit)
-        skin, off = _skin(skin_file, unit, space)
+        skull = read_skull([skull_file], unit=unit)
+        skin, off = read_skin(skin_file, space, unit=unit)
         wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
-        _check_inside(name, wrap, skull)
+        check_inside(f"pair {name}", template, wrap, skull)
         measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
         wraps.append(wrap.vertices)
         depths.append(measured.depths)
@@ -91,7 +92,13 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     return {name: (pair["skin"], pair["skull"]) for name, pair in found.items()}
 
 
-def _skin(path: Path, unit: str, space: LinearSpace) -> tuple[Surface, float]:
+def read_skin(
+    path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm", progress: OnProgress = silent
+) -> tuple[Surface, float]:
+    """A skin [mm] in the identity space's topology, and how far off the skin the registered face is on average [mm].
+
+    0 for a skin of that topology. InputError names the file that cannot be read, registered, or is of another unit.
+    """
     skin = read_surface(path, unit=unit)
     try:
         if skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles):
@@ -99,28 +106,39 @@ def _skin(path: Path, unit: str, space: LinearSpace) -> tuple[Surface, float]:
             return skin, 0.0
         from ..registration import register  # loaded where a skin needs it: every import of `lhm` comes by here
 
-        registered = register(space.mean, space.parts, skin)
+        registered = register(space.mean, space.parts, skin, progress=progress)
     except SoftdecaError as error:
         raise InputError(f"{path}: {error}") from None
     return registered.surface, registered.residual.mean
 
 
-def _skull(path: Path, unit: str) -> Surface:
-    skull = read_surface(path, unit=unit)
+def read_skull(paths: Sequence[str | os.PathLike[str]], *, unit: str = "mm") -> Surface:
+    """A skull [mm], all its bones in one surface; InputError names files that cannot be read or are of another unit."""
+    bones = [read_surface(path, unit=unit) for path in paths]
+    starts = np.cumsum([0, *(len(bone.vertices) for bone in bones)])
+    triangles = np.vstack([bone.triangles + start for bone, start in zip(bones, starts[:-1], strict=True)])
+    skull = Surface(np.vstack([bone.vertices for bone in bones]), triangles)
     extent = np.ptp(skull.vertices[np.unique(skull.triangles)], axis=0)
     if extent.min() < SKULL_EXTENT[0] or extent.max() > SKULL_EXTENT[1]:
         size = " x ".join(f"{length:.4g}" for length in extent)
         least, most = SKULL_EXTENT
-        raise InputError(f"{path}: its extent is {size} mm, a skull's lies within {least:g}..{most:g}: units off?")
+        names = ", ".join(map(str, paths))
+        raise InputError(f"{names}: its extent is {size} mm, a skull's lies within {least:g}..{most:g}: units off?")
     return skull
 
 
-def _check_inside(name: str, wrap: Surface, skull: Surface) -> None:
+def check_inside(name: str, template: Template, wrap: Surface, skull: Surface) -> None:
+    """Raise InputError, naming whose they are, if more than a tenth of a skull lies outside its skin wrap.
+
+    What the wrap's mouth and eye sockets are nearest to does not count: teeth and palate lie in the mouth's pocket.
+    """
     some = skull.vertices[:: max(1, len(skull.vertices) // 4000)]
-    outside = SignedDistance(wrap)(some)[0]
+    distance, _, triangle, weights = SignedDistance(wrap)(some)
+    nearest = wrap.triangles[triangle, weights.argmax(axis=1)]
+    outside = np.where((template.regions["mouth"] | template.regions["eyes"])[nearest], 0.0, distance)
     share = float((outside > OUTSIDE).mean())
     if share > OUTSIDE_SHARE:
         raise InputError(
-            f"pair {name}: {100 * share:.0f} % of the skull lie outside the skin (up to {outside.max():.3g} mm; at "
+            f"{name}: {100 * share:.0f} % of the skull lie outside the skin (up to {outside.max():.3g} mm; at "
             f"most {100 * OUTSIDE_SHARE:.0f} % may): are both in one frame and in mm?"
         )

@@ -13,6 +13,8 @@ from ..mesh import Floats
 from .columns import Columns
 
 ENOUGH = 0.12  # sine of the dihedral angle that is left alone: 7 degrees
+FLAT, LEAST_ENOUGH = 0.75, 0.06
+"""Flat prisms cannot be better than flat: less is enough where FLAT of a layer's thickness over the edge is less."""
 SWEEPS = 20
 CYCLE = 5  # sweeps over which the step shrinks, by half each, before it is long again
 SHORTEST, LONGEST = 0.4, 1.6  # of the length that a connector started with
@@ -31,8 +33,11 @@ def improved(columns: Columns, stack: Floats, *, least: float) -> Floats:
     shortest = np.maximum(SHORTEST * length, np.minimum(least, length))
     normals = columns.surface(stack[:n]).vertex_normals
     slide = SLIDE * columns.mean_edge(stack[:n])
+    skin, muscle, skull = stack.reshape(3, -1, 3)
+    thin = np.minimum(np.linalg.norm(muscle - skin, axis=1), np.linalg.norm(skull - muscle, axis=1))
+    enough = np.clip(FLAT * thin / columns.mean_edge(skin), LEAST_ENOUGH, ENOUGH)
     arrays = (columns.tets, columns.incident, columns.starts)
-    return _climb(stack.copy(), *arrays, shortest, LONGEST * length, normals, slide)
+    return _climb(stack.copy(), *arrays, enough, shortest, LONGEST * length, normals, slide)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -98,17 +103,18 @@ def _direction(which, c):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _bad_columns(x, tets, n):
+def _bad_columns(x, tets, n, enough):
     bad = np.zeros(n, np.bool_)
     for t in range(len(tets)):
-        if smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]) < ENOUGH:
-            for k in range(4):
+        sine = smallest_sine(x, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+        for k in range(4):
+            if sine < enough[tets[t, k] % n]:
                 bad[tets[t, k] % n] = True
     return np.flatnonzero(bad)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _climb(x, tets, incident, starts, shortest, longest, normals, slide):
+def _climb(x, tets, incident, starts, enough, shortest, longest, normals, slide):
     n = len(shortest)
     rest = x[:n].copy()
     step = np.empty((n, 3))
@@ -119,12 +125,12 @@ def _climb(x, tets, incident, starts, shortest, longest, normals, slide):
     delta = np.empty(3)
     for sweep in range(SWEEPS):
         if sweep % CYCLE == 0:
-            active = _bad_columns(x, tets, n)
+            active = _bad_columns(x, tets, n, enough)
             moves = 0
         for v in active:
             first, last = starts[v], starts[v + 1]
             worst, where = _worst_around(x, tets, incident, first, last)
-            if worst >= ENOUGH:
+            if worst >= enough[v]:
                 continue
             for level in range(3):
                 for c in range(3):

@@ -17,11 +17,11 @@ def test_template_and_fit(command, data, tmp_path):
     space = f"ict:{data / 'ict_facekit.npz'}"
     anatomy = data / "bodyparts3d_head.npz"
     file = tmp_path / "template.npz"
-    built = command("head", "template", "--identities", space, "--anatomy", anatomy, "--level", 1, "--out", file)
+    built = command("head", "template", "--identities", space, "--anatomy", anatomy, "--out", file)
     assert built.status == 0, built.errors
     template = read_template(file)
     n = template.columns.n
-    assert n == 1212 and template.skull is not None and template.muscles is not None
+    assert n == 4842 and template.skull is not None and template.muscles is not None
     skull_wrap = template.stack[2 * n :]
     scalp = (template.bone == CRANIUM) & (skull_wrap[:, 1] > template.marks.eyes[:, 1].mean() + 15.0)
     gap = TriangleTree(template.skull.vertices, template.skull.triangles).closest(skull_wrap[scalp])[2]
