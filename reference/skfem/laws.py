@@ -61,6 +61,34 @@ class NeoHookean:
         return self.mu * IDENTITY + shear + self.lmbda * np.einsum("mji,mlk->mijkl", inverse, inverse)
 
 
+@dataclass(frozen=True)
+class Corotated:
+    """psi = mu ‖F - R‖² + lmbda/2 tr²(S - I), F = R S; R is the rotation nearest to F."""
+
+    mu: float
+    lmbda: float
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        _, sigma, _ = signed_svd(F)
+        return self.mu * np.sum((sigma - 1) ** 2, axis=1) + self.lmbda / 2 * np.sum(sigma - 1, axis=1) ** 2
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law; tr S = R : F, whose derivative by F is R."""
+        U, sigma, Vt = signed_svd(F)
+        R = U @ Vt
+        return 2 * self.mu * (F - R) + self.lmbda * np.sum(sigma - 1, axis=1)[:, None, None] * R
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law."""
+        U, sigma, Vt = signed_svd(F)
+        R = U @ Vt
+        turning = projection_derivative(U, sigma, Vt, np.ones_like(sigma), np.zeros_like(F))
+        trace = np.sum(sigma - 1, axis=1)[:, None, None, None, None]
+        along = self.lmbda * np.einsum("mij,mkl->mijkl", R, R)
+        return 2 * self.mu * IDENTITY + (self.lmbda * trace - 2 * self.mu) * turning + along
+
+
 @dataclass(frozen=True, eq=False)
 class Strain:
     """stiffness/2 times F's squared distance to the matrices with stretches in [1/limit, limit] (SoftDECA Eq. 10).

@@ -7,16 +7,17 @@ applied to each element's tangent (project_spd, or nothing). x holds positions [
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, LinearForm, MeshTet
 
 from ...lhm.mesh import Floats, Ints
-from .. import terms
+from .. import materials, terms
 from ..scene import Scene
-from .laws import Law, NeoHookean, Strain, Volume
+from .invariants import IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
+from .laws import Corotated, Law, NeoHookean, Strain, Volume
 from .membrane import Membrane, rest_gradients
 
 Treatment = Callable[[Floats], Floats]
@@ -111,9 +112,19 @@ class Tets:
         return matrix
 
 
+MATERIALS: dict[type[materials.Material], Callable[[Any], Law]] = {
+    materials.NeoHookean: lambda m: NeoHookean(m.mu, m.lmbda),
+    materials.StableNeoHookean: lambda m: StableNeoHookean(m.mu, m.lmbda),
+    materials.Corotated: lambda m: Corotated(m.mu, m.lmbda),
+    materials.StVenantKirchhoff: lambda m: StVenantKirchhoff(m.mu, m.lmbda),
+    materials.IsochoricNeoHookean: lambda m: IsochoricPolynomial(m.mu / 2, 0.0, 0.0, m.kappa, m.volumetric),
+    materials.MooneyRivlin: lambda m: IsochoricPolynomial(m.C10, m.C01, m.C20, m.kappa, materials.Volumetric.QUADRATIC),
+}
+
+
 def _law(term, count: int) -> Law:
     if isinstance(term, terms.Hyperelastic):
-        return NeoHookean(term.material.mu, term.material.lmbda)
+        return MATERIALS[type(term.material)](term.material)
     if isinstance(term, terms.Strain):
         return Strain(_per_item(term.stiffness, count), _per_item(term.limit, count))
     return Volume(_per_item(term.stiffness, count), _per_item(term.target, count))

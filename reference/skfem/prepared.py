@@ -8,13 +8,13 @@ import numpy as np
 
 from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
-from .. import materials, terms
+from .. import terms
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from .carry import carry
 from .energy import Energy
 from .newton import Scales, minimise
-from .parts import Discretisation
+from .parts import MATERIALS, Discretisation
 
 KNOWN = (
     terms.Hyperelastic,
@@ -26,7 +26,6 @@ KNOWN = (
     terms.Gravity,
     terms.Traction,
 )
-LAWS = (materials.NeoHookean,)
 VARYING: dict[type[terms.Term], tuple[str, ...]] = {
     terms.Target: ("positions",),
     terms.Fixed: ("values",),
@@ -96,7 +95,7 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
 
     Raises SceneError for a term or an element that this solver does not model.
     """
-    refuse_unknown(scene, "skfem", KNOWN, LAWS)
+    refuse_unknown(scene, "skfem", KNOWN, tuple(MATERIALS))
     if element != "P1":
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there is P1")
     if not len(scene.tets):

@@ -7,7 +7,9 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from softdeca.reference.skfem.laws import NeoHookean, Strain, Volume, project_spd
+from softdeca.reference.materials import Volumetric
+from softdeca.reference.skfem.invariants import IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
+from softdeca.reference.skfem.laws import Corotated, NeoHookean, Strain, Volume, project_spd
 from softdeca.reference.skfem.membrane import Membrane, rest_gradients
 from softdeca.reference.skfem.projections import nearest_of_determinant, signed_svd
 
@@ -18,14 +20,24 @@ def full(value):
     return np.full(COUNT, float(value))
 
 
-LAWS = {
+ISOTROPIC = {
     "NeoHookean": NeoHookean(1.3, 7.0),
+    "StableNeoHookean": StableNeoHookean(1.3, 7.0),
+    "Corotated": Corotated(1.3, 7.0),
+    "StVenantKirchhoff": StVenantKirchhoff(1.3, 7.0),
+    "isochoric, quadratic": IsochoricPolynomial(0.65, 0.0, 0.0, 7.0 + 2.6 / 3, Volumetric.QUADRATIC),
+    "isochoric, logarithmic": IsochoricPolynomial(0.65, 0.0, 0.0, 7.0 + 2.6 / 3, Volumetric.LOGARITHMIC),
+    "Mooney-Rivlin": IsochoricPolynomial(0.4, 0.25, 0.3, 7.0 + 2.6 / 3, Volumetric.QUADRATIC),
+}
+LAWS = {
+    **ISOTROPIC,
     "Strain": Strain(full(2.0), full(1.0)),
     "Strain with a limit": Strain(full(2.0), full(1.15)),
     "Volume": Volume(full(3.0), full(1.0)),
     "Volume with growth": Volume(full(3.0), full(1.4)),
 }
-FINITE_AT_INVERSION = [name for name in LAWS if name != "NeoHookean"]
+INFINITE_AT_INVERSION = ["NeoHookean", "isochoric, quadratic", "isochoric, logarithmic", "Mooney-Rivlin"]
+FINITE_AT_INVERSION = [name for name in LAWS if name not in INFINITE_AT_INVERSION]
 
 
 def deformations(seed, size=0.35):
@@ -101,7 +113,7 @@ def test_rest_is_free_of_stress(name):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_tangent_is_symmetric_and_projects_to_semidefinite(name):
-    tangent = LAWS[name].tangent(deformations(5, size=0.9) if name != "NeoHookean" else deformations(5))
+    tangent = LAWS[name].tangent(deformations(5, size=0.9) if name in FINITE_AT_INVERSION else deformations(5))
     A = tangent.reshape(-1, 9, 9)
     scale = np.abs(A).max()
     assert np.allclose(A, A.transpose(0, 2, 1), atol=1e-11 * scale)
@@ -111,9 +123,19 @@ def test_tangent_is_symmetric_and_projects_to_semidefinite(name):
     assert np.array_equal(projected[definite], A[definite])
 
 
-def test_neo_hookean_is_infinite_where_it_does_not_hold():
+@pytest.mark.parametrize("name", INFINITE_AT_INVERSION)
+def test_a_law_is_infinite_where_it_does_not_hold(name):
     F = np.stack([np.diag([1.0, 1.0, -1.0]), np.diag([1.0, 1.0, 0.0]), np.eye(3)])
-    assert LAWS["NeoHookean"].psi(F).tolist() == [np.inf, np.inf, 0.0]
+    assert LAWS[name].psi(F).tolist() == [np.inf, np.inf, 0.0]
+
+
+@pytest.mark.parametrize("name", ISOTROPIC)
+def test_tangent_at_rest_is_isotropic_elasticity(name):
+    """mu = 1.3 and lmbda = 7 for every law."""
+    eye = np.eye(3)
+    symmetric = np.einsum("ik,jl->ijkl", eye, eye) + np.einsum("il,jk->ijkl", eye, eye)
+    expected = 1.3 * symmetric + 7.0 * np.einsum("ij,kl->ijkl", eye, eye)
+    assert np.allclose(LAWS[name].tangent(eye[None])[0], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(
