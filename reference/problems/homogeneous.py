@@ -27,7 +27,10 @@ LIMIT = 1.2
 
 @dataclass(frozen=True)
 class Row:
-    """A stretch along the first `loaded` axes, the stretch of the others and the nominal stress [kPa]."""
+    """A stretch along the first `loaded` axes, the stretch of the free ones and the nominal stress [kPa].
+
+    The `confined` axes after the loaded ones keep their length.
+    """
 
     label: str
     energies: Callable[[], list[Term]]
@@ -35,6 +38,7 @@ class Row:
     stretch: float
     free_stretch: float
     stress: float
+    confined: int = 0
 
 
 def neo_hookean() -> list[Term]:
@@ -86,12 +90,18 @@ def rollers(X: Floats) -> list[Term]:
     return [Fixed(vertices_at(X, axis, 0.0), components=(axis,)) for axis in range(3)]
 
 
+def confined(row: Row, X: Floats) -> list[Term]:
+    """The far faces of the confined axes slide in themselves."""
+    axes = range(row.loaded, row.loaded + row.confined)
+    return [Fixed(vertices_at(X, axis, 1.0), components=(axis,)) for axis in axes]
+
+
 def held(row: Row) -> Scene:
     """The far faces of the loaded axes held at the stretch."""
     X, tets = unstructured(CELLS)
     faces = [vertices_at(X, axis, 1.0) for axis in range(row.loaded)]
     ends: list[Term] = [Fixed(face, X[face] * row.stretch, components=(axis,)) for axis, face in enumerate(faces)]
-    return Scene(X, tets, (*row.energies(), *rollers(X), *ends))
+    return Scene(X, tets, (*row.energies(), *rollers(X), *confined(row, X), *ends))
 
 
 def pulled(row: Row) -> Scene:
@@ -99,7 +109,7 @@ def pulled(row: Row) -> Scene:
     X, tets = unstructured(CELLS)
     faces = [triangles_at(X, tets, axis, 1.0) for axis in range(row.loaded)]
     loads: list[Term] = [Traction(face, row.stress * np.eye(3)[axis]) for axis, face in enumerate(faces)]
-    return Scene(X, tets, (*row.energies(), *rollers(X), *loads))
+    return Scene(X, tets, (*row.energies(), *rollers(X), *confined(row, X), *loads))
 
 
 def stretch_along(axis: int, reference: float) -> Callable[[Scene, Solution], float]:
@@ -122,16 +132,20 @@ def _stretched(row: Row) -> Callable[[Scene], Floats]:
     return lambda scene: scene.vertices * np.where(np.arange(3) < row.loaded, row.stretch, 1.0)
 
 
-def _free_stretch(row: Row, bounds: dict[str, float]) -> Problem:
+def free_stretch(row: Row, bounds: dict[str, float], source: str = SOURCE) -> Problem:
+    """The free stretch where the row's stretch is held."""
     quantity = stretch_along(2, row.free_stretch)
     name = f"{row.label}, stretch {row.stretch:g}: free stretch"
-    return Problem(name, SOURCE, lambda: held(row), quantity, row.free_stretch, bounds, _stretched(row))
+    return Problem(name, source, lambda: held(row), quantity, row.free_stretch, bounds, _stretched(row))
 
 
-def _under_load(row: Row, bounds: dict[str, float], start: Callable[[Scene], Floats] | None = None) -> Problem:
+def under_load(
+    row: Row, bounds: dict[str, float], start: Callable[[Scene], Floats] | None = None, source: str = SOURCE
+) -> Problem:
+    """The stretch under the row's nominal stress as a dead load."""
     quantity = stretch_along(0, row.stretch)
     name = f"{row.label}, {row.stress:g} kPa: stretch"
-    return Problem(name, SOURCE, lambda: pulled(row), quantity, row.stretch, bounds, start)
+    return Problem(name, source, lambda: pulled(row), quantity, row.stretch, bounds, start)
 
 
 def _held_energy(row: Row, bounds: dict[str, float], density: float) -> Problem:
@@ -142,18 +156,18 @@ def _held_energy(row: Row, bounds: dict[str, float], density: float) -> Problem:
 def _problems() -> list[Problem]:
     problems = []
     for row in NEO_HOOKEAN_ROWS:
-        problems += [_free_stretch(row, TEN_DIGITS), _under_load(row, TEN_DIGITS)]
+        problems += [free_stretch(row, TEN_DIGITS), under_load(row, TEN_DIGITS)]
     for row in STRAIN_ROWS:
-        problems.append(_free_stretch(row, SIX_DIGITS))
+        problems.append(free_stretch(row, SIX_DIGITS))
         if row.stress > 0:
-            problems.append(_under_load(row, SIX_DIGITS))
+            problems.append(under_load(row, SIX_DIGITS))
     for row, density in COMPRESSED_DENSITIES:
         problems.append(_held_energy(row, SIX_DIGITS, density))
     # The limit leaves the free stretch undetermined, so energy and loaded stretch are all there is to compare; at rest
     # it leaves no stiffness at all, so the load starts beyond it.
     beyond = (LIMITED_ROW.stretch - LIMIT) ** 2 / 2
     problems.append(_held_energy(LIMITED_ROW, SIX_DIGITS, beyond))
-    problems.append(_under_load(LIMITED_ROW, SIX_DIGITS, lambda scene: scene.vertices * [LIMIT + 0.1, 1.0, 1.0]))
+    problems.append(under_load(LIMITED_ROW, SIX_DIGITS, lambda scene: scene.vertices * [LIMIT + 0.1, 1.0, 1.0]))
     return problems
 
 

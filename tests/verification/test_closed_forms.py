@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 
 from softdeca.reference import Scene, solve
-from softdeca.reference.problems import bars, meshes
+from softdeca.reference.problems import bars, meshes, stretched_laws
 from softdeca.reference.problems.homogeneous import (
     COMPRESSED_DENSITIES,
     LIMIT,
@@ -29,6 +29,86 @@ def test_neo_hookean_rows(row):
     free = brentq(lambda s: neo_hookean_stresses(row.stretch, s, row.loaded)[1], 0.1, 3.0, xtol=1e-14)
     assert free == pytest.approx(row.free_stretch, abs=1e-10)
     assert neo_hookean_stresses(row.stretch, free, row.loaded)[0] == pytest.approx(row.stress, abs=1e-10)
+
+
+E, NU = 1.0, 0.45
+MU, LMBDA = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
+KAPPA = LMBDA + 2 / 3 * MU
+
+
+def corotated(s):
+    return MU * sum((x - 1) ** 2 for x in s) + LMBDA / 2 * (sum(s) - 3) ** 2
+
+
+def kirchhoff(s):
+    e = [(x * x - 1) / 2 for x in s]
+    return MU * sum(x * x for x in e) + LMBDA / 2 * sum(e) ** 2
+
+
+def stable(s):
+    I1, J = sum(x * x for x in s), s[0] * s[1] * s[2]
+    m, k = 4 / 3 * MU, LMBDA + 5 / 6 * MU
+    a = 1 + m / k - m / (4 * k)
+    return m / 2 * (I1 - 3) + k / 2 * (J - a) ** 2 - m / 2 * np.log(I1 + 1)
+
+
+def polynomial(C10, C01, C20, volume):
+    def psi(s):
+        J = s[0] * s[1] * s[2]
+        bar = [x / J ** (1 / 3) for x in s]
+        i1, i2 = sum(x**2 for x in bar), sum(x**-2 for x in bar)
+        return C10 * (i1 - 3) + C01 * (i2 - 3) + C20 * (i1 - 3) ** 2 + volume(J)
+
+    return psi
+
+
+RIVLIN = polynomial(stretched_laws.C1, stretched_laws.C2, 0, lambda J: stretched_laws.BULK / 2 * (J - 1) ** 2)
+DENSITIES = {
+    stretched_laws.COROTATED: corotated,
+    stretched_laws.KIRCHHOFF: kirchhoff,
+    stretched_laws.STABLE: stable,
+    stretched_laws.QUADRATIC: polynomial(MU / 2, 0, 0, lambda J: KAPPA / 2 * (J - 1) ** 2),
+    stretched_laws.LOGARITHMIC: polynomial(MU / 2, 0, 0, lambda J: KAPPA / 4 * (J**2 - 1 - 2 * np.log(J))),
+    stretched_laws.POLYNOMIAL: polynomial(0.1, 0.05, 0.02, lambda J: 5 / 3 * (J - 1) ** 2),
+    stretched_laws.RIVLIN: RIVLIN,
+}
+
+
+def nominal_stress(psi, stretches, axis):
+    """The density's derivative by a stretch, by a complex step: exact to rounding."""
+    s = [complex(x) for x in stretches]
+    s[axis] += 1e-30j
+    return psi(s).imag / 1e-30
+
+
+def free_stretch_and_stress(row, stretch):
+    """The free stretch without stress along its axes, and the nominal stress, where the loaded stretch is held."""
+    psi = DENSITIES[row.energies]
+    free = 3 - row.loaded - row.confined
+
+    def stretches(s):
+        return [stretch] * row.loaded + [1.0] * row.confined + [s] * free
+
+    found = brentq(lambda s: nominal_stress(psi, stretches(s), 2), 0.1, 1.6, xtol=1e-15, rtol=1e-15)
+    return found, nominal_stress(psi, stretches(found), 0)
+
+
+@pytest.mark.parametrize(
+    "row", [*stretched_laws.CLOSED_ROWS, *stretched_laws.SOLVED_ROWS], ids=lambda row: f"{row.label} {row.stretch}"
+)
+def test_rows_of_stretched_laws(row):
+    free, stress = free_stretch_and_stress(row, row.stretch)
+    assert free == pytest.approx(row.free_stretch, abs=1e-10)
+    assert stress == pytest.approx(row.stress, abs=1e-10)
+
+
+@pytest.mark.parametrize("row", stretched_laws.RIVLIN_ROWS, ids=lambda row: f"{row.label} {row.stretch}")
+def test_compressibility_errors_of_mooney_rivlin(row):
+    """The body of large bulk modulus, solved exactly, is off the incompressible one by the error derived."""
+    free, _ = free_stretch_and_stress(row, row.stretch)
+    assert free / row.free_stretch - 1 == pytest.approx(stretched_laws.free_stretch_error(row), rel=1e-3)
+    loaded = brentq(lambda held: free_stretch_and_stress(row, held)[1] - row.stress, 1.1, 2.5, xtol=1e-14)
+    assert loaded / row.stretch - 1 == pytest.approx(stretched_laws.stretch_error(row), rel=1e-3)
 
 
 def volume_distance(stretch, lateral):
