@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...lhm.mesh import Floats
-from ..materials import NeoHookean
+from ..materials import Corotated, Guccione, Material, MooneyRivlin, NeoHookean, StableNeoHookean, StVenantKirchhoff
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Hyperelastic, Strain, Term, Volume
@@ -26,18 +26,32 @@ CELLS = 3
 Energies = Callable[[], list[Term]]
 
 
-def neo_hookean() -> list[Term]:
-    """NeoHookean with Poisson's ratio 0.4."""
-    return [Hyperelastic(NeoHookean(mu=MU, lmbda=4.0 * MU))]
-
-
 def strain_and_volume() -> list[Term]:
     """Projective dynamics' energy with the same moduli at small strain."""
     return [Strain(2.0 * MU), Volume(12.0 * MU)]
 
 
+# Poisson's ratio 0.4, but for Guccione, which is stiffer along its fibres than across.
+LAWS: tuple[Material, ...] = (
+    NeoHookean(mu=MU, lmbda=4.0 * MU),
+    StableNeoHookean(mu=MU, lmbda=4.0 * MU),
+    Corotated(mu=MU, lmbda=4.0 * MU),
+    StVenantKirchhoff(mu=MU, lmbda=4.0 * MU),
+    MooneyRivlin(C10=0.3 * MU, C01=0.2 * MU, kappa=14 / 3 * MU),
+    Guccione(C=MU, bf=2.0, bt=0.5, bfs=1.0, fibres=np.array([1.0, 2.0, 0.0]), kappa=14 / 3 * MU),
+)
+
+
+def by_law(material: Material) -> tuple[Energies, dict[str, float]]:
+    """A law's energy, and the bounds of the solvers that model it."""
+    bounds = {"fenicsx": 1e-12, "skfem": 1e-12}
+    if isinstance(material, Guccione):
+        del bounds["skfem"]
+    return lambda: [Hyperelastic(material)], bounds
+
+
 ENERGIES: dict[str, tuple[Energies, dict[str, float]]] = {
-    "NeoHookean": (neo_hookean, {"fenicsx": 1e-12, "skfem": 1e-12}),
+    **{material.name: by_law(material) for material in LAWS},
     "Strain + Volume": (strain_and_volume, {"projective": 1e-8, "fenicsx": 1e-12, "skfem": 1e-12}),
 }
 
