@@ -60,7 +60,7 @@ class HyperelasticForms:
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
         dP_dF = seam.evaluator(ufl.diff(ufl.diff(psi, F), F), points, space.mesh)
-        return cls(cells, *(seam.compile_form(form) for form in (energy, gradient, tangent)), dP_dF)
+        return cls(cells, seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent), dP_dF)
 
     def assemble_energy(self) -> float:
         """Energy [µJ]; infinite where the law does not hold in any cell."""

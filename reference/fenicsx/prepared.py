@@ -6,7 +6,7 @@ import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
-from ..materials import Corotated
+from ..materials import Corotated, Material
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
@@ -17,7 +17,7 @@ from .numbering import Numbering
 from .problem import Problem, State
 
 TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction)
-LAWS = (*DENSITIES, Corotated)
+LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
 VARYING = {
     Target: ("positions",),
     Fixed: ("values",),

@@ -111,8 +111,10 @@ class Problem:
             return points, StrainLaw(at_points(term.stiffness), at_points(term.limit))
         if isinstance(term, Volume):
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        law = CorotatedLaw if isinstance(term.material, Corotated) else NeoHookeanLaw
-        return points, law(*(at_points(modulus) for modulus in term.material.lame))
+        if isinstance(term.material, Corotated):
+            return points, CorotatedLaw(at_points(term.material.mu), at_points(term.material.lmbda))
+        assert isinstance(term.material, NeoHookean)
+        return points, NeoHookeanLaw(at_points(term.material.mu), at_points(term.material.lmbda))
 
     def at(self, u: Floats) -> State:
         """The problem at a displacement [mm], shape (n, 3)."""
