@@ -105,3 +105,16 @@ def sheared_block(law):
 def test_laws_agree(name):
     """FEniCSx derives a law from its density; scikit-fem has its derivatives written by hand."""
     assert largest_difference(sheared_block(LAWS[name]), "skfem", "fenicsx", 1e-11, at_least=0.5) < 1e-8
+
+
+def test_laws_add_up_where_they_share_tets():
+    """Laws by UFL, laws of the singular values and PD's energies on the same tets, all of them or some."""
+    scene = sheared_block(materials.StableNeoHookean.from_young(5.0, 0.4))
+    some = np.arange(0, len(scene.tets), 3)
+    shared = [
+        terms.Hyperelastic(materials.MooneyRivlin(1.0, 0.5, 20.0), tets=some[::-1]),
+        terms.Hyperelastic(materials.Corotated.from_young(3.0, 0.3), tets=some[1:]),
+        terms.Strain(2.0),
+    ]
+    mixed = Scene(scene.vertices, scene.tets, [*scene.terms, *shared])
+    assert largest_difference(mixed, "skfem", "fenicsx", 1e-11, at_least=0.5) < 1e-8
