@@ -45,43 +45,53 @@ def st_venant_kirchhoff(F, p):
     return p.mu * ufl.inner(E, E) + p.lmbda / 2 * ufl.tr(E) ** 2
 
 
-def isochoric_neo_hookean(F, p):
-    """mu/2 (J^(-2/3) I1 - 3) and the volumetric part that it names; not a number where J <= 0."""
+def volumetric(F, p):
+    """The volumetric part: kappa/2 (J - 1)², if the law does not name another."""
     J = ufl.det(F)
-    if p.volumetric is Volumetric.QUADRATIC:
-        volume = p.kappa / 2 * (J - 1) ** 2
-    else:
-        volume = p.kappa / 4 * (J**2 - 1 - 2 * ufl.ln(J))
-    return p.mu / 2 * (J ** (-2 / 3) * ufl.inner(F, F) - 3) + volume
+    if getattr(p, "volumetric", Volumetric.QUADRATIC) is Volumetric.LOGARITHMIC:
+        return p.kappa / 4 * (J**2 - 1 - 2 * ufl.ln(J))
+    return p.kappa / 2 * (J - 1) ** 2
+
+
+def isochoric_neo_hookean(F, p):
+    """The isochoric part, mu/2 (J^(-2/3) I1 - 3); not a number where J <= 0."""
+    return p.mu / 2 * (ufl.det(F) ** (-2 / 3) * ufl.inner(F, F) - 3)
 
 
 def mooney_rivlin(F, p):
-    """C10 (i1 - 3) + C01 (i2 - 3) + C20 (i1 - 3)² + kappa/2 (J - 1)²; not a number where J <= 0."""
+    """The isochoric part, C10 (i1 - 3) + C01 (i2 - 3) + C20 (i1 - 3)²; not a number where J <= 0."""
     J, C = ufl.det(F), F.T * F
     i1 = J ** (-2 / 3) * ufl.tr(C)
     i2 = J ** (-4 / 3) * (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2
-    return p.C10 * (i1 - 3) + p.C01 * (i2 - 3) + p.C20 * (i1 - 3) ** 2 + p.kappa / 2 * (J - 1) ** 2
+    return p.C10 * (i1 - 3) + p.C01 * (i2 - 3) + p.C20 * (i1 - 3) ** 2
 
 
 def guccione(F, p):
-    """C/2 (exp Q - 1) + kappa/2 (J - 1)²; not a number where J <= 0.
+    """The isochoric part, C/2 (exp Q - 1); not a number where J <= 0.
 
     Q needs no directions across the fibres: |E f|² = E_ff² + E_fs² + E_fn², and tr E² is the sum of all nine squares.
     """
-    J, C, drawn = ufl.det(F), F.T * F, F * p.fibres
-    scale = J ** (-2 / 3)
+    C, drawn = F.T * F, F * p.fibres
+    scale = ufl.det(F) ** (-2 / 3)
     i4, i5 = scale * ufl.inner(drawn, drawn), scale**2 * ufl.inner(F.T * drawn, F.T * drawn)
     squares = (scale**2 * ufl.inner(C, C) - 2 * scale * ufl.tr(C) + 3) / 4
     along, row = (i4 - 1) ** 2 / 4, (i5 - 2 * i4 + 1) / 4
     Q = p.bf * along + p.bt * (squares - 2 * row + along) + 2 * p.bfs * (row - along)
-    return p.C / 2 * (ufl.exp(Q) - 1) + p.kappa / 2 * (J - 1) ** 2
+    return p.C / 2 * (ufl.exp(Q) - 1)
 
 
+def _with_volume(isochoric: Density) -> Density:
+    return lambda F, p: isochoric(F, p) + volumetric(F, p)
+
+
+ISOCHORIC: dict[type[Material], Density] = {
+    IsochoricNeoHookean: isochoric_neo_hookean,
+    MooneyRivlin: mooney_rivlin,
+    Guccione: guccione,
+}
 DENSITIES: dict[type[Material], Density] = {
     NeoHookean: neo_hookean,
     StableNeoHookean: stable_neo_hookean,
     StVenantKirchhoff: st_venant_kirchhoff,
-    IsochoricNeoHookean: isochoric_neo_hookean,
-    MooneyRivlin: mooney_rivlin,
-    Guccione: guccione,
+    **{law: _with_volume(isochoric) for law, isochoric in ISOCHORIC.items()},
 }

@@ -149,7 +149,8 @@ def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
     with _quiet():
         compiled = _fem.Expression(expression, points, **_COMPILER)
     first = () if VERSION < (0, 7) else (domain,)
-    return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), len(points), -1)
+    shape = (len(points), int(np.prod(expression.ufl_shape)))
+    return lambda cells: compiled.eval(*first, cells.astype(np.int32)).reshape(len(cells), *shape)
 
 
 def cell_measure(domain, cells: Ints) -> ufl.Measure:

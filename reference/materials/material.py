@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-
-import numpy as np
+from math import isfinite
+from numbers import Real
 
 from ...lhm.errors import SceneError
 
@@ -46,11 +46,16 @@ class Isotropic(Material):
         return 2 * mu + abs(lmbda)
 
 
+def finite(value: object) -> bool:
+    """Whether a value is one finite number."""
+    return isinstance(value, Real) and isfinite(value)
+
+
 def lame(young: float, poisson: float) -> tuple[float, float]:
     """Lamé's mu and lmbda [the unit of young] of Young's modulus and Poisson's ratio in (-1, 0.5)."""
-    if not (np.isfinite(young) and young > 0):
+    if not (finite(young) and young > 0):
         raise SceneError(f"Young's modulus must be positive and finite, got {young}")
-    if not -1 < poisson < 0.5:
+    if not (finite(poisson) and -1 < poisson < 0.5):
         raise SceneError(f"Poisson's ratio must lie in (-1, 0.5) for a displacement element, got {poisson}")
     return young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
@@ -59,7 +64,7 @@ def positive(law: Material, *names: str):
     """Raise SceneError for the first of a law's parameters that is not positive and finite."""
     for name in names:
         value = getattr(law, name)
-        if not (np.isfinite(value) and value > 0):
+        if not (finite(value) and value > 0):
             raise SceneError(f"{law.name}: {name} must be positive and finite, got {value}")
 
 
@@ -67,19 +72,19 @@ def not_negative(law: Material, *names: str):
     """Raise SceneError for the first of a law's parameters that is negative or not finite."""
     for name in names:
         value = getattr(law, name)
-        if not (np.isfinite(value) and value >= 0):
+        if not (finite(value) and value >= 0):
             raise SceneError(f"{law.name}: {name} must be at least 0 and finite, got {value}")
 
 
 def optional_bulk(law: Material, kappa: float | None):
     """Raise SceneError for a bulk modulus [kPa] that is given and not positive and finite."""
-    if kappa is not None and not (np.isfinite(kappa) and kappa > 0):
+    if kappa is not None and not (finite(kappa) and kappa > 0):
         raise SceneError(f"{law.name}: kappa must be positive and finite, got {kappa}")
 
 
 def lame_parameters(law: Material, mu: float, lmbda: float):
     """Raise SceneError unless mu and lmbda [kPa] give a law positive shear and bulk moduli."""
-    if not (np.isfinite(mu) and mu > 0):
+    if not (finite(mu) and mu > 0):
         raise SceneError(f"{law.name}: mu must be positive and finite, got {mu}")
-    if not (np.isfinite(lmbda) and lmbda > -2 / 3 * mu):
+    if not (finite(lmbda) and lmbda > -2 / 3 * mu):
         raise SceneError(f"{law.name}: lmbda must exceed -2/3 mu and be finite, got {lmbda}")

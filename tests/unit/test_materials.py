@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softdeca.reference import MissingDependencyError, Scene, SceneError, materials, prepare, terms
+from softdeca.reference import MissingDependencyError, Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.materials import (
     Corotated,
     Guccione,
@@ -38,7 +38,9 @@ def test_moduli_out_of_range_are_refused(law, young, poisson):
 
 
 @pytest.mark.parametrize("law", [NeoHookean, StableNeoHookean, Corotated, StVenantKirchhoff])
-@pytest.mark.parametrize("mu, lmbda", [(-1.0, 1.0), (np.nan, 1.0), (1.0, -1.0), (1.0, np.inf)])
+@pytest.mark.parametrize(
+    "mu, lmbda", [(-1.0, 1.0), (np.nan, 1.0), (1.0, -1.0), (1.0, np.inf), ("1", 1.0), ([1.0], 1.0)]
+)
 def test_lame_parameters_out_of_range_are_named(law, mu, lmbda):
     with pytest.raises(SceneError, match=rf"{law.__name__}: (mu|lmbda) must"):
         law(mu, lmbda)
@@ -92,6 +94,17 @@ def test_tissues():
     assert mu == pytest.approx(5.0) and lmbda / (2 * (lmbda + mu)) == pytest.approx(0.41, abs=0.005)
     assert tissues.FAT.lame[0] == pytest.approx(0.8)
     assert tissues.skin([0, 0, 2.0]).fibres == pytest.approx([0, 0, 1.0])
+
+
+@pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
+def test_a_law_on_no_tets_changes_nothing(solver):
+    law, nowhere = terms.Hyperelastic(StableNeoHookean(1.0, 5.0)), terms.Hyperelastic(tissues.FACE, tets=[])
+    scene = Scene(CORNERS, TETS, [law, nowhere, terms.Fixed([0, 1, 2])])
+    try:
+        solution = solve(scene, solver=solver, start=1.1 * CORNERS, tolerance=1e-10)
+    except MissingDependencyError as missing:
+        pytest.skip(str(missing))
+    assert solution.converged and solution.positions == pytest.approx(CORNERS, abs=1e-9)
 
 
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
