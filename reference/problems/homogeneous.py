@@ -148,9 +148,10 @@ def under_load(
     return Problem(name, source, lambda: pulled(row), quantity, row.stretch, bounds, start)
 
 
-def _held_energy(row: Row, bounds: dict[str, float], density: float) -> Problem:
+def held_energy(row: Row, bounds: dict[str, float], density: float, source: str = SOURCE) -> Problem:
+    """The energy where the row's stretch is held; its derivative by the stretch is the stress."""
     name = f"{row.label}, stretch {row.stretch:g}: energy"
-    return Problem(name, SOURCE, lambda: held(row), energy, density, bounds, _stretched(row))
+    return Problem(name, source, lambda: held(row), energy, density, bounds, _stretched(row))
 
 
 def _problems() -> list[Problem]:
@@ -162,11 +163,11 @@ def _problems() -> list[Problem]:
         if row.stress > 0:
             problems.append(under_load(row, SIX_DIGITS))
     for row, density in COMPRESSED_DENSITIES:
-        problems.append(_held_energy(row, SIX_DIGITS, density))
+        problems.append(held_energy(row, SIX_DIGITS, density))
     # The limit leaves the free stretch undetermined, so energy and loaded stretch are all there is to compare; at rest
     # it leaves no stiffness at all, so the load starts beyond it.
     beyond = (LIMITED_ROW.stretch - LIMIT) ** 2 / 2
-    problems.append(_held_energy(LIMITED_ROW, SIX_DIGITS, beyond))
+    problems.append(held_energy(LIMITED_ROW, SIX_DIGITS, beyond))
     problems.append(under_load(LIMITED_ROW, SIX_DIGITS, lambda scene: scene.vertices * [LIMIT + 0.1, 1.0, 1.0]))
     return problems
 

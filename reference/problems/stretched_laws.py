@@ -22,7 +22,7 @@ from ..materials import (
     Volumetric,
 )
 from ..terms import Hyperelastic, Term
-from .homogeneous import SOURCE, TEN_DIGITS, Row, free_stretch, under_load
+from .homogeneous import SOURCE, TEN_DIGITS, Row, free_stretch, held_energy, under_load
 from .problem import Problem
 
 YOUNG, POISSON = 1.0, 0.45
@@ -73,6 +73,7 @@ CLOSED_ROWS = (
     *(corotated(stretch, 2) for stretch in (1.2, 1.5)),
     *(kirchhoff(stretch) for stretch in (1.2, 1.5)),
 )
+CRUSHED_ROW = corotated(0.5, 1)
 SOLVED_ROWS = (
     Row("StableNeoHookean nu=.45, uniaxial", STABLE, 1, 0.7, 1.1673782584, -0.4372646134),
     Row("StableNeoHookean nu=.45, uniaxial", STABLE, 1, 2.0, 0.7228808390, 0.6671711837),
@@ -138,6 +139,10 @@ def _problems() -> list[Problem]:
     for rows, source in ((CLOSED_ROWS, "closed form"), (SOLVED_ROWS, SOURCE)):
         for row in rows:
             problems += [free_stretch(row, TEN_DIGITS, source), under_load(row, TEN_DIGITS, source=source)]
+    # A dead load that halves the corotated cube buckles it: the energy of the held state stands for the stress.
+    crushed = YOUNG / 2 * (CRUSHED_ROW.stretch - 1) ** 2
+    problems.append(free_stretch(CRUSHED_ROW, TEN_DIGITS, "closed form"))
+    problems.append(held_energy(CRUSHED_ROW, TEN_DIGITS, crushed, "closed form"))
     for row in FIBRE_ROWS:
         bounds = {"fenicsx": TEN_DIGITS["fenicsx"]}
         problems += [free_stretch(row, bounds), under_load(row, bounds)]

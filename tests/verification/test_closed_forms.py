@@ -107,7 +107,7 @@ def free_stretch_and_stress(row, stretch):
 
 @pytest.mark.parametrize(
     "row",
-    [*stretched_laws.CLOSED_ROWS, *stretched_laws.SOLVED_ROWS, *stretched_laws.FIBRE_ROWS],
+    [*stretched_laws.CLOSED_ROWS, stretched_laws.CRUSHED_ROW, *stretched_laws.SOLVED_ROWS, *stretched_laws.FIBRE_ROWS],
     ids=lambda row: f"{row.label} {row.stretch}",
 )
 def test_rows_of_stretched_laws(row):
