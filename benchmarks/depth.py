@@ -17,7 +17,15 @@ from ..lhm.files.atomic import write_whole
 from ..lhm.geometry.bvh import TriangleTree
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
-from ..lhm.regressor import DepthErrors, DepthRegressor, MeasuredDepths, inward_normals, measured_depths, moved_wrap
+from ..lhm.regressor import (
+    DepthErrors,
+    DepthRegressor,
+    MeasuredDepths,
+    default_regressor,
+    inward_normals,
+    measured_depths,
+    moved_wrap,
+)
 from ..lhm.regressor.files import check_inside, read_skin, read_skull
 from ..lhm.wraps.depth import LANDMARKS
 from ..lhm.wraps.landmarks import Mask
@@ -168,9 +176,10 @@ def run_depth(config: DepthConfig, progress: OnProgress) -> dict:
     skull = read_skull(config.skull, unit=config.unit)
     space = identities.from_text(config.identities)
     template = load_template(space, progress=progress)
-    regressor = template.regressor
     if config.regressor is not None:
         regressor = DepthRegressor.load(config.regressor, template.skin_wrap)
+    else:
+        regressor = default_regressor(template, space)
     skin, registered_off = read_skin(config.skin, space, unit=config.unit, progress=progress)
     progress("depth check: depths and skull wrap", 0.5)
     check = DepthCheck.of(template, regressor, skin, skull)

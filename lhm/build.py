@@ -113,7 +113,9 @@ def build_template(
         rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
         wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull)
         stack = inner.valid_layers(columns, wanted.stack(rest, rest + wanted.connectors))
-        for _ in range(PULLS if skull is not None else 0):
+        for _ in range(PULLS):
+            if skull is None:
+                break
             stack = inner.valid_layers(columns, _pulled(columns, stack, wanted, skull))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
