@@ -60,7 +60,7 @@ def fit(
     picture: Path | None,
     as_json: bool,
 ) -> int:
-    """Fit the layered head (wraps and tets) to a skin, check it and write it."""
+    """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate."""
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
     surface = None if skin is None else read_surface(skin, unit=unit)
@@ -84,7 +84,6 @@ def fit(
         progress("head: layers fitted to the skin", 0.3)
         fitted = fit_head(template, surface, regressor=regressor, landmarks=pairs, progress=progress)
         progress("head", 1.0)
-    _report(check_head(fitted), as_json)
     save_head(out, fitted)
     if vtk is not None:
         export_vtk(vtk, fitted)
@@ -92,6 +91,7 @@ def fit(
         from ..benchmarks.pictures import cut_away
 
         write_whole(picture, cut_away(fitted))
+    _report(check_head(fitted), as_json)
     return 0
 
 
@@ -102,14 +102,14 @@ def fit(
 @click.option("--out", type=AFile, default="out/template.npz", help="the template to write; `head fit --template` it")
 @as_json_option
 def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: bool) -> int:
-    """Build a template from real anatomy, check its own head and write it (some two minutes)."""
+    """Build a template from real anatomy (some two minutes), write it and check its own head."""
     from ..lhm.anatomy.template import anatomical_template
 
     with shown() as progress:
         built = anatomical_template(identities.from_text(space_name), anatomy, level=level, progress=progress)
         progress("template", 1.0)
-    _report(check_head(built.head), as_json)
     save_template(out, built)
+    _report(check_head(built.head), as_json)
     return 0
 
 
