@@ -100,7 +100,11 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     verification = verify(progress)
     clock.lap("verification")
     surrogate, rig = learned.study(space, template, config.out / "surrogate", progress)
-    skins = [_compare_surrogate(rig, head, code, case, result) for case, result in zip(cases, done, strict=True)]
+    shapes_of_space = space.expression_deltas(code)
+    skins = [
+        compare_surrogate(rig, head, code, shapes_of_space, case, result)
+        for case, result in zip(cases, done, strict=True)
+    ]
     clock.lap("corpus, training and test of the surrogate")
     results = {
         "title": f"projective dynamics, FEniCSx and a surrogate on one head ({space.name})",
@@ -124,9 +128,11 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     return results
 
 
-def _compare_surrogate(rig: Surrogate, head: LayeredHead, code: Floats, case: Case, result: CaseResult) -> Floats:
+def compare_surrogate(
+    rig: Surrogate, head: LayeredHead, code: Floats, expressions: Floats, case: Case, result: CaseResult
+) -> Floats:
     """The surrogate's skin [mm] of a case; its figures and those of plain blendshapes are added to the record."""
-    bound = rig.bind(head.skin, code, case.parameters)
+    bound = rig.bind(head.skin, code, case.parameters, expressions=expressions)
     rest = head.skin.vertices
     skin = np.asarray(bound.frame(case.weights), dtype=np.float64)
     result.record["skin"] |= {

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from softdeca.benchmarks.cases import Case, CaseResult
+from softdeca.benchmarks.study import compare_surrogate
 from softdeca.lhm import InputError, Surface
 from softdeca.lhm.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
@@ -265,3 +267,18 @@ def test_anchors_are_the_stillest_of_each_part(samples):
     two = type(train_set)(**{**vars(train_set), "reference": apart, "blended": both, "simulated": far})
     anchors = still_vertices(two, 0.1)
     assert set(anchors[:4]) == set(stillest) and len(anchors) == 8 and anchors[4:].min() >= n
+
+
+def test_a_study_compares_a_surrogate_of_any_space(surrogate):
+    """The spheres are no built-in space, as ICT-FaceKit's heads from a file are not: their shapes are handed over."""
+    code, skin = SPACE.sample(np.random.default_rng(3))
+    head = SPACE.fit(skin)
+    weights = np.zeros(52)
+    weights[7] = 0.6
+    shapes = SPACE.expression_deltas(code)
+    expression = skin.vertices + 0.6 * shapes[7]
+    result = CaseResult({"skin": {}, "points": []}, expression, expression, expression, expression, head.vertices)
+    found = compare_surrogate(surrogate, head, code, shapes, Case("7", weights, Parameters()), result)
+    assert np.isfinite(found).all() and found.shape == skin.vertices.shape
+    assert [point["label"] for point in result.record["points"]] == ["surrogate", "blendshapes (T = S)"]
+    assert result.record["points"][1]["rms"] == pytest.approx(0.0, abs=1e-4)
