@@ -6,8 +6,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
+from typing import TypeVar
 
 from ...lhm.errors import SceneError
+
+L = TypeVar("L", bound="LameLaw")
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,27 @@ class Isotropic(Material):
         """See Material: 2 mu + |lmbda|."""
         mu, lmbda = self.lame
         return 2 * mu + abs(lmbda)
+
+
+@dataclass(frozen=True)
+class LameLaw(Isotropic):
+    """An isotropic law whose parameters are Lamé's mu and lmbda [kPa]; SceneError unless mu > 0, lmbda > -2/3 mu."""
+
+    mu: float
+    lmbda: float
+
+    def __post_init__(self):
+        lame_parameters(self, self.mu, self.lmbda)
+
+    @classmethod
+    def from_young(cls: type[L], young: float, poisson: float) -> L:
+        """The law whose small-strain moduli are Young's modulus [kPa] and Poisson's ratio."""
+        return cls(*lame(young, poisson))
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """See Isotropic."""
+        return self.mu, self.lmbda
 
 
 def finite(value: object) -> bool:
