@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypedDict
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -22,7 +23,7 @@ from .progress import OnProgress, silent
 from .regressor import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
 from .wraps import depth, inner
-from .wraps.columns import Columns
+from .wraps.columns import Columns, unit
 from .wraps.labels import bone_labels, held_labels
 from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
@@ -30,8 +31,6 @@ from .wraps.shrinkwrap import shrink
 FORMAT = 16
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
-MUSCLE_BOUNDS = (0.35, 0.7)
-"""Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
 LONGEST = 25.0
 """[mm] Bone farther away than that, seen from nose, lids, ear lobes or nape, is not what lies under them."""
 OUTLIER = 1.5
@@ -40,21 +39,31 @@ PULLS = 2
 SHORTENED = 0.95
 MUSCLE = 0.6
 """The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
+MUSCLE_BOUNDS = (0.35, 0.7)
+"""Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
+
+
+class InSpace(TypedDict):
+    """What an identity space knows of its mean head; see `build_template`."""
+
+    parts: Ints
+    jaw: Floats
+    lids: Floats
+
+
+def in_space(space: LinearSpace) -> InSpace:
+    """The mean head's parts, and the expressions that open its mouth and lids."""
+    wide = space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")]
+    return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
 
 
 def template_of(space: LinearSpace, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent) -> Template:
     """The template of a space's mean head; from the cache, or built and cached."""
     if level not in LEVELS:
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
-    jaw = space.expressions[ARKIT.index("jawOpen")]
-    lids = space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")]
 
     def make():
-        return arrays_of(
-            build_template(
-                space.mean, parts=space.parts, jaw=jaw, lids=lids, level=level, name=space.name, progress=progress
-            )
-        )
+        return arrays_of(build_template(space.mean, **in_space(space), level=level, name=space.name, progress=progress))
 
     name = f"template-{space.name}-{space.fingerprint()}-{level}-{FORMAT}"
     template = template_from(cached(name, make))
@@ -206,7 +215,7 @@ def _wanted(
     room = depth.ROOM * depth.inscribed_radius(wrap, normals, 40.0)
     met, on_skull, smoothing = np.zeros_like(wrap), np.zeros(columns.n, bool), 1.0
     if skull is not None:
-        directions = _unit(inner.smoothed(columns, -normals, 4.0))
+        directions = unit(inner.smoothed(columns, -normals, 4.0))
         met, on_skull = connectors_to(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
         reach = np.linalg.norm(met, axis=1)
         on_skull = on_skull & ~(reach > OUTLIER * _middle_around(columns, np.where(on_skull, reach, length)))
@@ -220,7 +229,7 @@ def _wanted(
     connectors *= (np.minimum(length, size) / size)[:, None]
     share = np.full(columns.n, MUSCLE)
     if muscles is not None:
-        met, found = connectors_to(columns.surface(wrap), normals, _unit(connectors), muscles)
+        met, found = connectors_to(columns.surface(wrap), normals, unit(connectors), muscles)
         reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
         share[found] = np.clip(reach, *MUSCLE_BOUNDS)
         share = inner.smoothed(columns, share[:, None], 0.5)[:, 0]
@@ -239,7 +248,3 @@ def _middle_around(columns: Columns, values: Floats) -> Floats:
     """The median of each vertex's own value and its neighbours', shape (n,)."""
     starts, others = columns.edges.indptr, columns.edges.indices
     return np.array([np.median([values[v], *values[others[starts[v] : starts[v + 1]]]]) for v in range(columns.n)])
-
-
-def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)

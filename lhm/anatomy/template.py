@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 
-from ..arkit import ARKIT
-from ..build import build_template
+from ..build import build_template, in_space
 from ..identities.space import LinearSpace
 from ..progress import OnProgress, silent
 from ..template import DEFAULT_LEVEL, Template
@@ -39,9 +38,7 @@ def anatomical_template(
         space.mean,
         muscles,
         skull,
-        parts=space.parts,
-        jaw=space.expressions[ARKIT.index("jawOpen")],
-        lids=space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")],
+        **in_space(space),
         bone_of=lambda points: bone_at(placed, points),
         level=level,
         name=f"{space.name}-anatomical",

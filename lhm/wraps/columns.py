@@ -19,6 +19,11 @@ def neighbours(triangles: Ints, n: int) -> csr_matrix:
     return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
 
 
+def unit(vectors: Floats) -> Floats:
+    """The directions of vectors (n, 3); those of no length stay so."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+
+
 @dataclass(frozen=True, eq=False)
 class Columns:
     """Three stacked wraps of n vertices over `triangles` (m, 3), made once per template.

@@ -21,7 +21,7 @@ from scipy.sparse import csr_matrix, diags
 
 from ..geometry.factor import factorise
 from ..mesh import Floats, Ints
-from .columns import Columns
+from .columns import Columns, unit
 
 RECTANGLE, CURVATURE = 0.1, 0.06
 ITERATIONS = 20
@@ -107,8 +107,8 @@ class SkullFit:
         nothing else in E tells inside from outside.
         """
         i, j = self.edges.T
-        unit = _unit(skin[j] - skin[i])
-        inward = _unit(start - skin)
+        along_edge = unit(skin[j] - skin[i])
+        inward = unit(start - skin)
         size = np.sqrt(self.columns.surface(skin).areas.sum() / self.columns.surface(self.skin).areas.sum())
         rotations = np.tile(np.eye(3), (self.columns.n, 1, 1))
         graph = self.laplacian
@@ -116,14 +116,14 @@ class SkullFit:
         x, energies = start, []
         for _ in range(ITERATIONS):
             connector = x - skin
-            along = _unit(connector)
+            along = unit(connector)
             along = np.where((np.einsum("nd,nd->n", along, inward) < INWARD)[:, None], inward, along)
             to_depth = connector - depths[:, None] * along
-            lean_i = np.einsum("ed,ed->e", connector[i], unit)
-            lean_j = np.einsum("ed,ed->e", connector[j], unit)
+            lean_i = np.einsum("ed,ed->e", connector[i], along_edge)
+            lean_j = np.einsum("ed,ed->e", connector[j], along_edge)
             sheared = np.zeros_like(x)
             for ends, lean in ((i, lean_i), (j, lean_j)):
-                pull = (self.share * lean)[:, None] * unit
+                pull = (self.share * lean)[:, None] * along_edge
                 for c in range(3):
                     sheared[:, c] += np.bincount(ends, pull[:, c], self.columns.n)
             _turned(x, self.skull, graph.indptr, graph.indices, graph.data, rotations)
@@ -139,10 +139,6 @@ class SkullFit:
             if np.abs(step).max() < STILL:
                 break
         return x, np.array(energies)
-
-
-def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 def _cotan(vertices: Floats, triangles: Ints) -> csr_matrix:
