@@ -9,7 +9,24 @@ import numpy as np
 from ..lhm.errors import MeshError, SceneError
 from ..lhm.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Term, Traction, Volume
+from .terms import (
+    Bending,
+    Contact,
+    Fixed,
+    Gravity,
+    Hyperelastic,
+    Inertia,
+    Pressure,
+    RigidBody,
+    Strain,
+    SurfaceStrain,
+    Target,
+    Term,
+    Traction,
+    Volume,
+)
+
+ON_TRIANGLES = (SurfaceStrain, Bending, Traction, Pressure, Contact)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +53,8 @@ class Scene:
         object.__setattr__(self, "terms", tuple(self.terms))
         for position, term in enumerate(self.terms):
             self._check(position, term)
-        self.dirichlet()
+        held, _ = self.dirichlet()
+        self._check_bodies(held.any(axis=1))
 
     def _check(self, position: int, term: Term):
         if not isinstance(term, Term):
@@ -53,7 +71,13 @@ class Scene:
                 bad = ids.max() if ids.max() >= count else ids.min()
                 kind = "vertex" if what == "triangles" else {"vertices": "vertex", "tets": "tet"}[what]
                 raise SceneError(f"term {position} ({term.name}): {kind} {bad} is outside 0..{count - 1}")
-        if isinstance(term, (Strain, Volume, Gravity)) and term.tets is None:
+        for key in ("rest", "positions", "velocities"):
+            points = getattr(term, key, None)
+            if points is not None and not hasattr(term, "vertices") and len(points) != len(self.vertices):
+                raise SceneError(
+                    f"term {position} ({term.name}): {key} has {len(points)} rows for {len(self.vertices)} vertices"
+                )
+        if isinstance(term, (Strain, Volume, Gravity, Inertia)) and term.tets is None:
             for key in ("stiffness", "limit", "target", "density"):
                 value = getattr(term, key, None)
                 if value is not None and value.ndim == 1 and len(value) != len(self.tets):
@@ -64,11 +88,34 @@ class Scene:
             count = len(self.tets_of(term))
             if len(term.fibres) != count:
                 raise SceneError(f"term {position} ({term.name}): {len(term.fibres)} fibres for {count} tets")
-        if isinstance(term, (SurfaceStrain, Traction)) and term.triangles.size:
-            a, b, c = (self.vertices[term.triangles[:, k]] for k in range(3))
-            flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
-            if flat.size:
-                raise SceneError(f"term {position} ({term.name}): triangle {flat[0]} has no area")
+        if isinstance(term, ON_TRIANGLES) and term.triangles.size:
+            rest = getattr(term, "rest", None)
+            for points in (self.vertices,) if rest is None else (self.vertices, rest):
+                a, b, c = (points[term.triangles[:, k]] for k in range(3))
+                flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
+                if flat.size:
+                    raise SceneError(f"term {position} ({term.name}): triangle {flat[0]} has no area")
+
+    def _check_bodies(self, held: np.ndarray):
+        """Raise SceneError for bodies in line, that share a vertex, or that have one held by a Fixed term."""
+        taken = np.full(len(self.vertices), -1)
+        for body, term in enumerate(self.of(RigidBody)):
+            rest = self.body_rest(term)
+            if np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)[1] <= 1e-9 * np.ptp(rest):
+                raise SceneError(f"RigidBody {body}: its vertices lie in line, so its rotation is not determined")
+            if (taken[term.vertices] >= 0).any():
+                vertex = term.vertices[taken[term.vertices] >= 0][0]
+                raise SceneError(f"RigidBody {body}: vertex {vertex} belongs to another body too")
+            if held[term.vertices].any():
+                vertex = term.vertices[held[term.vertices]][0]
+                raise SceneError(
+                    f"RigidBody {body}: vertex {vertex} is Fixed too; hold the body by Target, or fix it all"
+                )
+            taken[term.vertices] = body
+
+    def body_rest(self, body: RigidBody) -> Floats:
+        """A rigid body's shape [mm], (k, 3)."""
+        return self.vertices[body.vertices] if body.rest is None else body.rest
 
     def of(self, kind: type[Term]) -> list:
         """The terms of one class, in order."""
@@ -110,6 +157,24 @@ class Scene:
             forces += lumped[:, None] * term.vector
         return forces
 
+    def inertia(self) -> tuple[Floats, Floats]:
+        """Springs of all Inertia terms: stiffness m/h² [mN/mm], shape (n,), and where they pull to [mm], shape (n, 3).
+
+        The energy is Σ stiffness/2 |x - place|², up to a constant where several terms act on a vertex.
+        """
+        stiffness, pulled = np.zeros(len(self.vertices)), np.zeros(self.vertices.shape)
+        for term in self.of(Inertia):
+            tets = self.tets_of(term)
+            mass = np.broadcast_to(term.density, tets.shape) * self.volumes[tets] / 4.0
+            spring = np.bincount(self.tets[tets].ravel(), np.repeat(mass, 4), minlength=len(pulled)) / term.time_step**2
+            place = self.vertices if term.positions is None else term.positions
+            if term.velocities is not None:
+                place = place + term.time_step * term.velocities
+            stiffness += spring
+            pulled += spring[:, None] * place
+        some = stiffness > 0
+        return stiffness, np.where(some[:, None], pulled / np.where(some, stiffness, 1.0)[:, None], self.vertices)
+
     def force_scale(self) -> float:
         """A force [mN] that unit strain would cause, the scale below which a gradient is rounding."""
         total = 0.0
@@ -121,8 +186,12 @@ class Scene:
             elif isinstance(term, SurfaceStrain):
                 a, b = (self.vertices[term.triangles[:, k]] for k in range(2))
                 total += float(np.sum(term.stiffness * np.linalg.norm(b - a, axis=1)))
+            elif isinstance(term, Bending):
+                a, b = (self.vertices[term.triangles[:, k]] for k in range(2))
+                total += float(np.sum(term.stiffness / np.linalg.norm(b - a, axis=1)))
             elif isinstance(term, Target):
                 total += float(np.sum(term.stiffness))
+        total += float(self.inertia()[0].sum())
         return total / max(len(self.vertices), 1)
 
     def with_targets(self, positions) -> Scene:

@@ -155,12 +155,14 @@ class Volume(Term):
 class SurfaceStrain(Term):
     """stiffness/2 ‖F₂ - √growth R₂‖² per rest area on triangles of the scene's vertices (SoftDECA Eq. 11).
 
-    triangles (k, 3); stiffness [mN/mm] (= 2 mu times thickness); growth > 0 is the area ratio sought.
+    triangles (k, 3); stiffness [mN/mm] (= 2 mu times thickness); growth > 0 is the area ratio sought; rest [mm], shape
+    (scene's vertices, 3), is the shape sought, default the scene's own; the area is that of the scene.
     """
 
     triangles: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
     growth: float | np.ndarray = 1.0
+    rest: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
         triangles = _triangles("SurfaceStrain.triangles", self.triangles)
@@ -168,6 +170,7 @@ class SurfaceStrain(Term):
             triangles=triangles,
             stiffness=_per_item("SurfaceStrain.stiffness", self.stiffness, len(triangles), 0.0),
             growth=_per_item("SurfaceStrain.growth", self.growth, len(triangles), 0.0, strict=True),
+            rest=None if self.rest is None else _scene_points("SurfaceStrain.rest", self.rest, None),
         )
 
 
@@ -240,4 +243,112 @@ class Traction(Term):
     def __post_init__(self):
         self._set(
             triangles=_triangles("Traction.triangles", self.triangles), vector=_vector("Traction.vector", self.vector)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Bending(Term):
+    """stiffness/2 |L x - R L X|² per rest area at the inner vertices of triangles (SoftDECA Eq. 13, signed).
+
+    L is the cotangent Laplacian over the rest area of a vertex, R the rotation that fits its ring of edges best, so a
+    bump that turns into a dent costs energy. Vertices on the border of the triangles are left free to turn.
+    triangles (k, 3); stiffness [mN mm], one number or one per triangle; rest [mm], shape (scene's vertices, 3), is the
+    shape sought, default the scene's own.
+    """
+
+    triangles: np.ndarray = field(repr=False)
+    stiffness: float | np.ndarray
+    rest: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        triangles = _triangles("Bending.triangles", self.triangles)
+        self._set(
+            triangles=triangles,
+            stiffness=_per_item("Bending.stiffness", self.stiffness, len(triangles), 0.0),
+            rest=None if self.rest is None else _scene_points("Bending.rest", self.rest, None),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody(Term):
+    """Vertices that move together as an exact rigid body, free but for what pulls at them.
+
+    vertices (k,), at least three that are not in line; rest [mm], shape (k, 3), is the body's shape and first place,
+    default where the scene has them: a scaled bone is a body with another rest.
+    """
+
+    vertices: np.ndarray = field(repr=False)
+    rest: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        vertices = _ids("RigidBody.vertices", self.vertices)
+        if len(vertices) < 3:
+            raise SceneError(f"RigidBody.vertices: a body needs at least 3 vertices, got {len(vertices)}")
+        rest = None if self.rest is None else _scene_points("RigidBody.rest", self.rest, len(vertices))
+        self._set(vertices=vertices, rest=rest)
+
+
+@dataclass(frozen=True, eq=False)
+class Pressure(Term):
+    """Follower pressure `value` [kPa] against the outer side of triangles (k, 3), along their present normals.
+
+    The outer side is the one that sees the corners counter-clockwise. One number, or one per triangle; negative sucks.
+    """
+
+    triangles: np.ndarray = field(repr=False)
+    value: float | np.ndarray
+
+    def __post_init__(self):
+        triangles = _triangles("Pressure.triangles", self.triangles)
+        self._set(
+            triangles=triangles, value=_per_item("Pressure.value", self.value, len(triangles), -np.inf, strict=True)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia(Term):
+    """One step of implicit Euler: density/2 |x - X₁ - h v₁|² / h² per rest volume (method of Bouaziz et al. 2014).
+
+    density [kg/mm³] of the tets, lumped at vertices; time_step h [s]; positions X₁ [mm] and velocities v₁ [mm/s] before
+    the step, shape (scene's vertices, 3), default at rest. After the step v = (x - X₁) / h.
+    """
+
+    density: float | np.ndarray
+    time_step: float
+    positions: np.ndarray | None = field(default=None, repr=False)
+    velocities: np.ndarray | None = field(default=None, repr=False)
+    tets: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        tets = None if self.tets is None else _ids("Inertia.tets", self.tets)
+        count = None if tets is None else len(tets)
+        step = np.asarray(self.time_step, dtype=np.float64)
+        if step.shape != () or not (np.isfinite(step) and step > 0):
+            raise SceneError(f"Inertia.time_step: must be finite and above 0 s, got {self.time_step!r}")
+        places = {
+            key: None if value is None else _scene_points(f"Inertia.{key}", value, None)
+            for key, value in (("positions", self.positions), ("velocities", self.velocities))
+        }
+        self._set(
+            tets=tets, density=_per_item("Inertia.density", self.density, count, 0.0), time_step=float(step), **places
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Contact(Term):
+    """Self-contact of a surface: stiffness/2 per rest area times the squared depth below `thickness`.
+
+    triangles (k, 3) of the scene's vertices, seen counter-clockwise from outside, are kept apart from one another
+    (SoftDECA 3.3.2); stiffness [kPa/mm]; thickness [mm] is the gap kept. Solved after the scene without contact.
+    """
+
+    triangles: np.ndarray = field(repr=False)
+    stiffness: float = 100.0
+    thickness: float = 0.0
+
+    def __post_init__(self):
+        self._set(
+            triangles=_triangles("Contact.triangles", self.triangles),
+            stiffness=float(_per_item("Contact.stiffness", self.stiffness, 0, 0.0, strict=True)),
+            thickness=float(_per_item("Contact.thickness", self.thickness, 0, 0.0)),
         )
