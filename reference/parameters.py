@@ -21,7 +21,10 @@ TISSUE_DENSITY = 1.04e-6
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """Default, range [low, high] and unit of one parameter; `log` says that it is sampled by its logarithm."""
+    """Default, range [low, high] and unit of one parameter.
+
+    `log` says that it is sampled by its logarithm, `local` that it may vary over the face.
+    """
 
     name: str
     default: float
@@ -29,6 +32,7 @@ class ParameterInfo:
     high: float
     unit: str
     log: bool
+    local: bool
     source: str
 
     def normalise(self, values):
@@ -44,39 +48,55 @@ class ParameterInfo:
         return float(rng.uniform(self.low, self.high))
 
 
-def _parameter(default: float, low: float, high: float, unit: str, source: str, *, log: bool = False) -> Any:
-    return field(default=default, metadata={"low": low, "high": high, "unit": unit, "log": log, "source": source})
+def _parameter(
+    default: float, low: float, high: float, unit: str, source: str, *, log: bool = False, local: bool = False
+) -> Any:
+    described = {"low": low, "high": high, "unit": unit, "log": log, "local": local, "source": source}
+    return field(default=default, metadata=described)
 
 
-@dataclass(frozen=True)
+def _scale(part: str, low: float, high: float) -> Any:
+    return _parameter(1.0, low, high, "1", f"scale of the {part} (bone scale factors, 3.3.3; Figure 7)")
+
+
+@dataclass(frozen=True, eq=False)
 class Parameters:
-    """Material and simulation parameters of one face; InputError names a value outside its range."""
+    """Material and simulation parameters of one face; InputError names a value outside its range.
 
-    soft_stiffness: float = _parameter(
+    A `local` parameter may be an array: one value per triangle of the wraps, or, for those of tissue, one per tet of
+    its layer. What belongs to vertices takes the mean of the triangles around.
+    """
+
+    soft_stiffness: float | Floats = _parameter(
         5.0,
         1.0,
         20.0,
         "kPa",
         "w_str = 2 mu; fat and SMAS 1.6 (Barbarino 2011), whole face 10 (Nazari 2010)",
         log=True,
+        local=True,
     )
-    volume_ratio: float = _parameter(
+    volume_ratio: float | Floats = _parameter(
         13.5,
         5.0,
         75.0,
         "1",
         "w_vol / w_str: Poisson's ratio 0.38 to 0.49, 0.45 by default; above 30 linear tets lock",
         log=True,
+        local=True,
     )
-    strain_limit: float = _parameter(
+    strain_limit: float | Floats = _parameter(
         1.0,
         1.0,
         1.2,
         "1",
         "epsilon of Eq. 10; 1 by default, since below epsilon > 1 tissue has no shear stiffness and no unique answer",
+        local=True,
     )
-    muscle_volume_ratio: float = _parameter(1.0, 0.3, 3.0, "1", "w_vol of muscle over soft tissue's (Eq. 12)", log=True)
-    muscle_strain_ratio: float = _parameter(
+    muscle_volume_ratio: float | Floats = _parameter(
+        1.0, 0.3, 3.0, "1", "w_vol of muscle over soft tissue's (Eq. 12)", log=True, local=True
+    )
+    muscle_strain_ratio: float | Floats = _parameter(
         0.3,
         0.05,
         1.0,
@@ -84,8 +104,9 @@ class Parameters:
         "w_mstr / w_str: Eq. 12 alone leaves the interior without shear stiffness; at 0.05 thin layers buckle into "
         "several minima, from 0.3 on random starts end in one; passive muscle is often given the fat's stiffness, 1",
         log=True,
+        local=True,
     )
-    skin_stiffness: float = _parameter(
+    skin_stiffness: float | Floats = _parameter(
         20.0,
         5.0,
         300.0,
@@ -93,25 +114,77 @@ class Parameters:
         "w_S = 2 mu t: skin 1.5 mm thick of mu = 6.7 kPa (Flynn's cross-fibre modulus is 5.9); near 60 (mu = 20 kPa) "
         "a membrane without bending stiffness wrinkles at the lips, into several minima",
         log=True,
+        local=True,
     )
-    target_stiffness: float = _parameter(10.0, 1.0, 30.0, "kPa/mm", "w_inv per area; tissue itself is near 1", log=True)
-    soft_volume: float = _parameter(1.0, 0.8, 1.5, "1", "volume sought by soft tissue; +20 % and +40 % in Figure 7")
-    muscle_volume: float = _parameter(1.0, 0.8, 1.3, "1", "volume sought by muscle")
-    skin_growth: float = _parameter(1.0, 1.0, 1.5, "1", "area sought by the skin; zombification in Figure 7")
+    skin_bending: float | Floats = _parameter(
+        0.0, 0.0, 100.0, "mN mm", "curvature of the skin; w_S h²/100 = 3 keeps wrinkles wider than edges", local=True
+    )
+    connector_ratio: float = _parameter(
+        10.0, 3.0, 30.0, "1", "w_con: stiffness of connecting tets over soft tissue's (Eq. 15)", log=True
+    )
+    target_stiffness: float | Floats = _parameter(
+        10.0, 1.0, 30.0, "kPa/mm", "w_inv per area; tissue itself is near 1", log=True, local=True
+    )
+    soft_volume: float | Floats = _parameter(
+        1.0, 0.8, 1.5, "1", "volume sought by soft tissue; +20 % and +40 % in Figure 7", local=True
+    )
+    muscle_volume: float | Floats = _parameter(1.0, 0.8, 1.3, "1", "volume sought by muscle", local=True)
+    skin_growth: float | Floats = _parameter(
+        1.0, 1.0, 1.5, "1", "area sought by the skin; zombification in Figure 7", local=True
+    )
+    mandible_scale_x: float = _scale("mandible's width, about its condyles", 0.85, 1.15)
+    mandible_scale_y: float = _scale("mandible's height", 0.85, 1.15)
+    mandible_scale_z: float = _scale("mandible's length", 0.85, 1.15)
+    cranium_scale_x: float = _scale("cranium's width, about its centre", 0.95, 1.05)
+    cranium_scale_y: float = _scale("cranium's height", 0.95, 1.05)
+    cranium_scale_z: float = _scale("cranium's length", 0.95, 1.05)
     gravity: float = _parameter(
-        1.0, 0.0, 3.0, "g", "downward (-y); the scan hangs under 1 g already, so only the difference acts"
+        1.0, 0.0, 3.0, "g", "along gravity_x, y, z; the scan hangs under 1 g downward already: the difference acts"
     )
+    gravity_x: float = _parameter(0.0, -1.0, 1.0, "1", "direction of gravity, of any length but zero")
+    gravity_y: float = _parameter(-1.0, -1.0, 1.0, "1", "direction of gravity; down (-1) by default")
+    gravity_z: float = _parameter(0.0, -1.0, 1.0, "1", "direction of gravity")
+    paralysis_left: float = _parameter(
+        0.0,
+        0.0,
+        1.0,
+        "1",
+        "share of its targets' stiffness that the subject's left half loses (Bell's palsy, Figure 1)",
+    )
+    paralysis_right: float = _parameter(0.0, 0.0, 1.0, "1", "the same of the right half")
+    frequency: float | Floats = _parameter(
+        4.0, 2.0, 8.0, "Hz", "of the inertia of Eq. 9, whose alpha, beta, gamma follow", local=True
+    )
+    damping: float | Floats = _parameter(0.3, 0.1, 0.7, "1", "damping ratio of Eq. 9", local=True)
 
     def __post_init__(self):
         for info in self.infos():
-            value = getattr(self, info.name)
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-                raise InputError(f"parameter {info.name}: expected a number, got {value!r}")
-            if not info.low <= value <= info.high:
-                raise InputError(
-                    f"parameter {info.name} = {value:g} is outside [{info.low:g}, {info.high:g}] {info.unit}"
-                )
-            object.__setattr__(self, info.name, float(value))
+            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
+        if not np.any(self.gravity_vector):
+            raise InputError("parameters gravity_x, gravity_y, gravity_z: all zero; a direction is needed")
+
+    def __eq__(self, other) -> bool:
+        if not isinstance(other, Parameters):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+
+    def __hash__(self) -> int:
+        return hash(tuple(np.asarray(getattr(self, f.name)).tobytes() for f in fields(self)))
+
+    @property
+    def gravity_vector(self) -> Floats:
+        """gravity_x, gravity_y, gravity_z as they were given."""
+        return np.array([self.gravity_x, self.gravity_y, self.gravity_z])
+
+    @property
+    def added_gravity(self) -> Floats:
+        """The acceleration [mm/s²], shape (3,), beyond the 1 g downward that the scan hangs under."""
+        direction = self.gravity_vector
+        return STANDARD_GRAVITY * (self.gravity * direction / np.linalg.norm(direction) - np.array([0.0, -1.0, 0.0]))
+
+    def scale(self, bone: str) -> Floats:
+        """The scale factors of a bone, "mandible" or "cranium", shape (3,)."""
+        return np.array([getattr(self, f"{bone}_scale_{axis}") for axis in "xyz"])
 
     @classmethod
     def infos(cls) -> tuple[ParameterInfo, ...]:
@@ -127,6 +200,32 @@ class Parameters:
         raise InputError(f"unknown parameter {name!r}; there are {', '.join(i.name for i in cls.infos())}")
 
     def vector(self, names: tuple[str, ...] | None = None) -> Floats:
-        """The values as an array, of all parameters or of the named ones."""
+        """The values as an array, of all parameters or of the named ones; InputError for one that varies."""
         names = names or tuple(info.name for info in self.infos())
-        return np.array([getattr(self, self.info(name).name) for name in names])
+        values = [getattr(self, self.info(name).name) for name in names]
+        for name, value in zip(names, values, strict=True):
+            if np.ndim(value):
+                raise InputError(f"parameter {name} varies over the face: it is no one number")
+        return np.array(values)
+
+
+def _checked(info: ParameterInfo, value: Any) -> float | Floats:
+    """A parameter's value, a float or a read-only array (k,), within its range."""
+    if isinstance(value, (bool, str)) or not isinstance(value, (int, float, np.number, np.ndarray)):
+        raise InputError(f"parameter {info.name}: expected a number, got {value!r}")
+    array = np.array(value, dtype=np.float64)
+    if array.ndim and not info.local:
+        raise InputError(f"parameter {info.name}: one number for the whole head, got an array of shape {array.shape}")
+    if array.ndim > 1 or array.size == 0:
+        raise InputError(f"parameter {info.name}: expected one number or shape (k,), got shape {array.shape}")
+    bad = np.flatnonzero(~((array >= info.low) & (array <= info.high)))
+    if bad.size:
+        where = f" (number {bad[0]})" if array.ndim else ""
+        found = array.ravel()[bad[0]]
+        raise InputError(
+            f"parameter {info.name} = {found:g}{where} is outside [{info.low:g}, {info.high:g}] {info.unit}"
+        )
+    if array.ndim == 0:
+        return float(array)
+    array.flags.writeable = False
+    return array

@@ -75,7 +75,8 @@ class Surrogate:
             return normalise_parameters(names, values)
         for info in Parameters.infos():
             value = getattr(parameters, info.name)
-            if info.name not in names and value != info.default:
+            if info.name not in names and np.any(value != info.default):
+                value = float(np.ravel(value)[0])
                 raise InputError(
                     f"parameter {info.name} = {value:g}: this surrogate was trained at {info.default:g} only; "
                     f"it follows {', '.join(names)}"
