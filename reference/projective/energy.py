@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 
 from ...lhm.mesh import Floats, Ints
 from ..scene import Scene
-from ..terms import Target
+from ..terms import Inertia, Target
 from .tets import TetBlocks
 from .triangles import Triangles
 
@@ -18,7 +18,7 @@ from .triangles import Triangles
 class Energy:
     """E(u) = Σ w/2 ‖F - p‖² + Σ k/2 |x - s|² - f·u over displacements u = x - X.
 
-    What the scene does not name is None, and costs nothing.
+    The springs are those of Target and of Inertia. What the scene does not name is None, and costs nothing.
     """
 
     tets: TetBlocks | None
@@ -32,11 +32,15 @@ class Energy:
         return cls(TetBlocks.of(scene), Triangles.of(scene), (), np.zeros(0)).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Energy:
-        """The energy of a scene of the same terms with other targets, loads, limits, growth and target volumes."""
+        """The energy of a scene of the same terms with other targets, motion, loads, limits, growth and volumes."""
         targets = tuple(
             (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
             for term in scene.of(Target)
         )
+        if scene.of(Inertia):
+            stiffness, places = scene.inertia()
+            heavy = np.flatnonzero(stiffness)
+            targets += ((heavy, (places - scene.vertices)[heavy], stiffness[heavy, None]),)
         tets = None if self.tets is None else self.tets.for_scene(scene)
         triangles = None if self.triangles is None else self.triangles.for_scene(scene)
         return Energy(tets, triangles, targets, scene.loads())
@@ -60,7 +64,7 @@ class Energy:
         return energy, gradient
 
     def matrix(self, scene: Scene) -> tuple[csr_matrix, np.ndarray]:
-        """The PD matrix [mN/mm], shape (n, n), and which vertices a Target holds, shape (n,)."""
+        """The PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,)."""
         n = len(scene.vertices)
         anchored = np.zeros(n)
         for vertices, _, stiffness in self.targets:

@@ -56,9 +56,25 @@ def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
     return energy
 
 
+def _edges(points: Floats) -> Floats:
+    """The first two edges as columns, shape (k, 3, 2), of triangles with corners (k, 3, 3)."""
+    return (points[:, 1:] - points[:, :1]).transpose(0, 2, 1)
+
+
+def _inverse(edges: Floats) -> Floats:
+    """Inverse of the edges in an orthonormal frame of their triangle, shape (k, 2, 2)."""
+    first = edges[:, :, 0] / np.linalg.norm(edges[:, :, 0], axis=1, keepdims=True)
+    normal = np.cross(edges[:, :, 0], edges[:, :, 1])
+    second = np.cross(normal / np.linalg.norm(normal, axis=1, keepdims=True), first)
+    return np.linalg.inv(np.stack([first, second], axis=1) @ edges)
+
+
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """All triangles of the scene's SurfaceStrain terms, in order; `scale` is √growth."""
+    """All triangles of the scene's SurfaceStrain terms, in order; `scale` is √growth.
+
+    `edges` are the scene's, to which the displacement adds; `inverse` is that of the shape sought.
+    """
 
     corners: Ints
     edges: Floats
@@ -73,14 +89,11 @@ class Triangles:
         if not sum(len(term.triangles) for term in terms):
             return None
         corners = np.vstack([term.triangles for term in terms])
-        points = scene.vertices[corners]
-        edges = (points[:, 1:] - points[:, :1]).transpose(0, 2, 1)
-        first = edges[:, :, 0] / np.linalg.norm(edges[:, :, 0], axis=1, keepdims=True)
-        normal = np.cross(edges[:, :, 0], edges[:, :, 1])
-        second = np.cross(normal / np.linalg.norm(normal, axis=1, keepdims=True), first)
-        inverse = np.linalg.inv(np.stack([first, second], axis=1) @ edges)
+        edges = _edges(scene.vertices[corners])
+        sought = [(scene.vertices if term.rest is None else term.rest)[term.triangles] for term in terms]
+        inverse = _inverse(_edges(np.concatenate(sought)))
         stiffness = np.concatenate([np.broadcast_to(term.stiffness, len(term.triangles)) for term in terms])
-        weights = stiffness * np.linalg.norm(normal, axis=1) / 2.0
+        weights = stiffness * np.linalg.norm(np.cross(edges[:, :, 0], edges[:, :, 1]), axis=1) / 2.0
         return cls(corners, edges, inverse, weights, np.ones(len(corners))).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Triangles:

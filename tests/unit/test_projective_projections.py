@@ -135,6 +135,8 @@ TERMS = {
     "Strain with a limit": terms.Strain(2.0, limit=1.1),
     "Volume": terms.Volume(3.0, target=RNG.uniform(0.7, 1.4, len(TETS))),
     "SurfaceStrain": terms.SurfaceStrain(TETS[:, :3], 2.0, growth=1.3),
+    "SurfaceStrain of another rest": terms.SurfaceStrain(TETS[:, :3], 2.0, rest=X * [1.3, 0.8, 1.1]),
+    "Inertia": terms.Inertia(RNG.uniform(1, 3, len(TETS)), 0.3, RNG.normal(size=X.shape), RNG.normal(size=X.shape)),
     "Target": terms.Target(np.arange(5), RNG.normal(size=(5, 3)), RNG.uniform(1, 2, 5)),
     "Gravity": terms.Gravity((1, -2, 3), 0.1),
     "Traction": terms.Traction(TETS[:4, :3], (1, 2, -3)),
@@ -163,6 +165,24 @@ def test_surface_strain_is_the_distance_to_a_grown_isometry():
     turned = 1.2 * Rotation.from_rotvec([0.3, -1.0, 2.0]).apply(CORNER)
     assert grown.evaluate(turned - CORNER)[0] == pytest.approx(0.0, abs=1e-14)
     np.testing.assert_allclose(grown.evaluate(turned - CORNER)[1], 0.0, atol=1e-13)
+
+
+def test_surface_strain_seeks_another_rest_shape_over_the_scene_s_area():
+    """A triangle whose rest is 2 by 1 costs nothing there; as the scene has it, 1 by 1, it is 1/2 short along x."""
+    rest = CORNER * [2, 1, 1]
+    energy = prepare(Scene(CORNER, [[0, 1, 2, 3]], [terms.SurfaceStrain([[0, 1, 2]], 3.0, rest=rest)])).energy
+    turned = Rotation.from_rotvec([0.3, -1.0, 2.0]).apply(rest)
+    assert energy.evaluate(turned - CORNER)[0] == pytest.approx(0.0, abs=1e-14)
+    assert energy.evaluate(0 * CORNER)[0] == pytest.approx(0.5 * 3.0 * 0.5 * 0.25, rel=1e-12)
+
+
+def test_inertia_is_a_spring_to_where_free_motion_leads():
+    """One tet of mass 4: each vertex has 1, hence a spring of 1/h² to X + h v."""
+    inertia = terms.Inertia(24.0, 0.5, velocities=np.tile([2.0, 0, 0], (4, 1)))
+    energy = prepare(Scene(CORNER, [[0, 1, 2, 3]], [inertia])).energy
+    value, gradient = energy.evaluate(np.tile([1.0, 0, 3.0], (4, 1)))
+    assert value == pytest.approx(4 * 0.5 * 4.0 * 9.0, rel=1e-14)
+    np.testing.assert_allclose(gradient, np.tile([0, 0, 12.0], (4, 1)), atol=1e-13)
 
 
 @pytest.mark.parametrize(("flat", "expected"), [([1, 0, 1], 0.25), ([0, 0, 0], 0.5)])
