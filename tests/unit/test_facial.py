@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm import InputError
+from softdeca.lhm import InputError, Surface
 from softdeca.lhm.geometry.rigid import rigid_motion
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
-from softdeca.reference.facial import bone_positions
+from softdeca.reference.bones import carried, target_stiffness
+from softdeca.reference.connecting import Attached, bone_points, connecting_tets, eyeballs
 
 
 def test_parameters_name_what_is_out_of_range():
@@ -43,12 +44,14 @@ def test_mandible_follows_the_skin_over_it_and_the_cranium_stays(sphere_head):
     jaw = head.bone == 2
     rotation = Rotation.from_euler("x", 0.2).as_matrix()
     targets[jaw] = targets[jaw] @ rotation.T
-    ids, placed = bone_positions(head, targets)
     n = len(head.bone)
+    placed = carried(head, Parameters(), targets)[2 * n :]
     skull = head.skull_wrap.vertices
-    expected = np.where(jaw[:, None], skull @ rotation.T, skull)[ids - 2 * n]
-    assert placed == pytest.approx(expected, abs=1e-10)
-    assert set(ids - 2 * n) == set(np.flatnonzero(head.bone > 0))
+    expected = np.where(jaw[:, None], skull @ rotation.T, skull)
+    assert placed[head.bone > 0] == pytest.approx(expected[head.bone > 0], abs=1e-10)
+    fixed = facial_scene(head, Parameters(), targets, bones="prescribed").of(terms.Fixed)[0]
+    assert set(fixed.vertices - 2 * n) == set(np.flatnonzero(head.bone > 0))
+    assert fixed.values == pytest.approx(placed[head.bone > 0])
 
 
 def test_the_scene_has_only_what_it_needs(sphere_head):
@@ -83,3 +86,128 @@ def test_skin_after_adds_only_the_deviation(sphere_head):
     head = sphere_head
     expression = head.skin.vertices * 1.1
     assert head.skin_after(expression, head.wrap_targets(expression)) == pytest.approx(expression)
+
+
+def test_rigid_bones_are_a_held_cranium_and_a_free_mandible(sphere_head):
+    head, n = sphere_head, len(sphere_head.bone)
+    p = Parameters(mandible_scale_y=1.1)
+    scene = facial_scene(head, p, head.skin.vertices, bones="rigid")
+    (held,), (jaw,) = scene.of(terms.Fixed), scene.of(terms.RigidBody)
+    assert set(held.vertices - 2 * n) == set(np.flatnonzero(head.bone == 1))
+    assert set(jaw.vertices - 2 * n) == set(np.flatnonzero(head.bone == 2))
+    was, scaled = head.skull_wrap.vertices[head.bone == 2], jaw.rest
+    # A tenth more height, the same width and length, and the condyles stay.
+    assert np.ptp(scaled, axis=0) == pytest.approx(np.ptp(was, axis=0) * [1.0, 1.1, 1.0])
+    assert scaled[:, 1].min() < was[:, 1].min() - 0.05 * np.ptp(was[:, 1])
+    assert scaled[:, [0, 2]] == pytest.approx(was[:, [0, 2]])
+
+
+def test_soft_bones_are_stiff_curved_surfaces_under_springs(sphere_head):
+    scene = facial_scene(sphere_head, Parameters(skin_stiffness=30.0), sphere_head.skin.vertices, bones="soft")
+    surface = scene.of(terms.SurfaceStrain)[1]
+    assert surface.stiffness == 30e3 and not scene.of(terms.Fixed)
+    assert len(scene.of(terms.Bending)[0].triangles) == len(surface.triangles) > 0
+    assert len(scene.of(terms.Target)) == 2
+
+
+def test_parameters_may_vary_over_the_face(sphere_head):
+    head = sphere_head
+    faces = len(head.skin_wrap.triangles)
+    soft = np.linspace(2.0, 8.0, faces)
+    scene = facial_scene(head, Parameters(soft_stiffness=soft, target_stiffness=soft), head.skin.vertices)
+    strain = scene.of(terms.Strain)[0].stiffness
+    assert strain == pytest.approx(np.repeat(soft, 3))
+    # One value per tet says the same, and the springs' sum is the integral over the skin.
+    again = facial_scene(head, Parameters(soft_stiffness=np.repeat(soft, 3)), head.skin.vertices)
+    assert np.array_equal(again.of(terms.Strain)[0].stiffness, strain)
+    assert scene.of(terms.Target)[0].stiffness.sum() == pytest.approx(soft @ head.skin_wrap.areas)
+    uniform = Parameters(soft_stiffness=np.full(faces, 4.0))
+    assert uniform == Parameters(soft_stiffness=np.full(faces, 4.0)) != Parameters(soft_stiffness=4.0)
+    assert hash(uniform) == hash(Parameters(soft_stiffness=np.full(faces, 4.0)))
+    with pytest.raises(SceneError, match="soft_stiffness: 7 values for"):
+        facial_scene(head, Parameters(soft_stiffness=np.full(7, 4.0)), head.skin.vertices)
+    with pytest.raises(InputError, match=r"soft_stiffness = 40 \(number 2\) is outside"):
+        Parameters(soft_stiffness=np.array([4.0, 5.0, 40.0]))
+    with pytest.raises(InputError, match="gravity: one number for the whole head"):
+        Parameters(gravity=np.ones(faces))
+    with pytest.raises(InputError, match="soft_stiffness varies over the face"):
+        uniform.vector()
+
+
+def test_a_paralysed_half_lets_go_of_its_targets(sphere_head):
+    wrap = sphere_head.skin_wrap
+    kept = target_stiffness(Parameters(paralysis_left=1.0), wrap) / target_stiffness(Parameters(), wrap)
+    x = wrap.vertices[:, 0]
+    assert np.all(kept[x > 10.0] == 0.0) and np.all(kept[x < -10.0] == 1.0)
+    assert kept[np.argmin(np.abs(x))] == pytest.approx(0.5, abs=0.2)
+
+
+def test_gravity_acts_as_the_difference_to_the_scans_own():
+    assert not np.any(Parameters().added_gravity)
+    assert Parameters(gravity=3.0).added_gravity == pytest.approx([0, -2 * 9810, 0])
+    # Lying on the back: 1 g along -z in place of 1 g along -y, whatever the direction's length.
+    lying = Parameters(gravity_y=0.0, gravity_z=-0.5)
+    assert lying.added_gravity == pytest.approx([0, 9810, -9810])
+    with pytest.raises(InputError, match="all zero"):
+        Parameters(gravity_y=0.0)
+
+
+def test_a_region_keeps_its_tets_and_holds_the_rest(sphere_head):
+    head, n = sphere_head, len(sphere_head.bone)
+    front = head.skin_wrap.vertices[:, 2] > 0.0
+    targets = head.skin.vertices + [0.0, 0.0, 1.0]
+    scene = facial_scene(head, Parameters(), targets, region=front, bones="prescribed")
+    kept = front[head.skin_wrap.triangles].any(axis=1)
+    assert len(scene.tets) == 6 * kept.sum()
+    held, values = scene.dirichlet()
+    assert held[:n][~front].all() and not held[:n][front].any()
+    assert values[:n][~front] == pytest.approx(targets[~front])
+    with pytest.raises(SceneError, match="region 'nose'"):
+        facial_scene(head, Parameters(), targets, region="nose")
+    with pytest.raises(SceneError, match="expected a mask"):
+        facial_scene(head, Parameters(), targets, region=front[:-1])
+
+
+def test_layers_that_are_left_out_cost_nothing(sphere_head):
+    head, n = sphere_head, len(sphere_head.bone)
+    whole = facial_scene(head, Parameters(), head.skin.vertices)
+    merged = facial_scene(head, Parameters(), head.skin.vertices, without=("muscle", "skin"))
+    assert len(merged.tets) == len(whole.tets) // 2
+    assert merged.volumes.sum() == pytest.approx(whole.volumes.sum(), rel=1e-2)
+    assert not merged.of(terms.SurfaceStrain) and merged.dirichlet()[0][n : 2 * n].all()
+    with pytest.raises(SceneError, match="without"):
+        facial_scene(head, Parameters(), head.skin.vertices, without="muscle")
+    with pytest.raises(SceneError, match="bones 'hard'"):
+        facial_scene(head, Parameters(), head.skin.vertices, bones="hard")
+
+
+def test_connecting_tets_are_sound_and_hold_their_points(sphere_head):
+    wrap = sphere_head.skull_wrap
+    rng = np.random.default_rng(0)
+    points = wrap.vertices[rng.choice(len(wrap.vertices), 50, replace=False)] * 0.97
+    triangles, tets = connecting_tets(points, wrap)
+    stack = np.vstack([wrap.vertices, points])
+    edges = stack[tets[:, 1:]] - stack[tets[:, :1]]
+    mean = np.linalg.norm(np.diff(stack[wrap.triangles[triangles]], axis=1, append=0)[:, :2], axis=2).mean(axis=1)
+    assert np.all(np.linalg.det(edges) > 0.015 * mean**3)
+    assert np.array_equal(np.sort(tets, axis=1)[:, 3], len(wrap.vertices) + np.arange(50))
+    flat = Surface(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]), np.array([[0, 1, 2], [1, 3, 2]]))
+    with pytest.raises(SceneError, match="attached point 1: it lies in the plane"):
+        connecting_tets(np.array([[0.2, 0.2, 1.0], [0.2, 0.2, 0.0]]), flat)
+
+
+def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
+    head, n = sphere_head, len(sphere_head.bone)
+    skull = bone_points(head)
+    scene = facial_scene(head, Parameters(), head.skin.vertices, bones="rigid", attached=skull)
+    (held,), (jaw,) = scene.of(terms.Fixed), scene.of(terms.RigidBody)
+    assert held.vertices.min() >= 3 * n and jaw.vertices.min() >= 3 * n
+    assert len(scene.vertices) == 3 * n + sum(len(thing.points) for thing in skull)
+    # Stiffer than soft tissue by connector_ratio, and at rest without force.
+    assert scene.of(terms.Strain)[2].stiffness == pytest.approx(10.0 * 5.0)
+    with pytest.raises(SceneError, match="no bone"):
+        facial_scene(head, Parameters(), head.skin.vertices, bones="soft", attached=skull)
+    with pytest.raises(SceneError, match="lids"):
+        eyeballs(head)
+    with pytest.raises(SceneError, match="bone 7"):
+        Attached(np.zeros((4, 3)), 7)

@@ -1,0 +1,131 @@
+"""Cranium and mandible in a facial scene: rigid bodies, prescribed places, or the paper's stiff surfaces (Eq. 13).
+
+Indices are into a head's stacked vertices; the skull wrap's come last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Literal
+
+import numpy as np
+
+from ..lhm.geometry.rigid import rigid_motion
+from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ..lhm.mesh import Floats, Surface
+from . import terms
+from .local import on_vertices
+from .parameters import Parameters
+
+Bones = Literal["rigid", "prescribed", "soft"]
+
+BONE_STIFFNESS = 1e3
+"""Of bone over skin in the soft mode (Eq. 13)."""
+HOLD = 10.0
+"""Stiffness of the springs that hold a soft cranium behind the face, over the mean of the targets'."""
+SEAM = 10.0
+"""Half the width [mm] over which a paralysed half of the face blends into the other."""
+CONDYLE = 0.05
+"""The mandible is scaled about the mean of this share of its vertices, the highest behind its middle."""
+
+
+def scaled(head: LayeredHead, parameters: Parameters, bone: int, points: Floats) -> Floats:
+    """Points [mm], shape (k, 3), of a bone, scaled by p: a cranium about its middle, a mandible about its condyles."""
+    scale = parameters.scale("cranium" if bone == CRANIUM else "mandible")
+    wrap = head.skull_wrap.vertices[head.bone == bone]
+    if not len(wrap) or np.all(scale == 1.0):
+        return points
+    centre = wrap.mean(axis=0) if bone == CRANIUM else _condyles(wrap)
+    return centre + scale * (points - centre)
+
+
+def _condyles(mandible: Floats) -> Floats:
+    """The middle of a mandible's highest part behind its own middle [mm], about which it turns."""
+    behind = mandible[mandible[:, 2] <= np.median(mandible[:, 2])]
+    highest = behind[np.argsort(behind[:, 1])[-max(3, int(CONDYLE * len(mandible))) :]]
+    return highest.mean(axis=0)
+
+
+def scaled_skull(head: LayeredHead, parameters: Parameters) -> Floats:
+    """The skull wrap [mm], shape (n, 3), with cranium and mandible scaled by p; free vertices stay."""
+    skull = np.array(head.skull_wrap.vertices)
+    for bone in (CRANIUM, MANDIBLE):
+        skull[head.bone == bone] = scaled(head, parameters, bone, skull[head.bone == bone])
+    return skull
+
+
+def jaw_motion(head: LayeredHead, wrap_targets: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and translation (3,) [mm] of the skin over the mandible from rest to an expression, if rigid."""
+    jaw = np.flatnonzero(head.bone == MANDIBLE)
+    if jaw.size < 3:
+        return np.eye(3), np.zeros(3)
+    return rigid_motion(head.skin_wrap.vertices[jaw], wrap_targets[jaw])
+
+
+def carried(head: LayeredHead, parameters: Parameters, wrap_targets: Floats) -> Floats:
+    """The stacked wraps [mm], shape (3 n, 3), carried along by an expression without physics: where to begin.
+
+    The skin wrap is at its targets, the mandible moved with the skin over it, skull-wrap vertices that are no bone go
+    with the skin, and the muscle wrap lies between as it does at rest.
+    """
+    skin, muscle, rest = (wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap))
+    rotation, translation = jaw_motion(head, wrap_targets)
+    moved = wrap_targets - skin
+    skull = scaled_skull(head, parameters)
+    skull[head.bone == MANDIBLE] = skull[head.bone == MANDIBLE] @ rotation.T + translation
+    skull[head.bone == FREE] += moved[head.bone == FREE]
+    depth = np.linalg.norm(rest - skin, axis=1)
+    share = np.clip(np.linalg.norm(muscle - skin, axis=1) / np.maximum(depth, 1e-12), 0.0, 1.0)[:, None]
+    return np.vstack([wrap_targets, muscle + (1.0 - share) * moved + share * (skull - rest), skull])
+
+
+def rigid_bones(head: LayeredHead, parameters: Parameters, elsewhere: Collection[int] = ()) -> list[terms.Term]:
+    """A cranium that is held, and a mandible that is free but rigid, less the bones that are `elsewhere`."""
+    first, skull = 2 * len(head.bone), scaled_skull(head, parameters)
+    cranium, jaw = (np.flatnonzero((head.bone == b) & (b not in elsewhere)) for b in (CRANIUM, MANDIBLE))
+    parts: list[terms.Term] = [terms.Fixed(first + cranium, skull[cranium])] if cranium.size else []
+    return parts + ([terms.RigidBody(first + jaw, skull[jaw])] if jaw.size >= 3 else [])
+
+
+def prescribed_bones(head: LayeredHead, placed: Floats, elsewhere: Collection[int] = ()) -> list[terms.Term]:
+    """Cranium and mandible Fixed where the stacked wraps `placed` (3 n, 3) [mm] have them."""
+    labels = [b for b in (CRANIUM, MANDIBLE) if b not in elsewhere]
+    bone = 2 * len(head.bone) + np.flatnonzero(np.isin(head.bone, labels))
+    return [terms.Fixed(bone, placed[bone])] if bone.size else []
+
+
+def soft_bones(head: LayeredHead, parameters: Parameters) -> list[terms.Term]:
+    """The paper's bones: stiff surfaces that keep their curvature, and springs on the cranium behind the face."""
+    first, wrap = 2 * len(head.bone), head.skull_wrap
+    labels = head.bone[wrap.triangles]
+    triangles = wrap.triangles[(labels > 0).all(axis=1) & (labels == labels[:, :1]).all(axis=1)]
+    if not len(triangles):
+        return []
+    rest = np.vstack([head.skin_wrap.vertices, head.muscle_wrap.vertices, scaled_skull(head, parameters)])
+    stiffness = BONE_STIFFNESS * float(np.mean(parameters.skin_stiffness))
+    edge = float(np.mean(np.linalg.norm(np.diff(wrap.vertices[triangles[:, :2]], axis=1), axis=2)))
+    behind = np.flatnonzero((head.bone == CRANIUM) & ~head.regions.get("face", np.zeros(len(head.bone), dtype=bool)))
+    spring = HOLD * float(np.mean(parameters.target_stiffness)) * wrap.vertex_areas[behind]
+    return [
+        terms.SurfaceStrain(first + triangles, stiffness, rest=rest),
+        terms.Bending(first + triangles, stiffness * edge**2, rest=rest),
+        terms.Target(first + behind, rest[first + behind], spring),
+    ]
+
+
+def paralysed_share(parameters: Parameters, wrap: Surface) -> Floats:
+    """The share of its targets' stiffness that each vertex of the skin wrap keeps, shape (n,): Bell's palsy.
+
+    A paralysed half has no activation: nothing draws its skin to the expression. +x is the subject's left; the two
+    halves blend over `SEAM` millimetres to each side of the middle.
+    """
+    x = wrap.vertices[:, 0] - 0.5 * (wrap.vertices[:, 0].min() + wrap.vertices[:, 0].max())
+    t = np.clip(0.5 + 0.5 * x / SEAM, 0.0, 1.0)
+    left = t * t * (3.0 - 2.0 * t)
+    return (1.0 - parameters.paralysis_left * left) * (1.0 - parameters.paralysis_right * (1.0 - left))
+
+
+def target_stiffness(parameters: Parameters, wrap: Surface) -> Floats:
+    """Stiffness [mN/mm] of each skin-wrap vertex' spring to its target: per area, less what is paralysed."""
+    local = on_vertices("target_stiffness", parameters.target_stiffness, wrap)
+    return local * wrap.vertex_areas * paralysed_share(parameters, wrap)
