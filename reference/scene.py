@@ -19,6 +19,7 @@ from .terms import (
     Pressure,
     RigidBody,
     Strain,
+    StrainRule,
     SurfaceStrain,
     Target,
     Term,
@@ -228,12 +229,21 @@ class Scene:
                     raise SceneError(f"{mine.name}.{key} differs from the prepared scene's: prepare it anew")
 
 
-def refuse_unknown(scene: Scene, solver: str, known: tuple[type[Term], ...], laws: tuple[type[Material], ...] = ()):
-    """Raise SceneError that names the first term, or the first law of a Hyperelastic term, a solver cannot model."""
+def refuse_unknown(
+    scene: Scene,
+    solver: str,
+    known: tuple[type[Term], ...],
+    laws: tuple[type[Material], ...] = (),
+    *,
+    rules: tuple[StrainRule, ...] = ("clamp",),
+):
+    """Raise SceneError for the first term, law of a Hyperelastic or rule of a Strain that a solver cannot model."""
     for term in scene.terms:
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
+        if isinstance(term, Strain) and term.rule not in rules:
+            raise SceneError(f"solver {solver!r} cannot model Strain with rule {term.rule!r}: its energy jumps")
         if isinstance(term, Hyperelastic) and not isinstance(term.material, laws):
             names = ", ".join(kind.__name__ for kind in laws)
             raise SceneError(f"solver {solver!r} cannot model {term.material.name} on linear tets; it models {names}")

@@ -17,19 +17,20 @@ def _rows(first: int, count: int) -> tuple[int, ...]:
 
 
 # What depends on the scene: Dm_inv (row j belongs to edge j), then the weights (with the rest volume) and bounds.
+# Strain acts where the largest stretch is above ACTIVE, which is what the indicator rule sets; else it is below all.
 G00, G01, G02, G10, G11, G12, G20, G21, G22 = _rows(0, 9)
-STRAIN, LOW, HIGH, VOLUME, TARGET = _rows(9, 5)
-PARAMETERS = 14
+STRAIN, LOW, HIGH, ACTIVE, VOLUME, TARGET = _rows(9, 6)
+PARAMETERS = 15
 
 # What the local step computes. F starts as the edges of the displacement and ends as the nodal forces.
-F00, F01, F02, F10, F11, F12, F20, F21, F22 = _rows(14, 9)
-C00, C11, C22, C01, C02, C12 = _rows(23, 6)
-V00, V01, V02, V10, V11, V12, V20, V21, V22 = _rows(29, 9)
-U00, U01, U02, U10, U11, U12, U20, U21, U22 = _rows(38, 9)
-S0, S1, S2 = _rows(47, 3)
-D0, D1, D2 = _rows(50, 3)
-ENERGY, DOUBT = _rows(53, 2)
-ROWS = 55
+F00, F01, F02, F10, F11, F12, F20, F21, F22 = _rows(15, 9)
+C00, C11, C22, C01, C02, C12 = _rows(24, 6)
+V00, V01, V02, V10, V11, V12, V20, V21, V22 = _rows(30, 9)
+U00, U01, U02, U10, U11, U12, U20, U21, U22 = _rows(39, 9)
+S0, S1, S2 = _rows(48, 3)
+D0, D1, D2 = _rows(51, 3)
+ENERGY, DOUBT = _rows(54, 2)
+ROWS = 56
 
 # No fast-math: with it, code loaded from numba's cache rounds otherwise than code just compiled, and a corpus made by
 # two processes would differ from one made by one. It would be a tenth faster.

@@ -1,6 +1,7 @@
 """The local step of all tets: energy and gradient of Strain and Volume, fused and vectorised (SoftDECA Eq. 10).
 
-E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance.
+E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance (but for the jumps of
+Strain's indicator).
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from .lanes import (
+    ACTIVE,
     COMPILED,
     D0,
     D1,
@@ -99,8 +101,9 @@ def _deformation_gradient(w):
 def _add_strain(w):
     """Turn D, the volume's s - t, into the principal stresses of both terms; and their energy."""
     for k in range(LANES):
-        strain, low, high, volume = w[STRAIN + k], w[LOW + k], w[HIGH + k], w[VOLUME + k]
+        low, high, volume = w[LOW + k], w[HIGH + k], w[VOLUME + k]
         s0, s1, s2 = w[S0 + k], w[S1 + k], w[S2 + k]
+        strain = w[STRAIN + k] if s0 > w[ACTIVE + k] else 0.0
         a, b, c = s0 - min(max(s0, low), high), s1 - min(max(s1, low), high), s2 - min(max(s2, low), high)
         d, e, f = w[D0 + k], w[D1 + k], w[D2 + k]
         w[ENERGY + k] = 0.5 * (strain * (a * a + b * b + c * c) + volume * (d * d + e * e + f * f))

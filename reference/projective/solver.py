@@ -13,7 +13,7 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
-from ..terms import Fixed, Gravity, Inertia, Strain, SurfaceStrain, Target, Term, Traction, Volume
+from ..terms import Fixed, Gravity, Inertia, Strain, StrainRule, SurfaceStrain, Target, Term, Traction, Volume
 from .descent import Descent, Point, Problem, Watch, accelerated, plain
 from .energy import Energy
 from .system import System
@@ -123,7 +123,7 @@ def prepare(scene: Scene, *, method: Method = "lbfgs") -> ProjectivePrepared:
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
-    refuse_unknown(scene, "projective", TERMS)
+    refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     energy = Energy.of(scene)
     matrix, anchored = energy.matrix(scene)
     held, _ = scene.dirichlet()

@@ -9,8 +9,11 @@ import numpy as np
 from ...lhm.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Strain, Volume
-from .lanes import HIGH, LANES, LOW, PARAMETERS, STRAIN, TARGET, VOLUME
+from .lanes import ACTIVE, HIGH, LANES, LOW, PARAMETERS, STRAIN, TARGET, VOLUME
 from .local_step import add_tets
+
+ALWAYS = -1.0
+"""Below any largest stretch."""
 
 
 def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
@@ -63,6 +66,7 @@ class TetBlocks:
         blocks = -(-len(tets) // LANES)
         parameters = np.zeros((blocks, PARAMETERS, LANES))
         parameters[:, [LOW // LANES, HIGH // LANES, TARGET // LANES]] = 1.0
+        parameters[:, ACTIVE // LANES] = ALWAYS
         corners = np.zeros((blocks, 4, LANES), dtype=np.uint32)
         every = np.arange(len(tets))
         inverse, _ = shape_gradients(scene, tets)
@@ -82,7 +86,9 @@ class TetBlocks:
         """The same blocks with the limits and target volumes of another scene of the same terms."""
         parameters = self.parameters.copy()
         for term, rows in zip(scene.of(Strain) + scene.of(Volume), self.rows_of, strict=True):
-            if isinstance(term, Strain):
+            if isinstance(term, Strain) and term.rule == "indicator":
+                _spread(term.limit, ACTIVE, rows, parameters)
+            elif isinstance(term, Strain):
                 _spread(1.0 / term.limit, LOW, rows, parameters)
                 _spread(term.limit, HIGH, rows, parameters)
             else:
@@ -95,6 +101,7 @@ class TetBlocks:
         parameters[:, STRAIN // LANES] += parameters[:, VOLUME // LANES]
         parameters[:, VOLUME // LANES] = 0.0
         parameters[:, [LOW // LANES, HIGH // LANES]] = 1.0
+        parameters[:, ACTIVE // LANES] = ALWAYS
         return replace(self, parameters=parameters, has_volume=np.zeros_like(self.has_volume))
 
     def add_to(self, u: Floats, gradient: Floats) -> float:

@@ -6,8 +6,10 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from skfem import MeshTet
 
+from softdeca.lhm.errors import SceneError
 from softdeca.lhm.mesh import tet_volumes
 from softdeca.reference import Scene, terms
+from softdeca.reference import prepare as prepare_by
 from softdeca.reference.projective import prepare
 from softdeca.reference.projective.lanes import F00, LANES, ROWS, S0, U00, V00
 from softdeca.reference.projective.singular_values import decompose
@@ -62,6 +64,24 @@ def test_limited_strain_is_the_distance_to_bounded_stretches(kind):
         )
         distance, _ = distance_and_residual(terms.Strain(1.0, limit=limit), F)
         assert distance**2 == pytest.approx(best, rel=1e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(("stretches", "active"), [((1.09, 0.5, 1), False), ((0.2, 1.11, 1), True)])
+def test_the_indicator_is_all_or_nothing(stretches, active):
+    """Eq. 10 to the letter: ‖F - R‖² where the largest stretch is above 1.1, whatever the others are."""
+    Q = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
+    F = Q @ np.diag(stretches)
+    distance, residual = distance_and_residual(terms.Strain(1.0, limit=1.1, rule="indicator"), F)
+    assert distance == pytest.approx(active * np.linalg.norm(F - Q), rel=1e-12)
+    np.testing.assert_allclose(residual, active * (F - Q), atol=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
+def test_only_projective_dynamics_models_the_indicator(solver):
+    with pytest.raises(SceneError, match=f"{solver}.*Strain with rule 'indicator'"):
+        prepare_by(Scene(X, TETS, [terms.Strain(1.0, rule="indicator")]), solver=solver)
+    with pytest.raises(SceneError, match="Strain.rule: expected clamp or indicator, got 'soft'"):
+        terms.Strain(1.0, rule="soft")
 
 
 @pytest.mark.parametrize("target", [0.6, 1.0, 1.7])
@@ -133,6 +153,7 @@ RNG = np.random.default_rng(5)
 TERMS = {
     "Strain": terms.Strain(RNG.uniform(1, 3, len(TETS))),
     "Strain with a limit": terms.Strain(2.0, limit=1.1),
+    "Strain with the indicator": terms.Strain(2.0, limit=1.1, rule="indicator"),
     "Volume": terms.Volume(3.0, target=RNG.uniform(0.7, 1.4, len(TETS))),
     "SurfaceStrain": terms.SurfaceStrain(TETS[:, :3], 2.0, growth=1.3),
     "SurfaceStrain of another rest": terms.SurfaceStrain(TETS[:, :3], 2.0, rest=X * [1.3, 0.8, 1.1]),
