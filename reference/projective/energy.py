@@ -10,6 +10,7 @@ from scipy.sparse import csr_matrix
 from ...lhm.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Inertia, Target
+from .bending import Rings
 from .tets import TetBlocks
 from .triangles import Triangles
 
@@ -23,13 +24,14 @@ class Energy:
 
     tets: TetBlocks | None
     triangles: Triangles | None
+    bending: Rings | None
     targets: tuple[tuple[Ints, Floats, Floats], ...]
     loads: Floats
 
     @classmethod
     def of(cls, scene: Scene) -> Energy:
         """Build what depends on mesh and stiffnesses."""
-        return cls(TetBlocks.of(scene), Triangles.of(scene), (), np.zeros(0)).for_scene(scene)
+        return cls(TetBlocks.of(scene), Triangles.of(scene), Rings.of(scene), (), np.zeros(0)).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Energy:
         """The energy of a scene of the same terms with other targets, motion, loads, limits, growth and volumes."""
@@ -43,7 +45,7 @@ class Energy:
             targets += ((heavy, (places - scene.vertices)[heavy], stiffness[heavy, None]),)
         tets = None if self.tets is None else self.tets.for_scene(scene)
         triangles = None if self.triangles is None else self.triangles.for_scene(scene)
-        return Energy(tets, triangles, targets, scene.loads())
+        return Energy(tets, triangles, self.bending, targets, scene.loads())
 
     def untangling(self) -> Energy:
         """An energy of the same PD matrix that leads out of inverted tets: all weight of the tets on Strain."""
@@ -57,6 +59,8 @@ class Energy:
             energy += self.tets.add_to(u, gradient)
         if self.triangles is not None:
             energy += self.triangles.add_to(u, gradient)
+        if self.bending is not None:
+            energy += self.bending.add_to(u, gradient)
         for vertices, displacements, stiffness in self.targets:
             away = u[vertices] - displacements
             gradient[vertices] += stiffness * away
@@ -74,6 +78,8 @@ class Energy:
             entries.append(self.tets.stiffness_entries(scene))
         if self.triangles is not None:
             entries.append(self.triangles.stiffness_entries())
+        if self.bending is not None:
+            entries.append(self.bending.stiffness_entries(n))
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         matrix = csr_matrix((values, (rows, columns)), shape=(n, n))
         matrix.eliminate_zeros()

@@ -13,14 +13,14 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
-from ..terms import Fixed, Gravity, Inertia, Strain, StrainRule, SurfaceStrain, Target, Term, Traction, Volume
+from ..terms import Bending, Fixed, Gravity, Inertia, Strain, StrainRule, SurfaceStrain, Target, Term, Traction, Volume
 from .descent import Descent, Point, Problem, Watch, accelerated, plain
 from .energy import Energy
 from .system import System
 
 Method = Literal["lbfgs", "plain"]
 METHODS: dict[str, Descent] = {"lbfgs": accelerated, "plain": plain}
-TERMS: tuple[type[Term], ...] = (Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction, Inertia)
+TERMS: tuple[type[Term], ...] = (Strain, Volume, SurfaceStrain, Bending, Target, Fixed, Gravity, Traction, Inertia)
 VARYING: dict[type[Term], tuple[str, ...]] = {
     Strain: ("limit",),
     Volume: ("target",),
@@ -118,8 +118,8 @@ class ProjectivePrepared:
 def prepare(scene: Scene, *, method: Method = "lbfgs") -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 
-    method is "lbfgs" (accelerated) or "plain" (local/global). Terms: Strain, Volume, SurfaceStrain, Target, Fixed,
-    Gravity, Traction, Inertia. Raises SceneError for another term or method.
+    method is "lbfgs" (accelerated) or "plain" (local/global). Terms: Strain, Volume, SurfaceStrain, Bending, Target,
+    Fixed, Gravity, Traction, Inertia. Raises SceneError for another term or method.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")

@@ -1,0 +1,186 @@
+"""Bending: the cotangent Laplacian of a surface against that of its rest shape, turned along (SoftDECA Eq. 13).
+
+E = Σ k/(2 A) |D|² with D = Σ w e - R B over a vertex' edges e, B = Σ w E over the edges E of the rest shape, and R the
+rotation nearest to S = Σ w⁺ e Eᵀ, which depends on positions: as S = R Y with Y symmetric, R turns by ω with
+(tr(Y) I - Y) ω = axial(Rᵀ dS - dSᵀ R). R does not minimise E, so the PD matrix need not majorise it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.sparse import csr_matrix
+
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import Bending
+from .lanes import COMPILED, D0, F00, LANES, ROWS, S0, S1, S2, U00, V00
+from .singular_values import decompose
+
+# Share of Σ w⁺ |E|² below which a ring is so far collapsed that its rotation is held.
+FLOOR = 1e-9
+
+
+@njit(**COMPILED)
+def _gather(w, centres, starts, ring, cotangents, edges, sought, u):
+    """Put D without its R B, and S, of a block of vertices into the rows D and F."""
+    w[D0 : D0 + 3 * LANES] = 0.0
+    w[F00 : F00 + 9 * LANES] = 0.0
+    for k in range(len(centres)):
+        i = centres[k]
+        for a in range(starts[k], starts[k + 1]):
+            j, weight = ring[a], max(cotangents[a], 0.0)
+            for r in range(3):
+                e = edges[a, r] + (u[j, r] - u[i, r])
+                w[D0 + r * LANES + k] += cotangents[a] * e
+                for c in range(3):
+                    w[F00 + (3 * r + c) * LANES + k] += weight * e * sought[a, c]
+
+
+@njit(**COMPILED)
+def _turn(w, k, laplacian, least, R, D, z):
+    """Write a lane's R, its D, and z with dE = k/A (D · Σ w de - Σ w⁺ de · R (z × E)); return |D|²."""
+    s0, s1, s2 = w[S0 + k], w[S1 + k], w[S2 + k]
+    stiff = (max(s1 + s2, least), max(s0 + s2, least), max(s0 + s1, least))
+    square = 0.0
+    for r in range(3):
+        D[r] = w[D0 + r * LANES + k]
+        for c in range(3):
+            R[r, c] = 0.0
+            for m in range(3):
+                R[r, c] += w[U00 + (3 * r + m) * LANES + k] * w[V00 + (3 * c + m) * LANES + k]
+            D[r] -= R[r, c] * laplacian[c]
+        square += D[r] * D[r]
+    g0 = R[0, 0] * D[0] + R[1, 0] * D[1] + R[2, 0] * D[2]
+    g1 = R[0, 1] * D[0] + R[1, 1] * D[1] + R[2, 1] * D[2]
+    g2 = R[0, 2] * D[0] + R[1, 2] * D[1] + R[2, 2] * D[2]
+    b0, b1, b2 = laplacian
+    moment = (b1 * g2 - b2 * g1, b2 * g0 - b0 * g2, b0 * g1 - b1 * g0)
+    z[:] = 0.0
+    for m in range(3):
+        along = 0.0
+        for r in range(3):
+            along += w[V00 + (3 * r + m) * LANES + k] * moment[r]
+        for r in range(3):
+            z[r] += w[V00 + (3 * r + m) * LANES + k] * along / stiff[m]
+    return square
+
+
+@njit(**COMPILED)
+def _add_bending(centres, starts, ring, cotangents, edges, sought, laplacians, least, weights, u, gradient):
+    """Add the gradient at displacement u, both (n, 3), in place; return the energy."""
+    w = np.zeros(ROWS * LANES)
+    R, D, z = np.empty((3, 3)), np.empty(3), np.empty(3)
+    energy = 0.0
+    for first in range(0, len(centres), LANES):
+        last = min(first + LANES, len(centres))
+        _gather(w, centres[first:last], starts[first : last + 1], ring, cotangents, edges, sought, u)
+        decompose(w)
+        for v in range(first, last):
+            energy += 0.5 * weights[v] * _turn(w, v - first, laplacians[v], least[v], R, D, z)
+            for a in range(starts[v], starts[v + 1]):
+                E0, E1, E2 = sought[a]
+                t0, t1, t2 = z[1] * E2 - z[2] * E1, z[2] * E0 - z[0] * E2, z[0] * E1 - z[1] * E0
+                for r in range(3):
+                    turned = R[r, 0] * t0 + R[r, 1] * t1 + R[r, 2] * t2
+                    force = weights[v] * (cotangents[a] * D[r] - max(cotangents[a], 0.0) * turned)
+                    gradient[ring[a], r] += force
+                    gradient[centres[v], r] -= force
+    return energy
+
+
+@dataclass(frozen=True, eq=False)
+class Rings:
+    """The inner vertices of all Bending terms with their rings of edges; `weights` is k/A [mN/mm].
+
+    Vertex v has the edges starts[v] to starts[v + 1]: `ring` is their far end, `edges` as the scene has them, `sought`
+    as the rest shape has them [mm], `cotangents` their weights. `laplacians` is B [mm].
+    """
+
+    centres: Ints
+    starts: Ints
+    ring: Ints
+    cotangents: Floats
+    edges: Floats
+    sought: Floats
+    laplacians: Floats
+    least: Floats
+    weights: Floats
+
+    @classmethod
+    def of(cls, scene: Scene) -> Rings | None:
+        """The rings of a scene, or None if no vertex bends."""
+        found = [_rings(scene, term) for term in scene.of(Bending) if len(term.triangles)]
+        if not sum(len(centres) for centres, *_ in found):
+            return None
+        centres, sizes, ring, cotangents, sought, weights = (
+            np.concatenate(parts) for parts in zip(*found, strict=True)
+        )
+        starts = np.concatenate([[0], np.cumsum(sizes)])
+        edges = scene.vertices[ring] - scene.vertices[np.repeat(centres, sizes)]
+        laplacians = np.add.reduceat(cotangents[:, None] * sought, starts[:-1])
+        size = np.add.reduceat(np.maximum(cotangents, 0.0) * np.sum(sought**2, axis=1), starts[:-1])
+        return cls(centres, starts, ring, cotangents, edges, sought, laplacians, FLOOR * size, weights)
+
+    def add_to(self, u: Floats, gradient: Floats) -> float:
+        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
+        return _add_bending(
+            self.centres,
+            self.starts,
+            self.ring,
+            self.cotangents,
+            self.edges,
+            self.sought,
+            self.laplacians,
+            self.least,
+            self.weights,
+            u,
+            gradient,
+        )
+
+    def stiffness_entries(self, n: int) -> tuple[Ints, Ints, Floats]:
+        """Rows, columns and values of Σ k/A l lᵀ over n vertices, l the Laplacian's rows [mN/mm]: two rings wide."""
+        rows = np.repeat(np.arange(len(self.centres)), np.diff(self.starts))
+        sums = np.add.reduceat(self.cotangents, self.starts[:-1])
+        laplacian = csr_matrix(
+            (
+                np.concatenate([self.cotangents, -sums]),
+                (np.concatenate([rows, np.arange(len(sums))]), np.concatenate([self.ring, self.centres])),
+            ),
+            shape=(len(sums), n),
+        )
+        share = (laplacian.T @ laplacian.multiply(self.weights[:, None])).tocoo()
+        return share.row, share.col, share.data
+
+
+def _rings(scene: Scene, term: Bending) -> tuple[Ints, Ints, Ints, Floats, Floats, Floats]:
+    """Centres, sizes of rings, far ends, cotangent weights, rest edges and k/A of one term."""
+    rest, n = scene.vertices if term.rest is None else term.rest, len(scene.vertices)
+    triangles = term.triangles
+    corners = rest[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
+    starts, ends, halves = [], [], []
+    for k in range(3):
+        here, there, opposite = k, (k + 1) % 3, (k + 2) % 3
+        p, q = corners[:, here] - corners[:, opposite], corners[:, there] - corners[:, opposite]
+        halves += [np.sum(p * q, axis=1) / (4.0 * area)] * 2
+        starts += [triangles[:, here], triangles[:, there]]
+        ends += [triangles[:, there], triangles[:, here]]
+    keys, where, count = np.unique(
+        np.concatenate(starts) * n + np.concatenate(ends), return_inverse=True, return_counts=True
+    )
+    weights = np.bincount(where.ravel(), np.concatenate(halves))
+    centre, far = keys // n, keys % n
+    border = np.zeros(n, dtype=bool)
+    border[centre[count == 1]] = True
+    inner = ~border[centre]
+    centres, sizes = np.unique(centre[inner], return_counts=True)
+    thirds = np.repeat(area / 3.0, 3)
+    areas = np.bincount(triangles.ravel(), thirds, minlength=n)
+    stiffness = np.bincount(
+        triangles.ravel(), thirds * np.repeat(np.broadcast_to(term.stiffness, len(area)), 3), minlength=n
+    )
+    sought = rest[far[inner]] - rest[centre[inner]]
+    return centres, sizes, far[inner], weights[inner], sought, (stiffness / areas**2)[centres]
