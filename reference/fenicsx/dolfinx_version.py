@@ -89,13 +89,14 @@ def cell_dofs(space, columns: int) -> Ints:
     return _table(space.dofmap.list, columns)
 
 
-def dof_vertices(space) -> Ints:
-    """The scene's vertex of each block dof of a P1 space, shape (dofs,)."""
-    domain = space.mesh
-    of_node = np.asarray(domain.geometry.input_global_indices)
-    vertices = np.full(space.dofmap.index_map.size_local, -1, dtype=np.int64)
-    vertices[cell_dofs(space, 4)] = of_node[_table(domain.geometry.dofmap, 4)]
-    return vertices
+def dof_count(space) -> int:
+    """The number of a space's block dofs."""
+    return space.dofmap.index_map.size_local
+
+
+def cell_vertices(domain) -> Ints:
+    """The scene's vertices of each cell, in the order of its local dofs, shape (cells, 4)."""
+    return np.asarray(domain.geometry.input_global_indices)[_table(domain.geometry.dofmap, 4)].astype(np.int64)
 
 
 def cell_tets(domain) -> Ints:
@@ -103,11 +104,11 @@ def cell_tets(domain) -> Ints:
     return np.asarray(domain.topology.original_cell_index, dtype=np.int64)
 
 
-def vector_space(domain):
-    """Continuous piecewise linear vectors."""
+def vector_space(domain, degree: int):
+    """Continuous vectors, piecewise of a degree."""
     if VERSION < (0, 6):
-        return _fem.VectorFunctionSpace(domain, ("Lagrange", 1))
-    return _fem.functionspace(domain, ("Lagrange", 1, (3,)))
+        return _fem.VectorFunctionSpace(domain, ("Lagrange", degree))
+    return _fem.functionspace(domain, ("Lagrange", degree, (3,)))
 
 
 def cell_vectors(domain, cells: Ints, vectors: Floats):
@@ -132,9 +133,9 @@ def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
     return _fem.functionspace(domain, element)
 
 
-def quadrature_rule(degree: int) -> tuple[Floats, Floats]:
-    """Points (q, 3) and weights (q,) of the rule on the reference tet, as the form compiler takes them."""
-    points, weights = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+def quadrature_rule(degree: int, cell: str = "tetrahedron") -> tuple[Floats, Floats]:
+    """Points (q, d) and weights (q,) of the rule on a reference cell, as the form compiler takes them."""
+    points, weights = basix.make_quadrature(getattr(basix.CellType, cell), degree)
     return points, weights
 
 

@@ -14,7 +14,6 @@ from ...lhm.mesh import Floats, Ints
 from ..materials import Material
 from . import dolfinx_version as seam
 from .densities import DENSITIES
-from .quadrature import DEGREE
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
@@ -51,15 +50,18 @@ class HyperelasticForms:
     _dP_dF: Callable[[Ints], Floats]
 
     @classmethod
-    def of(cls, displacement, cells: Ints, material: Material, points: Floats) -> HyperelasticForms:
-        """Forms for the displacement function [mm] on cells (k,), which a law's vectors go by; dP/dF at `points`."""
+    def of(cls, displacement, cells: Ints, material: Material, degree: int = 1) -> HyperelasticForms:
+        """Forms for the displacement function [mm] on cells (k,), which a law's vectors go by.
+
+        Integrals and dP/dF are by the rule of a degree.
+        """
         space = displacement.function_space
         psi, F = density(displacement, cells, material)
-        dx = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": DEGREE})
+        dx = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
         energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
-        dP_dF = seam.evaluator(ufl.diff(ufl.diff(psi, F), F), points, space.mesh)
+        dP_dF = seam.evaluator(ufl.diff(ufl.diff(psi, F), F), seam.quadrature_rule(degree)[0], space.mesh)
         return cls(cells, seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent), dP_dF)
 
     def assemble_energy(self) -> float:

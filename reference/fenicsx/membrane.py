@@ -1,4 +1,4 @@
-"""SurfaceStrain on triangles of the scene's vertices: energy, gradient and Hessian blocks, exact for linear triangles.
+"""SurfaceStrain on triangles: energy, gradient and Hessian blocks, at one point of linear or several of quadratic ones.
 
 F (3x2) maps a triangle's rest plane to space, F = U diag(s) Vᵀ with s₁ ≥ s₂ ≥ 0. psi = w/2 ‖F - cR‖², c = √growth,
 has curvature w along stretches and flips, w(1 - 2c/(s₁+s₂)) along the twist, and w(1 - c/s_i) for n ⊗ v_i.
@@ -12,44 +12,46 @@ import numpy as np
 
 from ...lhm.mesh import Floats, Ints
 from ..terms import SurfaceStrain
+from . import dolfinx_version as seam
 
 FLAT = 1e-8  # stretch below which a triangle's directions are not defined, and its curvature not finite
+SURFACE_DEGREE = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Membrane:
-    """Triangles (m, 3) in the solver's vertex order, shape gradients (m, 3, 2) [1/mm], area [mm²], w [mN/mm], c."""
+    """Points (m,): the nodes they hang on (m, k), shape gradients (m, k, 2) [1/mm], area [mm²], w [mN/mm], c."""
 
-    triangles: Ints
+    nodes: Ints
     gradients: Floats
     area: Floats
     stiffness: Floats
     stretch: Floats
 
     @classmethod
-    def of(cls, term: SurfaceStrain, vertices: Floats, order: Ints) -> Membrane:
-        """The term on rest vertices [mm], shape (n, 3), in the scene's order; `order` numbers them for the solver."""
-        x0, x1, x2 = (vertices[term.triangles[:, k]] for k in range(3))
-        e1, e2 = x1 - x0, x2 - x0
-        normal = np.cross(e1, e2)
-        along = e1 / np.linalg.norm(e1, axis=1, keepdims=True)
-        across = np.cross(normal, along)
-        across /= np.linalg.norm(across, axis=1, keepdims=True)
-        frame = np.stack([along, across], axis=1)
-        rest = frame @ np.stack([e1, e2], axis=2)
-        inverse = np.linalg.inv(rest)
-        gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-        m = len(term.triangles)
+    def of(cls, term: SurfaceStrain, vertices: Floats, nodes: Ints) -> Membrane:
+        """The term on rest vertices [mm], shape (n, 3), and its triangles' nodes (t, 3), or (t, 6) of quadratic ones.
+
+        Nodes on edges are numbered by the opposite corner.
+        """
+        _, area = _plane(vertices, term.triangles)
+        gradients, _ = _plane(vertices if term.rest is None else term.rest, term.triangles)
+        shares, shapes = _linear() if nodes.shape[1] == 3 else _quadratic()
+        q = len(shares)
+
+        def at_points(values) -> Floats:
+            return np.repeat(np.broadcast_to(values, len(nodes)), q)
+
         return cls(
-            order[term.triangles],
-            gradients,
-            0.5 * np.linalg.norm(normal, axis=1),
-            np.broadcast_to(term.stiffness, m),
-            np.sqrt(np.broadcast_to(term.growth, m)),
+            np.repeat(nodes, q, axis=0),
+            (shapes[None] @ gradients[:, None]).reshape(len(nodes) * q, -1, 2),
+            np.outer(area, shares).ravel(),
+            at_points(term.stiffness),
+            np.sqrt(at_points(term.growth)),
         )
 
     def _svd(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        F = x[self.triangles].transpose(0, 2, 1) @ self.gradients
+        F = x[self.nodes].transpose(0, 2, 1) @ self.gradients
         return np.linalg.svd(F, full_matrices=True)
 
     def energy(self, x: Floats) -> float:
@@ -64,10 +66,10 @@ class Membrane:
         P = (U[:, :, :2] * (self.stiffness[:, None] * (s - self.stretch[:, None]))[:, None, :]) @ Vt
         force = self.area[:, None, None] * self.gradients @ P.transpose(0, 2, 1)
         for c in range(3):
-            into[:, c] += np.bincount(self.triangles.ravel(), force[:, :, c].ravel(), minlength=len(into))
+            into[:, c] += np.bincount(self.nodes.ravel(), force[:, :, c].ravel(), minlength=len(into))
 
     def hessian(self, x: Floats, kept: float) -> Floats:
-        """The Hessian's blocks [mN/mm], shape (m, 3, 3, 3, 3): vertex, vertex, component, component.
+        """The Hessian's blocks [mN/mm], shape (m, k, k, 3, 3): node, node, component, component.
 
         Negative curvature is multiplied by `kept`: 1 for the exact Hessian, 0 for its projection.
         """
@@ -82,9 +84,40 @@ class Membrane:
         vectors[:, 2] = n[:, :, None] * v[:, None, :, 1]
         curvature = np.column_stack([twist, bend])
         change = np.maximum(curvature, kept * curvature) - w[:, None]
-        B = vectors.reshape(len(s), 9, 2) @ self.gradients.transpose(0, 2, 1)  # mode and component, vertex
-        B = B.reshape(len(s), 3, 9)
+        B = vectors.reshape(len(s), 9, 2) @ self.gradients.transpose(0, 2, 1)  # mode and component, node
+        k = self.nodes.shape[1]
+        B = B.reshape(len(s), 3, 3 * k)
         blocks = (B * (self.area[:, None] * change)[:, :, None]).transpose(0, 2, 1) @ B
-        blocks = blocks.reshape(-1, 3, 3, 3, 3).transpose(0, 2, 4, 1, 3)
+        blocks = blocks.reshape(-1, 3, k, 3, k).transpose(0, 2, 4, 1, 3)
         isotropic = (self.area * w)[:, None, None] * self.gradients @ self.gradients.transpose(0, 2, 1)
         return blocks + isotropic[..., None, None] * np.eye(3)
+
+
+def _plane(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Gradients of the barycentric coordinates in the planes of triangles, shape (t, 3, 2) [1/mm], and areas [mm²]."""
+    x0, x1, x2 = (vertices[triangles[:, k]] for k in range(3))
+    e1, e2 = x1 - x0, x2 - x0
+    normal = np.cross(e1, e2)
+    along = e1 / np.linalg.norm(e1, axis=1, keepdims=True)
+    across = np.cross(normal, along)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    frame = np.stack([along, across], axis=1)
+    inverse = np.linalg.inv(frame @ np.stack([e1, e2], axis=2))
+    gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    return gradients, 0.5 * np.linalg.norm(normal, axis=1)
+
+
+def _linear() -> tuple[Floats, Floats]:
+    return np.ones(1), np.eye(3)[None]
+
+
+def _quadratic() -> tuple[Floats, Floats]:
+    """Shares (q,) of the area, and derivatives of the shape functions by barycentric coordinates, (q, 6, 3)."""
+    points, weights = seam.quadrature_rule(SURFACE_DEGREE, "triangle")
+    barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
+    shapes = np.zeros((len(points), 6, 3))
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        shapes[:, a, a] = 4.0 * barycentric[:, a] - 1.0
+        shapes[:, 3 + a, b], shapes[:, 3 + a, c] = 4.0 * barycentric[:, c], 4.0 * barycentric[:, b]
+    return weights / weights.sum(), shapes

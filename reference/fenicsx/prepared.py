@@ -27,7 +27,8 @@ VARYING = {
     Volume: ("target",),
     SurfaceStrain: ("growth",),
 }
-ELEMENTS = ("P1",)
+DEGREE_OF = {"P1": 1, "P2": 2}
+"""The degree of each element's displacement."""
 MAX_ITERATIONS = 100
 SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
 LOAD_STEP_TOLERANCE = 1e-2
@@ -39,21 +40,21 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct).
     Raises SceneError for another element or linear solver, or a term that this solver cannot model.
     """
-    if element not in ELEMENTS:
-        raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there is {', '.join(ELEMENTS)}")
+    if element not in DEGREE_OF:
+        raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
     refuse_unknown(scene, "fenicsx", TERMS, LAWS)
-    return PreparedFenicsx(scene, linear_solver)
+    return PreparedFenicsx(scene, element, linear_solver)
 
 
 class PreparedFenicsx:
     """See `softdeca.reference.Prepared`; `detail` of a solution counts linear iterations and solves, and assemblies."""
 
-    def __init__(self, scene: Scene, linear: str):
+    def __init__(self, scene: Scene, element: str, linear: str):
         if linear not in LINEAR_SOLVERS:
             names = ", ".join(LINEAR_SOLVERS)
             raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear!r}; there are {names}")
         self.scene = scene
-        self._numbering = Numbering(scene)
+        self._numbering = Numbering(scene, DEGREE_OF[element])
         self._problem = Problem(scene, self._numbering)
         self._linear = LINEAR_SOLVERS[linear](self._problem.matrix)
         self._direct = LINEAR_SOLVERS["mumps"](self._problem.matrix)
@@ -101,7 +102,7 @@ class _Solve:
         self._scene, self._tolerance, self._limit = scene, tolerance, limit
         held, positions = scene.dirichlet()
         self._elsewhere = np.where(held, positions, start)
-        held = self._numbering.to_dofs(held)
+        held = self._numbering.held(held)
         self._u = self._numbering.to_dofs(start) - self._numbering.X
         self._goal = np.where(held, self._numbering.to_dofs(positions) - self._numbering.X, self._u)
         held = held | self._problem.unsupported[:, None]

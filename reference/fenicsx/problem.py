@@ -18,9 +18,10 @@ from .densities import DENSITIES
 from .dolfinx_version import PETSc
 from .hyperelastic import HyperelasticForms
 from .laws import CorotatedLaw, NeoHookeanLaw, PrincipalLaw, StrainLaw, VolumeLaw
+from .loads import dead_loads
 from .membrane import Membrane
 from .numbering import Numbering
-from .quadrature import QuadratureForms
+from .quadrature import DEGREES, QuadratureForms
 
 Law = tuple[Ints, PrincipalLaw]
 """A law and the quadrature points, counted within QuadratureForms, that it acts on."""
@@ -48,7 +49,8 @@ class Problem:
         solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
         empty = np.empty(0, dtype=np.int64)
         cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
-        self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes)
+        self._degree = DEGREES[numbering.degree]
+        self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes, self._degree)
         self._hyperelastic = [self._forms(term, self._cells(scene, term)) for term in self._by_ufl(scene)]
         self._tensors = [
             (self._points(forms.cells), forms)
@@ -56,13 +58,14 @@ class Problem:
             if not isinstance(term.material, NeoHookean)
         ]
         n = len(numbering.X)
-        triangles = [numbering.dofs_of(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
-        self._blocks = [BlockMatrix(t, n) for t in triangles]
-        self.matrix = stiffness_matrix([numbering.cell_dofs, *triangles], n)
+        self._faces = [numbering.face_dofs(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
+        self._membranes = self._membranes_of(scene)
+        self._blocks = [BlockMatrix(membrane.nodes, n) for membrane in self._membranes]
+        self.matrix = stiffness_matrix([numbering.cell_dofs, *self._faces], n)
         self.matrix.setNearNullSpace(rigid_motions(numbering.X))
         springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
         self.unsupported = np.ones(n, dtype=bool)
-        for dofs in (numbering.cell_dofs[cells], *triangles, *springs):
+        for dofs in (numbering.cell_dofs[cells], *self._faces, *springs):
             self.unsupported[dofs.ravel()] = False
         self.set(scene)
 
@@ -78,7 +81,7 @@ class Problem:
         return [term for term in scene.of(Hyperelastic) if type(term.material) in DENSITIES]
 
     def _forms(self, term: Hyperelastic, cells: Ints) -> HyperelasticForms:
-        return HyperelasticForms.of(self._displacement, cells, term.material, self._quadrature.points)
+        return HyperelasticForms.of(self._displacement, cells, term.material, self._degree)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -88,8 +91,8 @@ class Problem:
         bad = np.flatnonzero(loose & loads.any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
         if bad.size:
             raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
-        self.loads = order.to_dofs(loads)
-        self._membranes = [Membrane.of(term, scene.vertices, order.dof) for term in scene.of(SurfaceStrain)]
+        self.loads = dead_loads(scene, order)
+        self._membranes = self._membranes_of(scene)
         self._springs = [
             Spring(order.dof[t.vertices], t.positions, np.broadcast_to(t.stiffness, len(t.vertices)))
             for t in scene.of(Target)
@@ -99,6 +102,10 @@ class Problem:
         self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume), *corotated)]
         self._stand_ins = [self._law(scene, term) for term in solids if isinstance(term.material, NeoHookean)]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
+
+    def _membranes_of(self, scene: Scene) -> list[Membrane]:
+        surfaces = zip(scene.of(SurfaceStrain), self._faces, strict=True)
+        return [Membrane.of(term, scene.vertices, nodes) for term, nodes in surfaces]
 
     def _law(self, scene: Scene, term: Strain | Volume | Hyperelastic) -> Law:
         tets = scene.tets_of(term)

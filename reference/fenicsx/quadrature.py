@@ -9,33 +9,34 @@ from ...lhm.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc
 
-DEGREE = 1  # one point: F of linear tets is constant
+DEGREES = {1: 1, 2: 4}
+"""Degree of the rule by that of the element: one point for linear tets, whose F is constant."""
 
 
 class QuadratureForms:
     """F at the quadrature points of some cells, and the assembly of P and dP/dF given there.
 
-    Points are ordered cell by cell; `volume` [mm³], shape (k q,), is what each stands for.
+    Points are those of the rule of a degree, cell by cell; `volume` [mm³], shape (k q,), is what each stands for.
     """
 
-    def __init__(self, displacement, cells: Ints, cell_volumes: Floats):
+    def __init__(self, displacement, cells: Ints, cell_volumes: Floats, degree: int = 1):
         space = displacement.function_space
         domain = space.mesh
-        points, weights = seam.quadrature_rule(DEGREE)
+        points, weights = seam.quadrature_rule(degree)
         self.cells = cells
         self.points = points
         self.per_cell = len(points)
         self.volume = np.outer(cell_volumes[cells], weights / weights.sum()).ravel()
         self._gradient_at = seam.evaluator(ufl.grad(displacement), points, domain)
 
-        stress_space = seam.quadrature_space(domain, DEGREE, (3, 3))
+        stress_space = seam.quadrature_space(domain, degree, (3, 3))
         self._stress = seam.function(stress_space)
         self._stress_dofs = seam.cell_dofs(stress_space, self.per_cell)[cells].ravel()
-        tangent_space = seam.quadrature_space(domain, DEGREE, (9, 9))
+        tangent_space = seam.quadrature_space(domain, degree, (9, 9))
         self._tangent = seam.function(tangent_space)
         self._tangent_dofs = seam.cell_dofs(tangent_space, self.per_cell)[cells].ravel()
 
-        dx = seam.cell_measure(domain, cells)(metadata={"quadrature_degree": DEGREE, "quadrature_scheme": "default"})
+        dx = seam.cell_measure(domain, cells)(metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})
         v, du = ufl.TestFunction(space), ufl.TrialFunction(space)
         self._linear = seam.compile_form(ufl.inner(self._stress, ufl.grad(v)) * dx)
         self._bilinear = seam.compile_form(ufl.inner(ufl.dot(self._tangent, _flat(du)), _flat(v)) * dx)

@@ -64,7 +64,7 @@ class ByUfl:
         numbering = Numbering(Scene(X, np.arange(4 * ROOM).reshape(-1, 4), []))
         u, points = seam.function(numbering.space), seam.quadrature_rule(1)[0]
         cells = numbering.cell
-        self.forms = HyperelasticForms.of(u, cells, self.material, points)
+        self.forms = HyperelasticForms.of(u, cells, self.material)
         psi, F = density(u, cells, self.material)
         self._psi = seam.evaluator(psi, points, numbering.space.mesh)
         self._stress = seam.evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
