@@ -118,8 +118,9 @@ class TetMesh:
         object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
         object.__setattr__(self, "tets", as_elements("tets", self.tets, 4, len(self.vertices)))
         volumes = tet_volumes(self.vertices, self.tets)
-        corners = self.vertices[self.tets]
-        size = np.ptp(corners, axis=1).max(axis=1) if len(corners) else np.zeros(0)
+        a, b, c, d = (self.vertices[corner] for corner in self.tets.T)
+        extent = np.maximum(np.maximum(a, b), np.maximum(c, d)) - np.minimum(np.minimum(a, b), np.minimum(c, d))
+        size = np.maximum(np.maximum(extent[:, 0], extent[:, 1]), extent[:, 2])
         bad = np.flatnonzero(volumes <= 1e-15 * size**3)
         if bad.size:
             first = bad[0]

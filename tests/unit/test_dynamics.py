@@ -79,7 +79,7 @@ def test_at_rest_the_target_is_the_expression_exactly():
 
 
 def test_no_range_of_p_grows_over_2048_frames_of_the_worst_input():
-    """The bound for inputs within ±1 is γ Σ |h_k|, h_k = r^k sin((k+1)θ) / sin θ of poles r e^(±iθ); signs attain it."""
+    """Inputs within ±1 stay below γ Σ |h_k|, h_k = r^k sin((k+1)θ) / sin θ of poles r e^(±iθ); signs attain it."""
     f, zeta = (grid.ravel() for grid in np.meshgrid(*(np.linspace(*limits, 9) for limits in RANGE)))
     r, angle = np.exp(-zeta * 2 * np.pi * f * STEP), 2 * np.pi * f * np.sqrt(1 - zeta**2) * STEP
     k = np.arange(2048)[:, None]
