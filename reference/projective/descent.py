@@ -1,19 +1,23 @@
 """Two ways down: plain projective dynamics, and L-BFGS that starts each step from the PD matrix.
 
 Both are written in residual form, u -= A⁻¹ ∇E: the gradient is exact, so A decides the way but not the answer.
+Steps and gradients are flat vectors over the unknowns; where rigid bodies turn, those of different points are compared
+as they stand, which is exact to second order.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from ...lhm.mesh import Floats
 from ..solution import Reason, Recorder
+from .coordinates import Place
 
 MEMORY = 8
 ARMIJO = 1e-4
@@ -26,13 +30,18 @@ MAX_UNTANGLING = 150
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A displacement u [mm], shape (n, 3), with its energy [µJ] and its gradient [mN] over free components."""
+    """A place with its energy [µJ] and the gradient [mN] over the unknowns."""
 
-    u: Floats
+    place: Place
     energy: float
     gradient: Floats
 
     @property
+    def u(self) -> Floats:
+        """The displacement [mm], shape (n, 3)."""
+        return self.place.u
+
+    @cached_property
     def norm(self) -> float:
         """Norm of the gradient [mN]."""
         return float(np.linalg.norm(self.gradient))
@@ -40,14 +49,19 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is minimised: `at` evaluates a displacement, `precondition` is A⁻¹.
+    """What is minimised: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
     `untangling`, where given, evaluates an energy that leads out of inverted tets and has the same matrix A.
     """
 
-    at: Callable[[Floats], Point]
-    precondition: Callable[[Floats], Floats]
-    untangling: Callable[[Floats], Point] | None = None
+    at: Callable[[Place], Point]
+    move: Callable[[Place, Floats], Place]
+    precondition: Callable[[Floats, Point], Floats]
+    untangling: Callable[[Place], Point] | None = None
+
+    def after(self, point: Point, step: Floats) -> Point:
+        """The point after a step [mm] over the unknowns."""
+        return self.at(self.move(point.place, step))
 
 
 class Observer(Protocol):
@@ -109,7 +123,7 @@ class Untangling:
         self._seen += 1
         if point.norm <= UNTANGLED * self._first or self._seen > MAX_UNTANGLING:
             return Reason.CONVERGED
-        self.stopped = self._watch.see(self._problem.at(point.u))
+        self.stopped = self._watch.see(self._problem.at(point.place))
         return self.stopped
 
 
@@ -119,8 +133,20 @@ Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]
 def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding."""
     while (reason := watch.see(point)) is None:
-        point = problem.at(point.u - problem.precondition(point.gradient))
+        point = _plain_step(problem, point)[1]
     return point, reason
+
+
+def _plain_step(problem: Problem, point: Point) -> tuple[Floats, Point]:
+    """The step -A⁻¹ ∇E and its end. A bounds the energy but for the turns of bodies, hence the halving."""
+    step = -problem.precondition(point.gradient, point)
+    ahead = problem.after(point, step)
+    for _ in range(MAX_HALVINGS if len(point.place.rotations) else 0):
+        if ahead.energy <= point.energy + ROUNDING * abs(point.energy):
+            break
+        step = 0.5 * step
+        ahead = problem.after(point, step)
+    return step, ahead
 
 
 def accelerated(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
@@ -130,9 +156,9 @@ def accelerated(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Re
     """
     if problem.untangling is not None:
         other = Untangling(problem, watch)
-        relaxed = Problem(problem.untangling, problem.precondition)
-        end, _ = lbfgs(relaxed, relaxed.at(point.u), other)
-        point = problem.at(end.u)
+        relaxed = replace(problem, at=problem.untangling, untangling=None)
+        end, _ = lbfgs(relaxed, relaxed.at(point.place), other)
+        point = problem.at(end.place)
         if other.stopped is not None:
             return point, other.stopped
         watch.forget()
@@ -146,11 +172,12 @@ def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
     """
     memory: deque[tuple[Floats, Floats, float]] = deque(maxlen=MEMORY)
     while (reason := watch.see(point)) is None:
-        ahead = _line_search(problem, point, _direction(problem, point.gradient, memory)) if memory else None
-        if ahead is None:
+        taken = _line_search(problem, point, _direction(problem, point, memory)) if memory else None
+        if taken is None:
             memory.clear()
-            ahead = problem.at(point.u - problem.precondition(point.gradient))
-        s, y = ahead.u - point.u, ahead.gradient - point.gradient
+            taken = _plain_step(problem, point)
+        s, ahead = taken
+        y = ahead.gradient - point.gradient
         curvature = float(np.vdot(s, y))
         if curvature > 1e-12 * float(np.linalg.norm(s) * np.linalg.norm(y)):
             memory.append((s, y, 1.0 / curvature))
@@ -158,34 +185,35 @@ def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
     return point, reason
 
 
-def _direction(problem: Problem, gradient: Floats, memory: deque[tuple[Floats, Floats, float]]) -> Floats:
+def _direction(problem: Problem, point: Point, memory: deque[tuple[Floats, Floats, float]]) -> Floats:
     """The two-loop recursion (Nocedal and Wright 2006, Algorithm 7.4), with A⁻¹ for its initial matrix."""
-    q = gradient.copy()
+    q = point.gradient.copy()
     along = []
     for s, y, rho in reversed(memory):
         along.append(rho * float(np.vdot(s, q)))
         q -= along[-1] * y
-    direction = problem.precondition(q)
+    direction = problem.precondition(q, point)
     for (s, y, rho), a in zip(memory, reversed(along), strict=True):
         direction += (a - rho * float(np.vdot(y, direction))) * s
     return -direction
 
 
-def _line_search(problem: Problem, point: Point, direction: Floats) -> Point | None:
-    """Halve the step until Armijo's condition holds; None if it does not soon.
+def _line_search(problem: Problem, point: Point, direction: Floats) -> tuple[Floats, Point] | None:
+    """A step along the direction, and its end. Halve it until Armijo's condition holds; None if it does not soon.
 
     Where rounding hides the decrease, the slope is asked instead (Hager and Zhang 2005, Eq. 4.1).
     """
     slope = float(np.vdot(point.gradient, direction))
     if not slope < 0.0:
         return None
-    step = 1.0
+    size = 1.0
     for _ in range(MAX_HALVINGS):
-        ahead = problem.at(point.u + step * direction)
-        if ahead.energy <= point.energy + ARMIJO * step * slope:
-            return ahead
+        step = size * direction
+        ahead = problem.after(point, step)
+        if ahead.energy <= point.energy + ARMIJO * size * slope:
+            return step, ahead
         level = ahead.energy <= point.energy + ROUNDING * abs(point.energy)
         if level and float(np.vdot(ahead.gradient, direction)) <= (2.0 * ARMIJO - 1.0) * slope:
-            return ahead
-        step *= 0.5
+            return step, ahead
+        size *= 0.5
     return None

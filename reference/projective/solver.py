@@ -13,14 +13,39 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
-from ..terms import Bending, Fixed, Gravity, Inertia, Strain, StrainRule, SurfaceStrain, Target, Term, Traction, Volume
+from ..terms import (
+    Bending,
+    Fixed,
+    Gravity,
+    Inertia,
+    RigidBody,
+    Strain,
+    StrainRule,
+    SurfaceStrain,
+    Target,
+    Term,
+    Traction,
+    Volume,
+)
+from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, accelerated, plain
 from .energy import Energy
 from .system import System
 
 Method = Literal["lbfgs", "plain"]
 METHODS: dict[str, Descent] = {"lbfgs": accelerated, "plain": plain}
-TERMS: tuple[type[Term], ...] = (Strain, Volume, SurfaceStrain, Bending, Target, Fixed, Gravity, Traction, Inertia)
+TERMS: tuple[type[Term], ...] = (
+    Strain,
+    Volume,
+    SurfaceStrain,
+    Bending,
+    Target,
+    Fixed,
+    RigidBody,
+    Gravity,
+    Traction,
+    Inertia,
+)
 VARYING: dict[type[Term], tuple[str, ...]] = {
     Strain: ("limit",),
     Volume: ("target",),
@@ -36,23 +61,23 @@ MAX_ITERATIONS = 5000
 
 @dataclass
 class _Work:
-    """Evaluates energies over the free components and solves with A, and counts both."""
+    """Evaluates energies over the unknowns and solves with A, and counts both."""
 
     system: System
     evaluations: int = 0
     global_solves: int = 0
 
-    def on(self, energy: Energy) -> Callable[[Floats], Point]:
-        def at(u: Floats) -> Point:
+    def on(self, energy: Energy) -> Callable[[Place], Point]:
+        def at(place: Place) -> Point:
             self.evaluations += 1
-            value, gradient = energy.evaluate(u)
-            return Point(u, value, np.where(self.system.free, gradient, 0.0))
+            value, gradient = energy.evaluate(place.u)
+            return Point(place, value, self.system.coordinates.pull(gradient, place))
 
         return at
 
-    def precondition(self, gradient: Floats) -> Floats:
+    def precondition(self, vector: Floats, point: Point) -> Floats:
         self.global_solves += 1
-        return self.system.solve(gradient)
+        return self.system.solve(vector, point.place.rotations)
 
     def counts(self) -> dict[str, float]:
         return {
@@ -82,7 +107,8 @@ class ProjectivePrepared:
     ) -> Solution:
         """Minimise the energy of the prepared scene, or of one that differs only in the fields of `VARYING`.
 
-        start [mm], shape (n, 3), default rest; what is Fixed is put where it is held before the first iteration.
+        start [mm], shape (n, 3), default rest; what is Fixed is put where it is held, and
+        a RigidBody where it fits best, before the first iteration.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves.
         Raises SceneError if `scene` needs a new preparation, if start or tolerance are out of range, or if loads push
         a part that nothing holds.
@@ -91,14 +117,16 @@ class ProjectivePrepared:
         self.scene.check_prepared_for(scene, varying=VARYING)
         limit = _checked_limits(tolerance, max_iterations)
         held, values = scene.dirichlet()
-        u = np.where(held, values, _checked_start(scene, start)) - scene.vertices
+        coordinates = self.system.coordinates
+        place = coordinates.start(np.where(held, values, _checked_start(scene, start)) - scene.vertices)
         recorder = Recorder(on_iteration)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         work = _Work(self.system)
-        tangled = bool((volume_ratio(scene, scene.vertices + u) <= 0).any())
-        problem = Problem(work.on(energy), work.precondition, work.on(energy.untangling()) if tangled else None)
-        first = problem.at(u)
+        tangled = bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
+        untangling = work.on(energy.untangling()) if tangled else None
+        problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling)
+        first = problem.at(place)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
         point, reason = METHODS[self.method](problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
@@ -126,8 +154,7 @@ def prepare(scene: Scene, *, method: Method = "lbfgs") -> ProjectivePrepared:
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     energy = Energy.of(scene)
     matrix, anchored = energy.matrix(scene)
-    held, _ = scene.dirichlet()
-    return ProjectivePrepared(scene, method, energy, System.of(matrix, anchored, held))
+    return ProjectivePrepared(scene, method, energy, System.of(matrix, anchored, Coordinates.of(scene)))
 
 
 def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:

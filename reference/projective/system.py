@@ -1,4 +1,4 @@
-"""The PD matrix A = Σ w G Gᵀ over free vertices, and its factorisation: the global step, and a preconditioner."""
+"""The PD matrix A = Σ w G Gᵀ over the unknowns, and its factorisation: the global step, and a preconditioner."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 
 from ...lhm.errors import SceneError
 from ...lhm.geometry.factor import factorise
 from ...lhm.mesh import Floats, Ints
+from .coordinates import Body, Coordinates
 
 Solver = Callable[[Floats], Floats]
 
@@ -21,40 +23,43 @@ SHIFT = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Components (of x, y, z) that are held at the same vertices, so that one factorisation serves them."""
+    """One factorisation, of the free vertices of components (of x, y, z) that are held at the same vertices.
+
+    `loose` (n,) numbers the parts that nothing holds, -1 elsewhere. With W the affine motions of all bodies, `carried`
+    is A_ff⁻¹ A_fb W, shape (free, 4 bodies), and `body` the Schur complement Wᵀ (A_bb - A_bf A_ff⁻¹ A_fb) W.
+    """
 
     components: Ints
-    free: Ints
     solver: Solver
     loose: Ints
+    carried: Floats
+    body: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """A⁻¹ on the free components, one factorisation per different set of held vertices."""
+    """A⁻¹ on the unknowns, one factorisation per different set of held vertices; bodies cost a small dense solve."""
 
+    coordinates: Coordinates
     groups: tuple[Group, ...]
-    free: np.ndarray
 
     @classmethod
-    def of(cls, matrix: csr_matrix, anchored: np.ndarray, held: np.ndarray) -> System:
-        """From the matrix (n, n) [mN/mm], the vertices that a Target holds (n,), and held components (n, 3)."""
-        _, part = connected_components(matrix, directed=False)
+    def of(cls, matrix: csr_matrix, anchored: np.ndarray, coordinates: Coordinates) -> System:
+        """From the matrix (n, n) [mN/mm] and the vertices that a Target holds (n,)."""
+        _, part = connected_components(_joined(matrix, coordinates.bodies), directed=False)
         groups = []
-        for components in _alike(held):
-            free = np.flatnonzero(~held[:, components[0]])
-            if not len(free):
-                continue
+        for components, free in coordinates.groups:
             is_tied = np.zeros(part.max() + 1, dtype=bool)
-            is_tied[part[anchored | held[:, components[0]]]] = True
+            is_tied[part[anchored | coordinates.held[:, components[0]]]] = True
             loose = np.where(is_tied[part], -1, part)
-            reduced = matrix[free][:, free].tocsr()
+            rows = matrix[free]
+            reduced = rows[:, free]
             diagonal = reduced.diagonal()
             shift = np.where(loose[free] >= 0, SHIFT * diagonal, 0.0)
             shift[diagonal == 0] = 1.0
-            reduced = (reduced + csr_matrix((shift, (np.arange(len(free)),) * 2), shape=reduced.shape)).tocsc()
-            groups.append(Group(components, free, factorise(reduced), loose))
-        return cls(tuple(groups), ~held)
+            solver = factorise((reduced + diags(shift)).tocsc()) if len(free) else np.copy
+            groups.append(Group(components, solver, loose, *_schur(matrix, rows, solver, coordinates.bodies)))
+        return cls(coordinates, tuple(groups))
 
     def check_loads(self, loads: Floats):
         """Raise SceneError for a part that nothing holds although forces [mN], shape (n, 3), push it somewhere."""
@@ -73,18 +78,54 @@ class System:
                         f"{net[bad[0]]:.3g} mN push it: add Fixed or Target, or balance the loads"
                     )
 
-    def solve(self, gradient: Floats) -> Floats:
-        """A⁻¹ times the gradient (n, 3); zero in held components."""
-        step = np.zeros_like(gradient)
-        for group in self.groups:
-            where = np.ix_(group.free, group.components)
-            step[where] = group.solver(np.ascontiguousarray(gradient[where]))
+    def solve(self, gradient: Floats, rotations: Floats) -> Floats:
+        """A⁻¹ times a gradient over the unknowns, shape (size,), where the bodies have these rotations."""
+        step = np.empty_like(gradient)
+        begin = 0
+        blocks = []
+        for group, (components, free) in zip(self.groups, self.coordinates.groups, strict=True):
+            block = slice(begin, begin + len(free) * len(components))
+            blocks.append((group, block, (len(free), len(components))))
+            step[block] = group.solver(gradient[block].reshape(len(free), -1)).ravel() if len(free) else 0.0
+            begin = block.stop
+        if self.coordinates.bodies:
+            motions = self.coordinates.affine_motions(rotations)
+            right = gradient[begin:].copy()
+            matrix = np.zeros((len(right), len(right)))
+            for group, block, shape in blocks:
+                for c, force in zip(
+                    group.components, (group.carried.T @ gradient[block].reshape(shape)).T, strict=True
+                ):
+                    right -= motions[c].T @ force
+                    matrix += motions[c].T @ group.body @ motions[c]
+            step[begin:] = _solved(matrix, right)
+            for group, block, shape in blocks:
+                moved = np.stack([motions[c] @ step[begin:] for c in group.components], axis=1)
+                step[block].reshape(shape)[:] -= group.carried @ moved
         return step
 
 
-def _alike(held: np.ndarray) -> list[Ints]:
-    """The components of x, y, z, gathered by equal columns of `held`."""
-    gathered: dict[bytes, list[int]] = {}
-    for c in range(3):
-        gathered.setdefault(held[:, c].tobytes(), []).append(c)
-    return [np.array(components) for components in gathered.values()]
+def _joined(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
+    """The matrix with entries between the vertices of each body, to tell what hangs together."""
+    first = np.concatenate([np.repeat(body.vertices[0], len(body.vertices)) for body in bodies] or [[]])
+    other = np.concatenate([body.vertices for body in bodies] or [[]])
+    links = coo_matrix((np.ones(len(other)), (first.astype(int), other.astype(int))), shape=matrix.shape)
+    return abs(matrix) + links.tocsr()
+
+
+def _schur(matrix: csr_matrix, rows: csr_matrix, solver: Solver, bodies: tuple[Body, ...]) -> tuple[Floats, Floats]:
+    """`Group.carried` and `Group.body`, for the rows of the matrix that belong to free vertices."""
+    affine = np.zeros((matrix.shape[0], 4 * len(bodies)))
+    for b, body in enumerate(bodies):
+        affine[body.vertices, 4 * b : 4 * b + 4] = body.affine
+    pulling = rows @ affine
+    carried = solver(pulling) if pulling.size else pulling
+    return carried, affine.T @ (matrix @ affine) - pulling.T @ carried
+
+
+def _solved(matrix: Floats, right: Floats) -> Floats:
+    """The solution of the bodies' small system, shifted as what nothing holds is, and scaled to a unit diagonal."""
+    diagonal = np.diag(matrix)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    scaled = matrix * scale * scale[:, None] + SHIFT * np.eye(len(matrix))
+    return scale * cho_solve(cho_factor(scaled), scale * right)
