@@ -35,6 +35,14 @@ def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
     return tets.reshape(-1, 4)
 
 
+def stacked(wraps: Sequence[Floats], counts: Sequence[int]) -> Floats:
+    """Wraps (n, 3) and the evenly spaced vertices between them, from outside to inside; see `sub_layers`."""
+    stack = [wraps[0]]
+    for outer, inner, count in zip(wraps[:-1], wraps[1:], counts, strict=True):
+        stack += [outer + (k / count) * (inner - outer) for k in range(1, count)] + [inner]
+    return np.vstack(stack)
+
+
 def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) -> tuple[TetMesh, ...]:
     """One tet mesh per gap between consecutive wraps, gap k split evenly into counts[k] layers of prisms.
 
@@ -44,10 +52,7 @@ def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) 
     """
     if len(counts) != len(wraps) - 1 or min(counts) < 1:
         raise InputError(f"sub-layers {tuple(counts)}: expected {len(wraps) - 1} counts of at least 1")
-    n, stack = len(wraps[0]), [wraps[0]]
-    for outer, inner, count in zip(wraps[:-1], wraps[1:], counts, strict=True):
-        stack += [outer + (k / count) * (inner - outer) for k in range(1, count)] + [inner]
-    vertices = np.vstack(stack)
+    n, vertices = len(wraps[0]), stacked(wraps, counts)
     firsts = np.concatenate([[0], np.cumsum(counts)])
     return tuple(
         TetMesh(vertices, np.vstack([prism_tets(triangles, k * n, (k + 1) * n) for k in range(first, last)]))

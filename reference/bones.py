@@ -1,6 +1,6 @@
 """Cranium and mandible in a facial scene: rigid bodies, prescribed places, or the paper's stiff surfaces (Eq. 13).
 
-Indices are into a head's stacked vertices; the skull wrap's come last.
+Indices are into a scene's vertices, among which the skull wrap's stand in one run.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def jaw_motion(head: LayeredHead, wrap_targets: Floats) -> tuple[Floats, Floats]
     return rigid_motion(head.skin_wrap.vertices[jaw], wrap_targets[jaw])
 
 
-def carried(head: LayeredHead, parameters: Parameters, wrap_targets: Floats) -> Floats:
-    """The stacked wraps [mm], shape (3 n, 3), carried along by an expression without physics: where to begin.
+def carried(head: LayeredHead, parameters: Parameters, wrap_targets: Floats) -> tuple[Floats, Floats, Floats]:
+    """Skin, muscle and skull wrap [mm], each of shape (n, 3), carried along by an expression without physics.
 
     The skin wrap is at its targets, the mandible moved with the skin over it, skull-wrap vertices that are no bone go
     with the skin, and the muscle wrap lies between as it does at rest.
@@ -76,32 +76,40 @@ def carried(head: LayeredHead, parameters: Parameters, wrap_targets: Floats) -> 
     skull[head.bone == FREE] += moved[head.bone == FREE]
     depth = np.linalg.norm(rest - skin, axis=1)
     share = np.clip(np.linalg.norm(muscle - skin, axis=1) / np.maximum(depth, 1e-12), 0.0, 1.0)[:, None]
-    return np.vstack([wrap_targets, muscle + (1.0 - share) * moved + share * (skull - rest), skull])
+    return wrap_targets, muscle + (1.0 - share) * moved + share * (skull - rest), skull
 
 
-def rigid_bones(head: LayeredHead, parameters: Parameters, elsewhere: Collection[int] = ()) -> list[terms.Term]:
-    """A cranium that is held, and a mandible that is free but rigid, less the bones that are `elsewhere`."""
-    first, skull = 2 * len(head.bone), scaled_skull(head, parameters)
+def rigid_bones(
+    head: LayeredHead, parameters: Parameters, first: int, elsewhere: Collection[int] = ()
+) -> list[terms.Term]:
+    """A cranium that is held, and a mandible that is free but rigid, less the bones that are `elsewhere`.
+
+    first: index of the skull wrap's first vertex.
+    """
+    skull = scaled_skull(head, parameters)
     cranium, jaw = (np.flatnonzero((head.bone == b) & (b not in elsewhere)) for b in (CRANIUM, MANDIBLE))
     parts: list[terms.Term] = [terms.Fixed(first + cranium, skull[cranium])] if cranium.size else []
     return parts + ([terms.RigidBody(first + jaw, skull[jaw])] if jaw.size >= 3 else [])
 
 
-def prescribed_bones(head: LayeredHead, placed: Floats, elsewhere: Collection[int] = ()) -> list[terms.Term]:
-    """Cranium and mandible Fixed where the stacked wraps `placed` (3 n, 3) [mm] have them."""
-    labels = [b for b in (CRANIUM, MANDIBLE) if b not in elsewhere]
-    bone = 2 * len(head.bone) + np.flatnonzero(np.isin(head.bone, labels))
-    return [terms.Fixed(bone, placed[bone])] if bone.size else []
+def prescribed_bones(head: LayeredHead, skull: Floats, first: int, elsewhere: Collection[int] = ()) -> list[terms.Term]:
+    """Cranium and mandible Fixed where the skull wrap `skull` (n, 3) [mm] has them; see `rigid_bones`."""
+    bone = np.flatnonzero(np.isin(head.bone, [b for b in (CRANIUM, MANDIBLE) if b not in elsewhere]))
+    return [terms.Fixed(first + bone, skull[bone])] if bone.size else []
 
 
-def soft_bones(head: LayeredHead, parameters: Parameters) -> list[terms.Term]:
-    """The paper's bones: stiff surfaces that keep their curvature, and springs on the cranium behind the face."""
-    first, wrap = 2 * len(head.bone), head.skull_wrap
+def soft_bones(head: LayeredHead, parameters: Parameters, stack: Floats, first: int) -> list[terms.Term]:
+    """The paper's bones: stiff surfaces that keep their curvature, and springs on the cranium behind the face.
+
+    stack: the scene's vertices at rest [mm]; first: index of the skull wrap's first.
+    """
+    wrap = head.skull_wrap
     labels = head.bone[wrap.triangles]
     triangles = wrap.triangles[(labels > 0).all(axis=1) & (labels == labels[:, :1]).all(axis=1)]
     if not len(triangles):
         return []
-    rest = np.vstack([head.skin_wrap.vertices, head.muscle_wrap.vertices, scaled_skull(head, parameters)])
+    rest = np.array(stack)
+    rest[first : first + len(head.bone)] = scaled_skull(head, parameters)
     stiffness = BONE_STIFFNESS * float(np.mean(parameters.skin_stiffness))
     edge = float(np.mean(np.linalg.norm(np.diff(wrap.vertices[triangles[:, :2]], axis=1), axis=2)))
     behind = np.flatnonzero((head.bone == CRANIUM) & ~head.regions.get("face", np.zeros(len(head.bone), dtype=bool)))

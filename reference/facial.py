@@ -14,7 +14,6 @@ import numpy as np
 
 from ..lhm.errors import SceneError
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ..lhm.layers import prism_tets
 from ..lhm.mesh import Floats, Ints
 from . import terms
 from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones, target_stiffness
@@ -23,6 +22,7 @@ from .local import TETS_PER_PRISM, on_tets, on_triangles
 from .materials import NeoHookean
 from .parameters import TISSUE_DENSITY, Parameters
 from .scene import Scene
+from .stack import Stack
 
 PARTS = ("muscle", "skin")
 
@@ -33,6 +33,7 @@ def facial_scene(
     targets: Floats,
     *,
     bones: Bones = "prescribed",
+    layers: tuple[int, int] = (1, 1),
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
     contact: Sequence[str] = (),
@@ -40,36 +41,38 @@ def facial_scene(
 ) -> Scene:
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
-    Vertices are the head's stacked wraps, then the points of `attached`. Only what p and these choices ask for is
-    built. `bones` are "rigid" (cranium held, mandible a free rigid body), "prescribed" (the mandible put where the skin
-    over it goes) or "soft" (the paper's stiff surfaces). `without` may name "muscle" (one layer of soft tissue from
-    skin to skull) and "skin" (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices, or at a
-    named one, and holds the others where the expression carries them. `contact` names regions whose triangles are kept
-    apart. `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are.
+    Vertices are the head's stacked wraps, the skin's first, then the points of `attached`. Only what p and these
+    choices ask for is built. `bones` are "rigid" (cranium held, mandible a free rigid body), "prescribed" (the mandible
+    put where the skin over it goes) or "soft" (the paper's stiff surfaces). `layers` of tets divide soft tissue and
+    muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to skull, no muscle wrap) and "skin"
+    (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices, or at a named one, and holds the
+    others where the expression carries them. `contact` names regions whose triangles are kept apart. `attached` things
+    are tied to the skull wrap by connecting tets and replace the bone that they are.
     Raises SceneError for targets of another shape or that are not finite, and for unknown or contradicting choices.
     """
     targets = _checked_targets(head, targets)
     _check_choices(bones, without, attached)
     wrap_targets = head.wrap_targets(targets)
+    stack = Stack.of(head, layers, without)
     start = carried(head, parameters, wrap_targets)
     inside = _mask(head, region)
-    tissue = _tissue(head, parameters, inside, merged="muscle" in without)
-    vertices, bodies = _attach(head, parameters, attached, wrap_targets, tissue, bones)
-    n = len(head.bone)
+    tissue = _tissue(head, parameters, stack, inside)
+    vertices, bodies = _attach(head, parameters, attached, wrap_targets, stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
         parts += _skin(head, parameters, inside)
-    parts.append(terms.Target(np.arange(n), wrap_targets, target_stiffness(parameters, head.skin_wrap)))
-    elsewhere = {thing.bone for thing in attached} - {FREE}
+    springs = target_stiffness(parameters, head.skin_wrap)
+    parts.append(terms.Target(np.arange(len(springs)), wrap_targets, springs))
+    elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
     if bones == "soft":
-        parts += soft_bones(head, parameters)
+        parts += soft_bones(head, parameters, vertices, first)
     elif bones == "rigid":
-        parts += rigid_bones(head, parameters, elsewhere)
+        parts += rigid_bones(head, parameters, first, elsewhere)
     else:
-        parts += prescribed_bones(head, start, elsewhere)
-    idle = _idle(head, inside, merged="muscle" in without)
+        parts += prescribed_bones(head, start[2], first, elsewhere)
+    idle = _idle(head, stack, inside)
     if idle.size:
-        parts.append(terms.Fixed(idle, start[idle]))
+        parts.append(terms.Fixed(idle, stack.between(*start)[idle]))
     if np.any(parameters.added_gravity):
         parts.append(terms.Gravity(parameters.added_gravity, TISSUE_DENSITY))
     if contact:
@@ -93,28 +96,27 @@ class _Tissue:
         self.terms += [terms.Strain(strain, limit, tets=ids), terms.Volume(volume, target, tets=ids)]
 
 
-def _tissue(head: LayeredHead, p: Parameters, inside: np.ndarray, *, merged: bool) -> _Tissue:
-    """Soft tissue and muscle (Eq. 10 and 12), or soft tissue alone from skin to skull, at the vertices `inside`."""
+def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray) -> _Tissue:
+    """Soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`."""
     wrap = head.skin_wrap
     kept = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
 
-    def at(name: str):
+    def add(tets: Ints, layers: int, stiffness, limit, volume, target):
+        def at(value):
+            return np.tile(value, layers) if np.ndim(value) else value
+
+        tissue.add(tets, np.tile(kept, layers), at(stiffness), at(limit), at(volume), at(target))
+
+    def value(name: str):
         return on_tets(name, getattr(p, name), wrap)
 
-    strain = at("soft_stiffness")
-    volume = at("volume_ratio") * strain
-    soft = prism_tets(wrap.triangles, 0, 2 * len(head.bone)) if merged else head.soft.tets
     tissue = _Tissue()
-    tissue.add(soft, kept, strain, at("strain_limit"), volume, at("soft_volume"))
-    if not merged:
-        tissue.add(
-            head.muscle.tets,
-            kept,
-            at("muscle_strain_ratio") * strain,
-            1.0,
-            at("muscle_volume_ratio") * volume,
-            at("muscle_volume"),
-        )
+    strain = value("soft_stiffness")
+    volume = value("volume_ratio") * strain
+    add(stack.soft, stack.counts[0], strain, value("strain_limit"), volume, value("soft_volume"))
+    if stack.muscle is not None:
+        strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
+        add(stack.muscle, stack.counts[1], strain, 1.0, volume, value("muscle_volume"))
     return tissue
 
 
@@ -133,14 +135,20 @@ def _skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Te
 
 
 def _attach(
-    head: LayeredHead, p: Parameters, attached: Sequence[Attached], wrap_targets: Floats, tissue: _Tissue, bones: Bones
+    head: LayeredHead,
+    p: Parameters,
+    attached: Sequence[Attached],
+    wrap_targets: Floats,
+    stack: Stack,
+    tissue: _Tissue,
+    bones: Bones,
 ) -> tuple[Floats, list[terms.Term]]:
     """All vertices, and what holds the attached points; their connecting tets go to `tissue`."""
-    vertices, bodies = head.vertices, []
+    vertices, n = stack.vertices, len(head.bone)
+    bodies = []
     for thing in attached:
         _, tets = connecting_tets(thing.points, head.skull_wrap)
-        on_wrap = tets < len(head.bone)
-        tets = np.where(on_wrap, tets + 2 * len(head.bone), tets - len(head.bone) + len(vertices))
+        tets = np.where(tets < n, tets + stack.first_of_skull, tets - n + len(vertices))
         ids = len(vertices) + np.arange(len(thing.points))
         vertices = np.vstack([vertices, thing.points])
         strain = p.connector_ratio * float(np.mean(p.soft_stiffness))
@@ -164,12 +172,11 @@ def _body(
     return terms.Fixed(ids, rest @ rotation.T + translation)
 
 
-def _idle(head: LayeredHead, inside: np.ndarray, *, merged: bool) -> Ints:
-    """Stacked vertices outside the region that no bone holds, and a muscle wrap that has no tets."""
-    n = len(head.bone)
-    out = ~inside
-    muscle = np.arange(n) if merged else np.flatnonzero(out)
-    return np.concatenate([np.flatnonzero(out), n + muscle, 2 * n + np.flatnonzero(out & (head.bone == FREE))])
+def _idle(head: LayeredHead, stack: Stack, inside: np.ndarray) -> Ints:
+    """Stacked vertices outside the region that no bone holds."""
+    out = np.tile(~inside, sum(stack.counts) + 1)
+    out[stack.first_of_skull :] &= head.bone == FREE
+    return np.flatnonzero(out)
 
 
 def _mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:

@@ -18,7 +18,7 @@ def on_triangles(name: str, value: float | Floats, wrap: Surface) -> float | Flo
 
 
 def on_tets(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
-    """A parameter per tet of one layer, from one number, one per triangle or one per tet."""
+    """A parameter per tet of one layer of prisms, from one number, one per triangle, or one per tet of the layer."""
     if not np.ndim(value):
         return value
     triangles, count = len(wrap.triangles), len(value)  # type: ignore[arg-type]

@@ -45,7 +45,7 @@ def test_mandible_follows_the_skin_over_it_and_the_cranium_stays(sphere_head):
     rotation = Rotation.from_euler("x", 0.2).as_matrix()
     targets[jaw] = targets[jaw] @ rotation.T
     n = len(head.bone)
-    placed = carried(head, Parameters(), targets)[2 * n :]
+    placed = carried(head, Parameters(), targets)[2]
     skull = head.skull_wrap.vertices
     expected = np.where(jaw[:, None], skull @ rotation.T, skull)
     assert placed[head.bone > 0] == pytest.approx(expected[head.bone > 0], abs=1e-10)
@@ -174,7 +174,15 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
     merged = facial_scene(head, Parameters(), head.skin.vertices, without=("muscle", "skin"))
     assert len(merged.tets) == len(whole.tets) // 2
     assert merged.volumes.sum() == pytest.approx(whole.volumes.sum(), rel=1e-2)
-    assert not merged.of(terms.SurfaceStrain) and merged.dirichlet()[0][n : 2 * n].all()
+    assert not merged.of(terms.SurfaceStrain) and len(merged.vertices) == 2 * n
+    finer = facial_scene(head, Parameters(), head.skin.vertices, layers=(2, 3), region=head.skin.vertices[:, 2] > 0)
+    assert len(finer.vertices) == 6 * n and len(finer.tets) > 2 * len(whole.tets) // 2
+    assert np.array_equal(finer.vertices[2 * n : 3 * n], head.muscle_wrap.vertices)
+    assert finer.of(terms.Fixed)[0].values == pytest.approx(head.skull_wrap.vertices[head.bone > 0])
+    held = np.flatnonzero(finer.dirichlet()[0][: 5 * n].any(axis=1)) % n
+    assert np.all(head.skin.vertices[held, 2] <= 0)
+    with pytest.raises(SceneError, match="layers"):
+        facial_scene(head, Parameters(), head.skin.vertices, layers=(0, 1))
     with pytest.raises(SceneError, match="without"):
         facial_scene(head, Parameters(), head.skin.vertices, without="muscle")
     with pytest.raises(SceneError, match="bones 'hard'"):
