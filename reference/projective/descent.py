@@ -131,17 +131,26 @@ Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]
 
 
 def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
-    """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding."""
+    """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding.
+
+    With bodies, whose turns the matrix does not bound, this takes a safeguard.
+    """
     while (reason := watch.see(point)) is None:
-        point = _plain_step(problem, point)[1]
+        if len(point.place.rotations):
+            _, point = _safe_step(problem, point)
+        else:
+            point = problem.after(point, -problem.precondition(point.gradient, point))
     return point, reason
 
 
-def _plain_step(problem: Problem, point: Point) -> tuple[Floats, Point]:
-    """The step -A⁻¹ ∇E and its end. A bounds the energy but for the turns of bodies, hence the halving."""
+def _safe_step(problem: Problem, point: Point) -> tuple[Floats, Point]:
+    """The step -A⁻¹ ∇E, halved while the energy rises, and its end.
+
+    Where A holds a share of what bounds the energy, a step of twice this share would lower it.
+    """
     step = -problem.precondition(point.gradient, point)
     ahead = problem.after(point, step)
-    for _ in range(MAX_HALVINGS if len(point.place.rotations) else 0):
+    for _ in range(MAX_HALVINGS):
         if ahead.energy <= point.energy + ROUNDING * abs(point.energy):
             break
         step = 0.5 * step
@@ -168,14 +177,14 @@ def accelerated(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Re
 def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """L-BFGS with the PD matrix as the initial Hessian (Liu, Bouaziz and Kavan 2017, Algorithm 1).
 
-    Where no fraction of its step lowers the energy, a plain step is taken, which always does, and the memory emptied.
+    Where no fraction of its step lowers the energy, one along -A⁻¹ ∇E is taken, and the memory emptied.
     """
     memory: deque[tuple[Floats, Floats, float]] = deque(maxlen=MEMORY)
     while (reason := watch.see(point)) is None:
         taken = _line_search(problem, point, _direction(problem, point, memory)) if memory else None
         if taken is None:
             memory.clear()
-            taken = _plain_step(problem, point)
+            taken = _safe_step(problem, point)
         s, ahead = taken
         y = ahead.gradient - point.gradient
         curvature = float(np.vdot(s, y))

@@ -47,9 +47,9 @@ class Energy:
         triangles = None if self.triangles is None else self.triangles.for_scene(scene)
         return Energy(tets, triangles, self.bending, targets, scene.loads())
 
-    def untangling(self) -> Energy:
-        """An energy of the same PD matrix that leads out of inverted tets: all weight of the tets on Strain."""
-        return self if self.tets is None else replace(self, tets=self.tets.untangling())
+    def untangling(self, volume_share: float = 1.0) -> Energy:
+        """An energy that leads out of inverted tets, all weight on Strain, which the matrix of this share bounds."""
+        return self if self.tets is None else replace(self, tets=self.tets.untangling(volume_share))
 
     def evaluate(self, u: Floats) -> tuple[float, Floats]:
         """Energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
@@ -67,15 +67,19 @@ class Energy:
             energy += 0.5 * float(np.sum(stiffness * away**2))
         return energy, gradient
 
-    def matrix(self, scene: Scene) -> tuple[csr_matrix, np.ndarray]:
-        """The PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,)."""
+    def matrix(self, scene: Scene, *, volume_share: float = 1.0) -> tuple[csr_matrix, np.ndarray]:
+        """The PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
+
+        With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
+        one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian.
+        """
         n = len(scene.vertices)
         anchored = np.zeros(n)
         for vertices, _, stiffness in self.targets:
             anchored[vertices] += stiffness.ravel()
         entries = [(np.arange(n), np.arange(n), anchored)]
         if self.tets is not None:
-            entries.append(self.tets.stiffness_entries(scene))
+            entries.append(self.tets.stiffness_entries(scene, volume_share))
         if self.triangles is not None:
             entries.append(self.triangles.stiffness_entries())
         if self.bending is not None:

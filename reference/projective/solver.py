@@ -56,6 +56,9 @@ VARYING: dict[type[Term], tuple[str, ...]] = {
     Traction: ("vector",),
     Inertia: ("positions", "velocities"),
 }
+# The share of Volume's weight in the matrix (see `Energy.matrix`). For L-BFGS 0.15 to 0.5 do about as well: on three
+# expressions of a head 54, 29 and 39 iterations to 0.01 mm instead of 77, 49 and 60 with a share of 1.
+VOLUME_SHARE: dict[Method, float] = {"lbfgs": 0.3, "plain": 1.0}
 MAX_ITERATIONS = 5000
 
 
@@ -124,7 +127,7 @@ class ProjectivePrepared:
         self.system.check_loads(energy.loads)
         work = _Work(self.system)
         tangled = bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
-        untangling = work.on(energy.untangling()) if tangled else None
+        untangling = work.on(energy.untangling(VOLUME_SHARE[self.method])) if tangled else None
         problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling)
         first = problem.at(place)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
@@ -153,12 +156,12 @@ def prepare(scene: Scene, *, method: Method = "lbfgs") -> ProjectivePrepared:
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     energy = Energy.of(scene)
-    matrix, anchored = energy.matrix(scene)
+    matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
     return ProjectivePrepared(scene, method, energy, System.of(matrix, anchored, Coordinates.of(scene)))
 
 
 def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
-    """Median time [s] of one energy and gradient of all tets (the fused local step), at a slightly deformed state."""
+    """Median processor time [s] of one energy and gradient of all tets (the fused local step), slightly deformed."""
     tets = prepared.energy.tets
     if tets is None:
         raise SceneError("the scene has no Strain or Volume term to time")
@@ -167,9 +170,9 @@ def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> fl
     tets.add_to(u, gradient)
     times = []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin = time.thread_time()
         tets.add_to(u, gradient)
-        times.append(time.perf_counter() - begin)
+        times.append(time.thread_time() - begin)
     return float(np.median(times))
 
 

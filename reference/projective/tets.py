@@ -55,7 +55,6 @@ class TetBlocks:
     has_volume: np.ndarray
     rows_of: tuple[Ints, ...]
     tets: Ints
-    weights: Floats
 
     @classmethod
     def of(cls, scene: Scene) -> TetBlocks | None:
@@ -74,13 +73,11 @@ class TetBlocks:
             _spread(inverse[:, row // 3, row % 3], LANES * row, every, parameters)
         for corner in range(4):
             _spread(scene.tets[tets, corner], LANES * corner, every, corners)
-        weights = np.zeros(len(tets))
         for term, rows in entries:
             stiffness = term.stiffness * scene.volumes[tets[rows]]
             _spread(stiffness, STRAIN if isinstance(term, Strain) else VOLUME, rows, parameters)
-            weights[rows] += stiffness
         has_volume = (parameters[:, VOLUME // LANES] > 0).any(axis=1)
-        return cls(corners, parameters, has_volume, tuple(rows for _, rows in entries), tets, weights)
+        return cls(corners, parameters, has_volume, tuple(rows for _, rows in entries), tets)
 
     def for_scene(self, scene: Scene) -> TetBlocks:
         """The same blocks with the limits and target volumes of another scene of the same terms."""
@@ -95,10 +92,10 @@ class TetBlocks:
                 _spread(term.target, TARGET, rows, parameters)
         return replace(self, parameters=parameters)
 
-    def untangling(self) -> TetBlocks:
-        """The same blocks with the weight of Volume moved to Strain with limit 1, hence of the same PD matrix."""
+    def untangling(self, volume_share: float) -> TetBlocks:
+        """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out."""
         parameters = self.parameters.copy()
-        parameters[:, STRAIN // LANES] += parameters[:, VOLUME // LANES]
+        parameters[:, STRAIN // LANES] += volume_share * parameters[:, VOLUME // LANES]
         parameters[:, VOLUME // LANES] = 0.0
         parameters[:, [LOW // LANES, HIGH // LANES]] = 1.0
         parameters[:, ACTIVE // LANES] = ALWAYS
@@ -111,9 +108,10 @@ class TetBlocks:
             self.parameters.reshape(count, -1), self.corners.reshape(count, -1), self.has_volume, u, gradient
         )
 
-    def stiffness_entries(self, scene: Scene) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of Σ w V G Gᵀ, the tets' share of the PD matrix [mN/mm]."""
+    def stiffness_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
+        """Rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]; see `Energy.matrix`."""
+        strain, volume = (self.parameters[:, row // LANES].ravel()[: len(self.tets)] for row in (STRAIN, VOLUME))
         _, gradients = shape_gradients(scene, self.tets)
-        local = np.einsum("e,eai,ebi->eab", self.weights, gradients, gradients)
+        local = np.einsum("e,eai,ebi->eab", strain + volume_share * volume, gradients, gradients)
         corners = scene.tets[self.tets]
         return np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, (1, 4)).ravel(), local.ravel()

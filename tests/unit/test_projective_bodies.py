@@ -90,7 +90,7 @@ def test_gradient_of_a_step_by_finite_differences():
 def test_the_global_step_is_that_of_the_whole_matrix():
     """Against the dense matrix of all unknowns, Tᵀ (A ⊗ 1) T with T by finite differences of `move`; with rollers."""
     roller = terms.Fixed([40], X[[40]], components=1)
-    prepared = two_bodies(terms=(*two_bodies().scene.terms, roller))
+    prepared = two_bodies("plain", terms=(*two_bodies().scene.terms, roller))
     coordinates, rng = prepared.system.coordinates, np.random.default_rng(2)
     place = coordinates.start(TURN.apply(X) - X)
     tangent = np.stack(

@@ -10,7 +10,8 @@ from softdeca.lhm.errors import SceneError
 from softdeca.lhm.geometry import factor
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
-from softdeca.reference.projective import local_step_seconds, system
+from softdeca.reference.projective import local_step_seconds, solver, system
+from softdeca.reference.projective.energy import Energy
 
 
 def head_scene(head, amplitude=6.0):
@@ -84,6 +85,22 @@ def test_plain_descends_monotonically_to_what_lbfgs_finds(scene):
         if method == "plain":
             assert (np.diff(solution.history.energy) <= 1e-12 * abs(solution.energy)).all()
     assert 5 * needed["lbfgs"] <= needed["plain"]
+
+
+def test_less_of_the_volume_in_the_matrix_saves_iterations(scene, monkeypatch):
+    """The minimum is the same, and A with a share of 1 is that of Strain alone with Volume's weight added."""
+    few = solve(scene, tolerance=1e-9)
+    monkeypatch.setitem(solver.VOLUME_SHARE, "lbfgs", 1.0)
+    many = solve(scene, tolerance=1e-9)
+    assert few.converged and few.iterations < 0.8 * many.iterations
+    np.testing.assert_allclose(few.positions, many.positions, atol=1e-5)
+    strains = [terms.Strain(term.stiffness, tets=term.tets) for term in scene.of(terms.Volume)]
+    as_strain = replace(scene, terms=[term for term in scene.terms if not isinstance(term, terms.Volume)] + strains)
+    half, whole = (Energy.of(scene).matrix(scene, volume_share=share)[0] for share in (0.5, 1.0))
+    added = Energy.of(as_strain).matrix(as_strain)[0]
+    none = Energy.of(scene).matrix(scene, volume_share=0.0)[0]
+    assert abs(whole - added).max() <= 1e-12 * abs(added).max()
+    assert abs(2.0 * half - whole - none).max() <= 1e-12 * abs(added).max()
 
 
 def test_converges_far_below_what_comparisons_need(scene):
