@@ -67,7 +67,12 @@ def rigid_motions(X: Floats) -> PETSc.NullSpace:
         basis[c, :, c] = 1.0
         a, b = (c + 1) % 3, (c + 2) % 3
         basis[3 + c, :, a], basis[3 + c, :, b] = -centred[:, b], centred[:, a]
-    orthonormal = np.linalg.qr(basis.reshape(6, -1).T)[0]
+    return null_space(basis)
+
+
+def null_space(basis: Floats) -> PETSc.NullSpace:
+    """What vectors (6, n, 3) span, made orthonormal."""
+    orthonormal = np.linalg.qr(basis.reshape(len(basis), -1).T)[0]
     vectors = [
         PETSc.Vec().createWithArray(np.ascontiguousarray(column), bsize=3, comm=COMM) for column in orthonormal.T
     ]

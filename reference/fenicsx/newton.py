@@ -16,9 +16,12 @@ import numpy as np
 
 from ...lhm.mesh import Floats, Ints
 from ..solution import Reason
+from .bodies import RigidProblem, RigidState
 from .dolfinx_version import PETSc
 from .linear import LinearSolver, hold
 from .problem import Problem, State
+
+AnyState = State | RigidState
 
 EXACT_BELOW = 0.1  # of the first gradient norm
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
@@ -47,21 +50,16 @@ class Newton:
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
 
-    problem: Problem
+    problem: Problem | RigidProblem
     held: Ints
     linear: LinearSolver
     fallback: LinearSolver
-    report: Callable[[State, float], bool]
+    report: Callable[[AnyState, float], bool]
     work: Work = field(default_factory=Work)
     _kept: float = 1.0
     _successes: int = 0
 
-    def at(self, u: Floats) -> State:
-        """The problem's state at a displacement [mm], shape (n, 3)."""
-        self.work.energies += 1
-        return self.problem.at(u)
-
-    def free_gradient(self, state: State) -> Floats:
+    def free_gradient(self, state: AnyState) -> Floats:
         """The gradient [mN], zero at held dofs, shape (3n,)."""
         gradient = state.gradient().ravel()
         gradient[self.held] = 0.0
@@ -91,8 +89,8 @@ class Newton:
         return spread.reshape(jump.shape), norm
 
     def minimise(
-        self, state: State, *, threshold: Callable[[float], float], max_iterations: int
-    ) -> tuple[State, Reason, int]:
+        self, state: AnyState, *, threshold: Callable[[float], float], max_iterations: int
+    ) -> tuple[AnyState, Reason, int]:
         """Iterate from a state of finite energy; give the last state, the reason to stop, and the iterations made.
 
         `threshold` gives the gradient norm to stop at, from the first one.
@@ -118,11 +116,11 @@ class Newton:
             state, norm = after, norm_after
         return state, Reason.MAX_ITERATIONS, max_iterations
 
-    def _step(self, state: State, gradient: Floats, *, exact: bool, relative: float) -> State | Reason:
+    def _step(self, state: AnyState, gradient: Floats, *, exact: bool, relative: float) -> AnyState | Reason:
         """The next state, or why there is none."""
         if exact and self._kept > 0.0:
             after = self._advance(state, gradient, self._kept, relative)
-            if isinstance(after, State):
+            if not isinstance(after, Reason):
                 self._successes += 1
                 if self._successes >= SUCCESSES:
                     self._kept, self._successes = min(1.0, self._kept + SHARE), 0
@@ -132,7 +130,7 @@ class Newton:
             self._kept = SHARE
         return self._advance(state, gradient, 0.0, relative)
 
-    def _advance(self, state: State, gradient: Floats, kept: float, relative: float) -> State | Reason:
+    def _advance(self, state: AnyState, gradient: Floats, kept: float, relative: float) -> AnyState | Reason:
         """One iteration with a share of the negative curvature kept; only the projected Hessian is sure to do."""
 
         def set_up(shift: float) -> Floats:
@@ -149,7 +147,7 @@ class Newton:
             return Reason.LINEAR_SOLVER
         direction[self.held] = 0.0
         slope = float(gradient @ direction)
-        after = self._line_search(state, direction.reshape(state.u.shape), slope) if slope < 0.0 else None
+        after = self._line_search(state, direction, slope) if slope < 0.0 else None
         if after is not None:
             return after
         return Reason.STAGNATED if abs(slope) <= self._rounding(state) else Reason.LINE_SEARCH
@@ -175,26 +173,30 @@ class Newton:
             matrix.shift(shift * matrix.getDiagonal().norm(PETSc.NormType.INFINITY))
         return matrix
 
-    def _rounding(self, state: State) -> float:
+    def _rounding(self, state: AnyState) -> float:
         """The energy [µJ] below which differences are rounding."""
         return 1e-14 * (self.problem.energy_scale + abs(state.energy))
 
-    def _line_search(self, state: State, direction: Floats, slope: float) -> State | None:
+    def _moved(self, state: AnyState, step: Floats) -> AnyState:
+        self.work.energies += 1
+        return self.problem.moved(state, step)  # type: ignore[arg-type]
+
+    def _line_search(self, state: AnyState, direction: Floats, slope: float) -> AnyState | None:
         """The state after a step that lowers the energy enough, or None."""
         step, rounding = 1.0, self._rounding(state)
         while step >= SMALLEST_STEP:
-            after = self.at(state.u + step * direction)
+            after = self._moved(state, step * direction)
             if after.energy <= state.energy + SUFFICIENT * step * slope + rounding:
                 straight = state.energy - after.energy > STRAIGHT * abs(slope) > rounding
                 return self._lengthen(state, direction, after) if straight else after
             step *= 0.5
         return None
 
-    def _lengthen(self, state: State, direction: Floats, after: State) -> State:
+    def _lengthen(self, state: AnyState, direction: Floats, after: AnyState) -> AnyState:
         """Double a full step while the energy falls: where tissue buckles, the projected Hessian is far too stiff."""
         step = 2.0
         while step <= LONGEST_STEP:
-            longer = self.at(state.u + step * direction)
+            longer = self._moved(state, step * direction)
             if not longer.energy < after.energy:
                 break
             after, step = longer, 2.0 * step

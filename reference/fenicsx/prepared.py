@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from ...lhm.errors import SceneError
@@ -9,14 +11,27 @@ from ...lhm.mesh import Floats
 from ..materials import Corotated, Material
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
-from ..terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
+from ..terms import (
+    Bending,
+    Fixed,
+    Gravity,
+    Hyperelastic,
+    Inertia,
+    RigidBody,
+    Strain,
+    SurfaceStrain,
+    Target,
+    Traction,
+    Volume,
+)
+from .bodies import Pose, RigidProblem
 from .densities import DENSITIES
 from .linear import LINEAR_SOLVERS
-from .newton import Newton
+from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem, State
 
-TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Target, Fixed, Gravity, Traction)
+TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Bending, Target, Fixed, RigidBody, Gravity, Traction, Inertia)
 LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
 VARYING = {
     Target: ("positions",),
@@ -26,6 +41,8 @@ VARYING = {
     Strain: ("limit",),
     Volume: ("target",),
     SurfaceStrain: ("growth",),
+    RigidBody: ("rest",),
+    Inertia: ("positions", "velocities"),
 }
 DEGREE_OF = {"P1": 1, "P2": 2}
 """The degree of each element's displacement."""
@@ -58,6 +75,11 @@ class PreparedFenicsx:
         self._problem = Problem(scene, self._numbering)
         self._linear = LINEAR_SOLVERS[linear](self._problem.matrix)
         self._direct = LINEAR_SOLVERS["mumps"](self._problem.matrix)
+        self._rigid = None
+        if scene.of(RigidBody):
+            self._rigid = RigidProblem(scene, self._numbering, self._problem)
+            self._rigid_linear = LINEAR_SOLVERS[linear](self._rigid.matrix)
+            self._rigid_direct = LINEAR_SOLVERS["mumps"](self._rigid.matrix)
 
     def solve(
         self,
@@ -75,14 +97,18 @@ class PreparedFenicsx:
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
-        start = _checked_start(scene, start)
+        begin = _checked_start(scene, start)
         limit = MAX_ITERATIONS if max_iterations is None else max_iterations
         if not 0.0 < tolerance < 1.0:
             raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
         if limit < 0:
             raise SceneError(f"max_iterations must be at least 0, got {limit}")
         self._problem.set(scene)
-        return _Solve(self, scene, start, tolerance, limit, on_iteration).run()
+        poses: list[Pose] = []
+        if self._rigid is not None:
+            self._rigid.set(scene)
+            poses = self._rigid.rest() if start is None else self._rigid.nearest(self._numbering.to_dofs(begin))
+        return _Solve(self, scene, begin, poses, tolerance, limit, on_iteration).run()
 
 
 def _checked_start(scene: Scene, start: Floats | None) -> Floats:
@@ -93,10 +119,20 @@ def _checked_start(scene: Scene, start: Floats | None) -> Floats:
 
 
 class _Solve:
-    """One call of solve: from start towards the held positions, in as few load steps as keep the energy finite."""
+    """One call of solve: from start towards the held positions, in as few load steps as keep the energy finite.
+
+    Rigid bodies are brought to their first poses like held vertices, and set free once all that is held is in place.
+    """
 
     def __init__(
-        self, prepared: PreparedFenicsx, scene: Scene, start: Floats, tolerance: float, limit: int, on_iteration
+        self,
+        prepared: PreparedFenicsx,
+        scene: Scene,
+        start: Floats,
+        poses: list[Pose],
+        tolerance: float,
+        limit: int,
+        on_iteration,
     ):
         self._numbering, self._problem = prepared._numbering, prepared._problem
         self._scene, self._tolerance, self._limit = scene, tolerance, limit
@@ -108,17 +144,31 @@ class _Solve:
         held = held | self._problem.unsupported[:, None]
         self._recorder = Recorder(on_iteration)
         self._assemblies = self._problem.assemblies
-        self._newton = Newton(self._problem, np.flatnonzero(held), prepared._linear, prepared._direct, self._report)
+        rigid, self._work = prepared._rigid, Work()
+        if rigid is not None:
+            linear = prepared._rigid_linear, prepared._rigid_direct
+            self._freed = Newton(rigid, rigid.held(held), *linear, self._report, self._work)
+            held[rigid.nodes] = True
+            places = self._numbering.X + self._goal
+            rigid.place(poses, places)
+            self._goal[rigid.nodes] = (places - self._numbering.X)[rigid.nodes]
+        self._rigid, self._poses = rigid, poses
+        linear = prepared._linear, prepared._direct
+        self._newton = Newton(self._problem, np.flatnonzero(held), *linear, self._report, self._work)
 
     def _positions(self, u: Floats) -> Floats:
         return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)
 
-    def _report(self, state: State, norm: float) -> bool:
+    def _at(self, u: Floats) -> State:
+        self._work.energies += 1
+        return self._problem.at(u)
+
+    def _report(self, state: AnyState, norm: float) -> bool:
         return self._recorder.record(self._positions(state.u), state.energy, norm)
 
     def run(self) -> Solution:
         """Lift, take load steps if need be, and minimise."""
-        state = self._newton.at(self._u)
+        state = self._at(self._u)
         if not np.isfinite(state.energy):
             self._report(state, np.inf)
             return self._solution(state, Reason.NOT_FINITE, 0)
@@ -132,12 +182,14 @@ class _Solve:
             def threshold(first: float, force: float = force, tolerance: float = tolerance) -> float:
                 return stop_threshold(self._scene, max(first, force), tolerance)
 
-            state, reason, made = self._newton.minimise(
-                lifted, threshold=threshold, max_iterations=self._limit - iterations
-            )
+            newton, begin = self._newton, cast(AnyState, lifted)
+            if fraction == 1.0 and self._rigid is not None:
+                newton, begin = self._freed, self._rigid.at(lifted.u, self._poses)
+            end, reason, made = newton.minimise(begin, threshold=threshold, max_iterations=self._limit - iterations)
             iterations += made
             if fraction == 1.0 or reason is not Reason.CONVERGED:
-                return self._solution(state, reason, iterations)
+                return self._solution(end, reason, iterations)
+            state = cast(State, end)
 
     def _lift(self, state: State) -> tuple[State | None, float, float]:
         """Move held dofs towards their goal while the energy stays finite; give the state, how far, and the force."""
@@ -152,18 +204,18 @@ class _Solve:
             u = state.u + fraction * spread
             if fraction == 1.0:
                 u.flat[held] = self._goal.flat[held]
-            lifted = self._newton.at(u)
+            lifted = self._at(u)
             if np.isfinite(lifted.energy):
                 return lifted, fraction, fraction * force
             fraction *= 0.5
         return None, 0.0, 0.0
 
-    def _solution(self, state: State, reason: Reason, iterations: int) -> Solution:
+    def _solution(self, state: AnyState, reason: Reason, iterations: int) -> Solution:
         positions = self._positions(state.u)
         held, values = self._scene.dirichlet()
         if reason is Reason.CONVERGED:
             positions[held] = values[held]
-        work = self._newton.work
+        work = self._work
         detail: dict[str, float] = {
             "linear_iterations": work.linear_iterations,
             "linear_solves": work.linear_solves,

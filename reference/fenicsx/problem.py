@@ -10,10 +10,11 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..materials import Corotated, NeoHookean
 from ..scene import Scene
-from ..terms import Hyperelastic, Strain, SurfaceStrain, Target, Volume
+from ..terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
 from . import dolfinx_version as seam
 from . import principal
 from .assembly import BlockMatrix, rigid_motions, stiffness_matrix
+from .bending import Rings
 from .densities import DENSITIES
 from .dolfinx_version import PETSc
 from .hyperelastic import HyperelasticForms
@@ -29,7 +30,7 @@ Law = tuple[Ints, PrincipalLaw]
 
 @dataclass(frozen=True, eq=False)
 class Spring:
-    """Target's springs: dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,)."""
+    """Springs of targets or of inertia: dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,)."""
 
     dofs: Ints
     positions: Floats
@@ -59,14 +60,19 @@ class Problem:
         ]
         n = len(numbering.X)
         self._faces = [numbering.face_dofs(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
-        self._membranes = self._membranes_of(scene)
-        self._blocks = [BlockMatrix(membrane.nodes, n) for membrane in self._membranes]
-        self.matrix = stiffness_matrix([numbering.cell_dofs, *self._faces], n)
+        self._surfaces = self._surfaces_of(scene)
+        self._blocks = [BlockMatrix(surface.nodes, n) for surface in self._surfaces]
+        nodes = [surface.nodes for surface in self._surfaces]
+        self.matrix = stiffness_matrix([numbering.cell_dofs, *nodes], n)
         self.matrix.setNearNullSpace(rigid_motions(numbering.X))
         springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
+        springs.append(numbering.dofs_of("Inertia", np.flatnonzero(scene.inertia()[0])))
         self.unsupported = np.ones(n, dtype=bool)
-        for dofs in (numbering.cell_dofs[cells], *self._faces, *springs):
+        for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             self.unsupported[dofs.ravel()] = False
+        for body in scene.of(RigidBody):
+            dofs = numbering.dofs_of(body.name, body.vertices)
+            self.unsupported[dofs] = self.unsupported[dofs].all()
         self.set(scene)
 
     def _cells(self, scene: Scene, term) -> Ints:
@@ -92,20 +98,27 @@ class Problem:
         if bad.size:
             raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
         self.loads = dead_loads(scene, order)
-        self._membranes = self._membranes_of(scene)
+        self._surfaces = self._surfaces_of(scene)
         self._springs = [
             Spring(order.dof[t.vertices], t.positions, np.broadcast_to(t.stiffness, len(t.vertices)))
             for t in scene.of(Target)
         ]
+        stiffness, places = scene.inertia()
+        moving = np.flatnonzero(stiffness)
+        self._springs.append(Spring(order.dof[moving], places[moving], stiffness[moving]))
         solids = scene.of(Hyperelastic)
         corotated = [term for term in solids if isinstance(term.material, Corotated)]
         self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume), *corotated)]
         self._stand_ins = [self._law(scene, term) for term in solids if isinstance(term.material, NeoHookean)]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
-    def _membranes_of(self, scene: Scene) -> list[Membrane]:
-        surfaces = zip(scene.of(SurfaceStrain), self._faces, strict=True)
-        return [Membrane.of(term, scene.vertices, nodes) for term, nodes in surfaces]
+    def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
+        strained = zip(scene.of(SurfaceStrain), self._faces, strict=True)
+        surfaces: list[Membrane | Rings] = [Membrane.of(term, scene.vertices, nodes) for term, nodes in strained]
+        for term in scene.of(Bending):
+            self.numbering.dofs_of(term.name, term.triangles)
+            surfaces += Rings.of(term, scene.vertices, self.numbering.dof)
+        return surfaces
 
     def _law(self, scene: Scene, term: Strain | Volume | Hyperelastic) -> Law:
         tets = scene.tets_of(term)
@@ -126,6 +139,10 @@ class Problem:
     def at(self, u: Floats) -> State:
         """The problem at a displacement [mm], shape (n, 3)."""
         return State(self, u)
+
+    def moved(self, state: State, step: Floats) -> State:
+        """The problem after a step of all dofs [mm], shape (3n,)."""
+        return State(self, state.u + step.reshape(state.u.shape))
 
 
 class State:
@@ -164,7 +181,7 @@ class State:
         if problem._laws:
             energy += float(self._psi @ problem._quadrature.volume)
         energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
-        energy += sum(membrane.energy(self._x) for membrane in problem._membranes)
+        energy += sum(surface.energy(self._x) for surface in problem._surfaces)
         for spring in problem._springs:
             away = self._x[spring.dofs] - spring.positions
             energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
@@ -181,8 +198,8 @@ class State:
             problem._quadrature.add_gradient(principal.stress(U, V, self._p), flat)
         for forms in problem._hyperelastic:
             forms.add_gradient(flat)
-        for membrane in problem._membranes:
-            membrane.add_gradient(self._x, total)
+        for surface in problem._surfaces:
+            surface.add_gradient(self._x, total)
         for spring in problem._springs:
             total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
         return total
@@ -228,8 +245,8 @@ class State:
     def _finish(self, matrix: PETSc.Mat, kept: float) -> PETSc.Mat:
         problem = self._problem
         matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
-        for blocks, membrane in zip(problem._blocks, problem._membranes, strict=True):
-            blocks.add(membrane.hessian(self._x, kept), matrix)
+        for blocks, surface in zip(problem._blocks, problem._surfaces, strict=True):
+            blocks.add(surface.hessian(self._x, kept), matrix)
         matrix.assemble()
         for spring in problem._springs:
             diagonal = np.zeros_like(self.u)

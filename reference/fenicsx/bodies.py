@@ -1,0 +1,211 @@
+"""Rigid bodies: the problem over free nodes and, per body, a translation and a rotation.
+
+A body's nodes are at c + Q r. A step moves c by t and turns Q to exp([ω]) Q; its unknowns are t and ρω [mm], with ρ the
+body's RMS radius, so that all unknowns are lengths and all gradients forces. With y = Q r a node moves by
+t + ω x y + ω x (ω x y)/2, so nodal forces g curve the energy by sym(y gᵀ) - (y·g) I along ω beyond what Pᵀ H P does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial.transform import Rotation
+
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import RigidBody
+from .assembly import null_space
+from .dolfinx_version import COMM, PETSc
+from .numbering import Numbering
+from .problem import Problem, State
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Nodes (k,) of a rigid body, their places r about its centre [mm], shape (k, 3), and its RMS radius [mm]."""
+
+    nodes: Ints
+    r: Floats
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where a body is: its centre c [mm], shape (3,), and rotation Q."""
+
+    centre: Floats
+    turn: Rotation
+
+    def of(self, body: Body) -> Floats:
+        """The body's nodes [mm], shape (k, 3)."""
+        return self.centre + self.turn.apply(body.r)
+
+    def moved(self, translation: Floats, rotation: Floats) -> Pose:
+        """The pose after a translation [mm] and a turn by exp([rotation])."""
+        return Pose(self.centre + translation, Rotation.from_rotvec(rotation) * self.turn)
+
+
+class RigidProblem:
+    """A Problem in which bodies are rigid; unknowns come in blocks of three, bodies' translation and rotation last."""
+
+    def __init__(self, scene: Scene, order: Numbering, problem: Problem):
+        self.problem = problem
+        self._order = order
+        self._n = len(order.X)
+        self.set(scene)
+        self.nodes: Ints = np.concatenate([body.nodes for body in self._bodies])
+        self.free: Ints = np.setdiff1d(np.arange(self._n), self.nodes)
+        self.count = len(self.free) + 2 * len(self._bodies)
+        rest = [Pose(centre, Rotation.identity()) for centre in self._centres]
+        P = self._projection(rest)
+        indptr, indices = (part.astype(PETSc.IntType) for part in (P.indptr, P.indices))
+        self._P = PETSc.Mat().createAIJ(
+            ((3 * self._n,) * 2, (3 * self.count,) * 2), bsize=3, csr=(indptr, indices, P.data), comm=COMM
+        )
+        self.matrix = problem.matrix.PtAP(self._P)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.matrix.setNearNullSpace(self._rigid_motions())
+
+    def set(self, scene: Scene):
+        """Take a scene's bodies, of the same vertices."""
+        order = self._order
+        self._bodies, self._centres = [], []
+        for term in scene.of(RigidBody):
+            order.dofs_of(term.name, term.vertices)
+            places, member = np.array(scene.vertices), np.zeros(scene.vertices.shape, dtype=bool)
+            places[term.vertices] = scene.body_rest(term)
+            member[term.vertices] = True
+            nodes = np.flatnonzero(order.held(member).all(axis=1))
+            centre = places[term.vertices].mean(axis=0)
+            radius = float(np.sqrt(np.mean(np.sum((places[term.vertices] - centre) ** 2, axis=1))))
+            self._bodies.append(Body(nodes, order.to_dofs(places)[nodes] - centre, radius))
+            self._centres.append(centre)
+
+    @property
+    def energy_scale(self) -> float:
+        """See Problem."""
+        return self.problem.energy_scale
+
+    def rest(self) -> list[Pose]:
+        """The bodies at the places of their rest shapes."""
+        return [Pose(centre, Rotation.identity()) for centre in self._centres]
+
+    def nearest(self, x: Floats) -> list[Pose]:
+        """The poses that fit positions by node [mm], shape (n, 3), best."""
+        poses = []
+        for body in self._bodies:
+            inner = body.r.mean(axis=0)  # of quadratic elements the nodes' mean is not the vertices'
+            centre = x[body.nodes].mean(axis=0)
+            U, _, Vt = np.linalg.svd((x[body.nodes] - centre).T @ (body.r - inner))
+            U[:, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+            poses.append(Pose(centre - U @ Vt @ inner, Rotation.from_matrix(U @ Vt)))
+        return poses
+
+    def place(self, poses: list[Pose], x: Floats):
+        """Put the bodies' nodes into positions by node [mm], shape (n, 3)."""
+        for body, pose in zip(self._bodies, poses, strict=True):
+            x[body.nodes] = pose.of(body)
+
+    def held(self, held: np.ndarray) -> Ints:
+        """The flat unknowns held where a mask (n, 3) holds nodes; a body is, if nothing supports any of its nodes."""
+        blocks = np.zeros((self.count, 3), dtype=bool)
+        blocks[: len(self.free)] = held[self.free]
+        for b, body in enumerate(self._bodies):
+            blocks[len(self.free) + 2 * b :][:2] = self.problem.unsupported[body.nodes].all()
+        return np.flatnonzero(blocks)
+
+    def at(self, u: Floats, poses: list[Pose]) -> RigidState:
+        """The problem at a displacement [mm], shape (n, 3), of the free nodes, and poses of the bodies."""
+        u = np.array(u)
+        x = self._order.X + u
+        self.place(poses, x)
+        u[self.nodes] = (x - self._order.X)[self.nodes]
+        return RigidState(self, self.problem.at(u), poses)
+
+    def moved(self, state: RigidState, step: Floats) -> RigidState:
+        """The problem after a step of the unknowns [mm], shape (3 count,)."""
+        blocks = step.reshape(-1, 3)
+        u = np.array(state.u)
+        u[self.free] += blocks[: len(self.free)]
+        motions = blocks[len(self.free) :].reshape(-1, 2, 3)
+        moved = zip(state.poses, motions, self._bodies, strict=True)
+        return self.at(u, [pose.moved(t, turn / body.radius) for pose, (t, turn), body in moved])
+
+    def reduced(self, forces: Floats, poses: list[Pose]) -> Floats:
+        """Forces [mN] by node, shape (n, 3), on the unknowns, shape (count, 3): torques over the RMS radius."""
+        result = [forces[self.free]]
+        for body, pose in zip(self._bodies, poses, strict=True):
+            g = forces[body.nodes]
+            torque = np.cross(pose.turn.apply(body.r), g).sum(axis=0)
+            result.append(np.stack([g.sum(axis=0), torque / body.radius]))
+        return np.concatenate(result)
+
+    def project(self, hessian: PETSc.Mat, forces: Floats, poses: list[Pose], kept: float) -> PETSc.Mat:
+        """Pᵀ H P and the bodies' turning under forces [mN], its negative curvature times `kept`, in `matrix`."""
+        P = self._projection(poses)
+        indptr, indices = (part.astype(PETSc.IntType) for part in (P.indptr, P.indices))
+        self._P.setValuesCSR(indptr, indices, P.data)
+        self._P.assemble()
+        hessian.PtAP(self._P, result=self.matrix)
+        for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
+            y, g = pose.turn.apply(body.r), forces[body.nodes]
+            curvature = 0.5 * (y.T @ g + g.T @ y) - np.sum(y * g) * np.eye(3)
+            values, vectors = np.linalg.eigh(curvature / body.radius**2)
+            curvature = (vectors * np.maximum(values, kept * values)) @ vectors.T
+            block = np.arange(3, dtype=PETSc.IntType) + 3 * (len(self.free) + 2 * b + 1)
+            self.matrix.setValues(block, block, curvature, addv=PETSc.InsertMode.ADD_VALUES)
+        self.matrix.assemble()
+        return self.matrix
+
+    def _projection(self, poses: list[Pose]) -> csr_matrix:
+        """P: how nodes (3n) follow the unknowns (3 count), its pattern the same whatever the poses."""
+        rows, columns, values = [self.free], [np.arange(len(self.free))], [np.tile(np.eye(3), (len(self.free), 1, 1))]
+        for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
+            y = pose.turn.apply(body.r) / body.radius
+            turning = np.cross(np.eye(3), y[:, None, :]).transpose(0, 2, 1)
+            for block, entries in enumerate((np.tile(np.eye(3), (len(y), 1, 1)), turning)):
+                rows.append(body.nodes)
+                columns.append(np.full(len(y), len(self.free) + 2 * b + block))
+                values.append(entries)
+        i, j, v = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+        component = np.arange(3)
+        i, j = (3 * i[:, None] + component)[:, :, None], (3 * j[:, None] + component)[:, None, :]
+        i, j = np.broadcast_to(i, v.shape), np.broadcast_to(j, v.shape)
+        P = csr_matrix((v.ravel(), (i.ravel(), j.ravel())), shape=(3 * self._n, 3 * self.count))
+        P.sort_indices()
+        return P
+
+    def _rigid_motions(self) -> PETSc.NullSpace:
+        """Rigid motions of everything, in the unknowns at rest."""
+        free = self._order.X[self.free]
+        basis = np.zeros((6, self.count, 3))
+        for c, axis in enumerate(np.eye(3)):
+            basis[c, : len(free), c] = 1.0
+            basis[c, len(free) :: 2, c] = 1.0
+            basis[3 + c, : len(free)] = np.cross(axis, free)
+            basis[3 + c, len(free) :: 2] = np.cross(axis, np.array(self._centres))
+            basis[3 + c, len(free) + 1 :: 2] = np.outer([body.radius for body in self._bodies], axis)
+        return null_space(basis)
+
+
+class RigidState:
+    """Energy, gradient and Hessian over the unknowns, at one displacement `u` (n, 3) and poses of the bodies."""
+
+    def __init__(self, owner: RigidProblem, state: State, poses: list[Pose]):
+        self._owner, self._state = owner, state
+        self.poses, self.u, self.energy = poses, state.u, state.energy
+
+    def gradient(self) -> Floats:
+        """The energy's gradient [mN], shape (count, 3), held components included."""
+        return self._owner.reduced(self._state.gradient(), self.poses)
+
+    def hessian(self) -> PETSc.Mat:
+        """The exact Hessian [mN/mm], in the owner's matrix."""
+        return self._owner.project(self._state.hessian(), self._state.gradient(), self.poses, 1.0)
+
+    def softened_hessian(self, kept: float) -> PETSc.Mat:
+        """The Hessian with negative eigenvalues of points' tangents and of bodies' turning multiplied by `kept`."""
+        return self._owner.project(self._state.softened_hessian(kept), self._state.gradient(), self.poses, kept)
