@@ -21,13 +21,3 @@ def geodesic_sphere(frequency: int) -> tuple[Floats, Ints]:
     _, first, number = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
     points = points[first]
     return points / np.linalg.norm(points, axis=1, keepdims=True), number.ravel()[triangles]
-
-
-def subdivide(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Split every triangle into four at its edges' midpoints, which are numbered after the vertices."""
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    unique, number = np.unique(edges, axis=0, return_inverse=True)
-    ab, bc, ca = (number.reshape(-1, 3) + len(vertices)).T
-    a, b, c = triangles.T
-    parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-    return np.vstack([vertices, vertices[unique].mean(axis=1)]), np.stack(parts, axis=1).reshape(-1, 3)

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.distance import SignedDistance
-from ..geometry.sphere import geodesic_sphere, subdivide
+from ..geometry.sphere import geodesic_sphere
+from ..geometry.subdivision import subdivide
 from ..mesh import Floats, Surface
 from ..progress import OnProgress, silent
 from .columns import neighbours

@@ -9,7 +9,8 @@ from softdeca.lhm.geometry.bvh import TriangleTree
 from softdeca.lhm.geometry.distance import SignedDistance, across_edges
 from softdeca.lhm.geometry.quality import smallest_dihedrals
 from softdeca.lhm.geometry.rigid import rigid_motion
-from softdeca.lhm.geometry.sphere import geodesic_sphere, subdivide
+from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.geometry.subdivision import subdivide
 from softdeca.lhm.geometry.triangles import triangles_cross
 from softdeca.lhm.geometry.warp import TriharmonicWarp, farthest_points
 from softdeca.lhm.identities.cut import boundary_loops, cut_and_close
