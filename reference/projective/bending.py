@@ -183,4 +183,4 @@ def _rings(scene: Scene, term: Bending) -> tuple[Ints, Ints, Ints, Floats, Float
         triangles.ravel(), thirds * np.repeat(np.broadcast_to(term.stiffness, len(area)), 3), minlength=n
     )
     sought = rest[far[inner]] - rest[centre[inner]]
-    return centres, sizes, far[inner], weights[inner], sought, (stiffness / areas**2)[centres]
+    return centres, sizes, far[inner], weights[inner], sought, stiffness[centres] / areas[centres] ** 2
