@@ -5,6 +5,7 @@ from . import materials, terms
 from .facial import facial_scene, neo_hookean_scene
 from .parameters import ParameterInfo, Parameters
 from .scene import Scene
+from .sequence import Sequence
 from .solution import History, Reason, Solution
 from .solve import SOLVERS, Prepared, prepare, solve
 
@@ -18,6 +19,7 @@ __all__ = [
     "Reason",
     "Scene",
     "SceneError",
+    "Sequence",
     "Solution",
     "facial_scene",
     "materials",

@@ -1,0 +1,162 @@
+"""Frames of one head one after another: prepared once, each started from the last, with inertia where asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..lhm.errors import SceneError
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats
+from .bones import carried
+from .dynamics import Recurrence, coefficients
+from .facial import facial_scene
+from .local import on_vertices
+from .parameters import Parameters
+from .scene import Scene
+from .solution import Reason, Solution
+from .solve import Prepared, prepare
+from .stack import Stack
+from .terms import Target
+
+TOLERANCE = 5e-5
+TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """All that the next frame depends on, in mm: enough to go on later as if nothing had been between.
+
+    positions (scene's vertices, 3) of the last frame; sought (n, 3): where its skin wrap was drawn to; before (n, 3):
+    the skin wrap of the frame before it.
+    """
+
+    positions: Floats
+    sought: Floats
+    before: Floats
+
+
+class Sequence:
+    """Simulates a head's expressions in their order, `time_step` [s] apart; `frame` is called for each.
+
+    In statics a frame depends on its expression alone, the last frame is only where to begin. With `dynamic` the skin
+    has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping; bones that are prescribed stay so.
+    `tolerance` is the gradient norm relative to that of skin that is everywhere 1 mm off its target: unlike one
+    relative to a frame's own start it asks the same of every frame, and nothing of one that begins at its answer.
+    `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
+    time step at which the frequency cannot be followed.
+    """
+
+    def __init__(
+        self,
+        head: LayeredHead,
+        parameters: Parameters,
+        *,
+        time_step: float = 1.0 / 60.0,
+        dynamic: bool = False,
+        tolerance: float = TOLERANCE,
+        max_iterations: int | None = None,
+        solver: str = "projective",
+        options: Mapping[str, Any] | None = None,
+        **choices: Any,
+    ):
+        if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
+            raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
+        self.head, self.parameters, self.time_step = head, parameters, float(time_step)
+        self.recurrence = _recurrence(head, parameters, time_step) if dynamic else None
+        self.state: State | None = None
+        self._tolerance, self._limit = tolerance, max_iterations
+        self._solver, self._options, self._choices = solver, dict(options or {}), choices
+        self._stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
+        self._prepared: dict[bool, Prepared] = {}
+
+    def begin(self, targets: Floats, *, velocity: Floats | None = None) -> Solution:
+        """Put the head at rest in an expression [mm], shape (skin vertices, 3), but moving at `velocity` [mm/s].
+
+        The two frames before the first are then T₋₁ = this statics' answer, T₋₂ = T₋₁ - h velocity, on the skin wrap;
+        in statics velocity has no effect. Returns the statics' solution.
+        """
+        moving = np.zeros_like(self.head.skin.vertices) if velocity is None else np.asarray(velocity, dtype=np.float64)
+        if moving.shape != self.head.skin.vertices.shape or not np.isfinite(moving).all():
+            raise SceneError(f"velocity: expected finite values of the skin's shape {self.head.skin.vertices.shape}")
+        solution, scene = self._solved(targets, dynamic=False)
+        wrap = solution.positions[: len(self.head.bone)]
+        before = wrap - self.time_step * (self.head.wrap_from_skin @ moving)
+        self.state = State(solution.positions, _target(scene).positions, before)
+        return solution
+
+    def frame(self, targets: Floats) -> Solution:
+        """The next frame, towards an expression [mm], shape (skin vertices, 3); the first begins at rest in its own.
+
+        Raises what `facial_scene` and the solver raise, and then the state is what it was.
+        """
+        if self.recurrence is not None and self.state is None:
+            self.begin(targets)
+        solution, scene = self._solved(targets, dynamic=self.recurrence is not None)
+        n = len(self.head.bone)
+        last = solution.positions[:n] if self.state is None else self.state.positions[:n]
+        self.state = State(solution.positions, _target(scene).positions, last)
+        return solution
+
+    def skin(self, targets: Floats, solution: Solution) -> Floats:
+        """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
+        return self.head.skin_after(targets, solution.positions[: len(self.head.bone)])
+
+    def _solved(self, targets: Floats, *, dynamic: bool) -> tuple[Solution, Scene]:
+        scene = facial_scene(self.head, self.parameters, targets, **self._choices)
+        if dynamic and self.recurrence is not None and self.state is not None:
+            scene = _with_inertia(scene, self.recurrence, self.state)
+        if dynamic not in self._prepared:
+            self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
+        target = _target(scene)
+        stop = self._tolerance * float(np.linalg.norm(np.broadcast_to(target.stiffness, target.vertices.shape)))
+        solution = self._prepared[dynamic].solve(
+            scene,
+            start=self._start(scene, target),
+            tolerance=TINY,
+            max_iterations=self._limit,
+            on_iteration=lambda iteration, positions, energy, norm: norm <= stop,
+        )
+        reached = solution.reason is Reason.INTERRUPTED and solution.history.gradient_norm[-1] <= stop
+        return replace(solution, reason=Reason.CONVERGED) if reached else solution, scene
+
+    def _start(self, scene: Scene, target: Target) -> Floats:
+        """The last frame, and on it the change that the expression alone makes."""
+        ahead = self._carried(target.positions)
+        start = np.array(scene.vertices)
+        if self.state is not None:
+            start[:] = self.state.positions
+            ahead = start[: len(ahead)] + ahead - self._carried(self.state.sought)
+        start[: len(ahead)] = ahead
+        return start
+
+    def _carried(self, wrap_targets: Floats) -> Floats:
+        """The scene's vertices of the wraps [mm] where an expression takes them without physics."""
+        return self._stack.between(*carried(self.head, self.parameters, wrap_targets))
+
+
+def _recurrence(head: LayeredHead, parameters: Parameters, time_step: float) -> Recurrence:
+    frequency, damping = (
+        on_vertices(name, getattr(parameters, name), head.skin_wrap) for name in ("frequency", "damping")
+    )
+    return coefficients(frequency, damping, time_step)
+
+
+def _target(scene: Scene) -> Target:
+    """The term that draws the skin wrap to the expression: the first of its kind."""
+    return scene.of(Target)[0]
+
+
+def _with_inertia(scene: Scene, recurrence: Recurrence, state: State) -> Scene:
+    """The scene with targets by Eq. 9 and their stiffness over γ."""
+    static = _target(scene)
+    n = len(static.vertices)
+    moving = replace(
+        static,
+        positions=recurrence.target(static.positions, state.positions[:n], state.before),
+        stiffness=recurrence.stiffness(static.stiffness),
+    )
+    return replace(scene, terms=tuple(moving if term is static else term for term in scene.terms))
