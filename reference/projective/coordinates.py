@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from ...lhm.geometry.rigid import rigid_motion
 from ...lhm.mesh import Floats, Ints
@@ -106,7 +107,7 @@ class Coordinates:
     def move(self, place: Place, step: Floats) -> Place:
         """The place after a step [mm], shape (size,)."""
         u = place.u.copy()
-        u.reshape(-1)[self.index] += step[: len(self.index)]
+        _add_at(u.reshape(-1), self.index, step)
         rotations = np.empty_like(place.rotations)
         for b, (body, motion) in enumerate(zip(self.bodies, step[len(self.index) :].reshape(-1, 6), strict=True)):
             turned = _rotation(motion[3:] / body.radius) @ place.rotations[b]
@@ -144,6 +145,13 @@ class Coordinates:
 
 # CROSS[i, m, j] is the entry (i, m) of [e_j]ₓ.
 CROSS = np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)], axis=2)
+
+
+@njit(cache=True)
+def _add_at(values, index, step):
+    """values[index] += step for the first numbers of the step."""
+    for i in range(len(index)):
+        values[index[i]] += step[i]
 
 
 def _rotation(vector: Floats) -> Floats:

@@ -7,7 +7,6 @@ as they stand, which is exact to second order.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,8 +17,8 @@ import numpy as np
 from ...lhm.mesh import Floats
 from ..solution import Reason, Recorder
 from .coordinates import Place
+from .memory import Memory
 
-MEMORY = 8
 ARMIJO = 1e-4
 MAX_HALVINGS = 6
 PATIENCE = 200
@@ -179,50 +178,35 @@ def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
 
     Where no fraction of its step lowers the energy, one along -A⁻¹ ∇E is taken, and the memory emptied.
     """
-    memory: deque[tuple[Floats, Floats, float]] = deque(maxlen=MEMORY)
+    memory = Memory(len(point.gradient))
     while (reason := watch.see(point)) is None:
-        taken = _line_search(problem, point, _direction(problem, point, memory)) if memory else None
+        taken = _line_search(problem, point, memory) if memory else None
         if taken is None:
             memory.clear()
             taken = _safe_step(problem, point)
-        s, ahead = taken
-        y = ahead.gradient - point.gradient
-        curvature = float(np.vdot(s, y))
-        if curvature > 1e-12 * float(np.linalg.norm(s) * np.linalg.norm(y)):
-            memory.append((s, y, 1.0 / curvature))
+        step, ahead = taken
+        memory.add(step, ahead.gradient - point.gradient)
         point = ahead
     return point, reason
 
 
-def _direction(problem: Problem, point: Point, memory: deque[tuple[Floats, Floats, float]]) -> Floats:
-    """The two-loop recursion (Nocedal and Wright 2006, Algorithm 7.4), with A⁻¹ for its initial matrix."""
-    q = point.gradient.copy()
-    along = []
-    for s, y, rho in reversed(memory):
-        along.append(rho * float(np.vdot(s, q)))
-        q -= along[-1] * y
-    direction = problem.precondition(q, point)
-    for (s, y, rho), a in zip(memory, reversed(along), strict=True):
-        direction += (a - rho * float(np.vdot(y, direction))) * s
-    return -direction
-
-
-def _line_search(problem: Problem, point: Point, direction: Floats) -> tuple[Floats, Point] | None:
-    """A step along the direction, and its end. Halve it until Armijo's condition holds; None if it does not soon.
+def _line_search(problem: Problem, point: Point, memory: Memory) -> tuple[Floats, Point] | None:
+    """A step along the memory's direction, halved until Armijo's condition holds, and its end; None if not soon.
 
     Where rounding hides the decrease, the slope is asked instead (Hager and Zhang 2005, Eq. 4.1).
     """
-    slope = float(np.vdot(point.gradient, direction))
+    direction = memory.direction(point.gradient, lambda vector: problem.precondition(vector, point))
+    slope = float(np.dot(point.gradient, direction))
     if not slope < 0.0:
         return None
     size = 1.0
     for _ in range(MAX_HALVINGS):
-        step = size * direction
+        step = direction if size == 1.0 else size * direction
         ahead = problem.after(point, step)
         if ahead.energy <= point.energy + ARMIJO * size * slope:
             return step, ahead
         level = ahead.energy <= point.energy + ROUNDING * abs(point.energy)
-        if level and float(np.vdot(ahead.gradient, direction)) <= (2.0 * ARMIJO - 1.0) * slope:
+        if level and float(np.dot(ahead.gradient, direction)) <= (2.0 * ARMIJO - 1.0) * slope:
             return step, ahead
         size *= 0.5
     return None
