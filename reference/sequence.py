@@ -17,13 +17,13 @@ from .facial import facial_scene
 from .local import on_vertices
 from .parameters import Parameters
 from .scene import Scene
-from .solution import Reason, Solution
+from .solution import Solution
 from .solve import Prepared, prepare
 from .stack import Stack
 from .terms import Target
 
 TOLERANCE = 5e-5
-TINY = 1e-12
+LOOSEST = 1.0 - 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Sequence:
     In statics a frame depends on its expression alone, the last frame is only where to begin. With `dynamic` the skin
     has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping; bones that are prescribed stay so.
     `tolerance` is the gradient norm relative to that of skin that is everywhere 1 mm off its target: unlike one
-    relative to a frame's own start it asks the same of every frame, and nothing of one that begins at its answer.
+    relative to a frame's own start it asks the same of every frame.
     `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
     time step at which the frequency cannot be followed.
     """
@@ -91,14 +91,15 @@ class Sequence:
     def frame(self, targets: Floats) -> Solution:
         """The next frame, towards an expression [mm], shape (skin vertices, 3); the first begins at rest in its own.
 
-        Raises what `facial_scene` and the solver raise, and then the state is what it was.
+        Raises what `facial_scene` and the solver raise; then, and where an answer is not finite, the state stays.
         """
         if self.recurrence is not None and self.state is None:
             self.begin(targets)
         solution, scene = self._solved(targets, dynamic=self.recurrence is not None)
         n = len(self.head.bone)
         last = solution.positions[:n] if self.state is None else self.state.positions[:n]
-        self.state = State(solution.positions, _target(scene).positions, last)
+        if np.isfinite(solution.positions).all():
+            self.state = State(solution.positions, _target(scene).positions, last)
         return solution
 
     def skin(self, targets: Floats, solution: Solution) -> Floats:
@@ -111,17 +112,12 @@ class Sequence:
             scene = _with_inertia(scene, self.recurrence, self.state)
         if dynamic not in self._prepared:
             self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
-        target = _target(scene)
-        stop = self._tolerance * float(np.linalg.norm(np.broadcast_to(target.stiffness, target.vertices.shape)))
-        solution = self._prepared[dynamic].solve(
-            scene,
-            start=self._start(scene, target),
-            tolerance=TINY,
-            max_iterations=self._limit,
-            on_iteration=lambda iteration, positions, energy, norm: norm <= stop,
-        )
-        reached = solution.reason is Reason.INTERRUPTED and solution.history.gradient_norm[-1] <= stop
-        return replace(solution, reason=Reason.CONVERGED) if reached else solution, scene
+        prepared, target = self._prepared[dynamic], _target(scene)
+        asked = self._tolerance * float(np.linalg.norm(np.broadcast_to(target.stiffness, target.vertices.shape)))
+        start = self._start(scene, target)
+        norm = prepared.solve(scene, start=start, on_iteration=lambda *_: True).history.gradient_norm[0]
+        tolerance = asked / norm if asked < LOOSEST * norm else LOOSEST
+        return prepared.solve(scene, start=start, tolerance=tolerance, max_iterations=self._limit), scene
 
     def _start(self, scene: Scene, target: Target) -> Floats:
         """The last frame, and on it the change that the expression alone makes."""

