@@ -1,0 +1,164 @@
+"""A moving surface as glTF 2.0 (.glb): the neutral mesh, morph targets, and their weights over time. Metres."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..mesh import Floats, Surface
+from .atomic import write_whole
+
+METRES = 1e-3
+FLOAT, UNSIGNED = 5126, 5125
+ARRAY, ELEMENTS = 34962, 34963
+COLOUR = (0.69, 0.37, 0.27, 1.0)  # linear, as glTF has it
+
+
+@dataclass(frozen=True, eq=False)
+class Morphs:
+    """A motion as neutral + weights · targets: weights (k, t), targets (t, n, 3) [mm], greatest error [mm]."""
+
+    weights: Floats
+    targets: NDArray[np.float32]
+    error: float
+
+
+def morphs(motion: NDArray[np.float32], *, tolerance: float, most: int = 256) -> Morphs:
+    """As few morph targets as bring every vertex of every frame within `tolerance` [mm], but at most `most`.
+
+    motion (k, n, 3) [mm]: displacements from neutral. The targets are chosen greedily: the displacement that is worst
+    represented so far, less what the earlier targets have of it (a reduced basis, with its bound on the worst case
+    that principal components lack). Each weight reaches 1 at the frame that its target is taken from.
+    """
+    left = np.array(motion, dtype=np.float32).reshape(len(motion), -1)
+    targets: list[NDArray[np.float32]] = []
+    columns: list[Floats] = []
+    while True:
+        off = np.sqrt((left.reshape(len(left), -1, 3) ** 2).sum(axis=2).max(axis=1))
+        worst = int(np.argmax(off))
+        if off[worst] <= tolerance or len(targets) == min(most, len(motion)):
+            return Morphs(_columns(columns, len(motion)), _rows(targets, motion.shape[1]), float(off[worst]))
+        target = left[worst].copy()
+        column = (left @ target) / np.float32(target @ target)
+        left -= column[:, None] * target
+        targets.append(target)
+        columns.append(column.astype(np.float64))
+
+
+def write_gltf(
+    path: str | os.PathLike[str],
+    neutral: Surface,
+    times: Floats,
+    motion: NDArray[np.float32],
+    *,
+    tolerance: float = 0.05,
+    name: str = "skin",
+) -> Morphs:
+    """Write a skin [mm] whose displacements from neutral are `motion` (k, n, 3) [mm] at `times` (k,) [s], rising.
+
+    Normals move by morph targets too, fitted to those of the frames by least squares. Returns the morphs, with their
+    error; both stand in the mesh's `extras`. InputError for other shapes, or a file that cannot be written.
+    """
+    if motion.shape != (len(times), *neutral.vertices.shape):
+        raise InputError(f"glTF: motion of shape {motion.shape} for {len(times)} times and {neutral.vertices.shape}")
+    found = morphs(motion, tolerance=tolerance)
+    normals = _normal_targets(neutral, motion, found)
+    binary = _Binary()
+    attributes = {
+        "POSITION": binary.vectors(METRES * neutral.vertices, ARRAY),
+        "NORMAL": binary.vectors(neutral.vertex_normals, ARRAY),
+    }
+    indices = binary.scalars(neutral.triangles.ravel().astype("<u4"), UNSIGNED, ELEMENTS)
+    targets = [
+        {"POSITION": binary.vectors(METRES * moved, ARRAY), "NORMAL": binary.vectors(turned, ARRAY)}
+        for moved, turned in zip(found.targets, normals, strict=True)
+    ]
+    primitive = {"attributes": attributes, "indices": indices, "material": 0}
+    mesh = {"name": name, "primitives": [primitive | ({"targets": targets} if targets else {})]}
+    mesh["extras"] = {"greatest_error_mm": found.error, "morph_targets": len(targets)}
+    content = {
+        "asset": {"version": "2.0", "generator": "softdeca"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": name, "mesh": 0}],
+        "materials": [
+            {"doubleSided": True, "pbrMetallicRoughness": {"baseColorFactor": COLOUR, "metallicFactor": 0.0}}
+        ],
+        "meshes": [mesh],
+    }
+    if targets:
+        mesh["weights"] = [0.0] * len(targets)
+        sampler = {
+            "input": binary.scalars((times - times[0]).astype("<f4"), FLOAT),
+            "output": binary.scalars(found.weights.ravel().astype("<f4"), FLOAT),
+            "interpolation": "LINEAR",
+        }
+        channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
+        content["animations"] = [{"name": "take", "samplers": [sampler], "channels": [channel]}]
+    write_whole(path, binary.glb(content))
+    return found
+
+
+def _columns(columns: list[Floats], count: int) -> Floats:
+    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+
+
+def _rows(targets: list[NDArray[np.float32]], n: int) -> NDArray[np.float32]:
+    return np.array(targets, dtype=np.float32).reshape(len(targets), n, 3)
+
+
+def _normal_targets(neutral: Surface, motion: NDArray[np.float32], found: Morphs) -> Floats:
+    """What each morph target adds to the normals, (t, n, 3): the least-squares fit over a sample of the frames."""
+    count = found.weights.shape[1]
+    some = np.unique(np.linspace(0, len(motion) - 1, min(len(motion), 4 * count + 8)).astype(int))
+    turned = np.array([neutral.with_vertices(neutral.vertices + motion[k]).vertex_normals for k in some])
+    turned -= neutral.vertex_normals
+    fitted = np.linalg.lstsq(found.weights[some], turned.reshape(len(some), -1), rcond=1e-6)[0]
+    return fitted.reshape(count, *neutral.vertices.shape)
+
+
+class _Binary:
+    """The binary chunk under construction, with its views and accessors."""
+
+    def __init__(self):
+        self._bytes = bytearray()
+        self._views: list[dict] = []
+        self._accessors: list[dict] = []
+
+    def vectors(self, values, target: int) -> int:
+        """Add (n, 3) floats; the accessor's number."""
+        array = np.ascontiguousarray(values, dtype="<f4")
+        limits = {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        return self._add(array, len(array), FLOAT, "VEC3", limits, target)
+
+    def scalars(self, array, kind: int, target: int | None = None) -> int:
+        """Add (n,) numbers; the accessor's number."""
+        limits = {"min": [array.min().item()], "max": [array.max().item()]}
+        return self._add(array, len(array), kind, "SCALAR", limits, target)
+
+    def _add(self, array, count: int, kind: int, shape: str, limits: dict, target: int | None) -> int:
+        view = {"buffer": 0, "byteOffset": len(self._bytes), "byteLength": array.nbytes}
+        self._views.append(view | ({} if target is None else {"target": target}))
+        self._bytes += array.tobytes()
+        accessor = {"bufferView": len(self._views) - 1, "componentType": kind, "count": count, "type": shape}
+        self._accessors.append(accessor | limits)
+        return len(self._accessors) - 1
+
+    def glb(self, content: dict) -> bytes:
+        """The file: header, JSON chunk padded by spaces, binary chunk; all numbers are of four bytes."""
+        whole = content | {
+            "buffers": [{"byteLength": len(self._bytes)}],
+            "bufferViews": self._views,
+            "accessors": self._accessors,
+        }
+        text = json.dumps(whole, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text
+        chunks += struct.pack("<I4s", len(self._bytes), b"BIN\0") + bytes(self._bytes)
+        return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
