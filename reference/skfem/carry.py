@@ -8,6 +8,7 @@ from ...lhm.mesh import Floats, Ints
 from .definite import solve_semidefinite
 from .energy import Energy
 from .newton import Scales, minimise
+from .unknowns import Unknowns
 
 SMALLEST_PART = 1 / 64
 # Between two parts of a motion the free vertices need to follow only roughly.
@@ -46,7 +47,7 @@ def carry(
         x, _, _ = minimise(
             energy,
             x + part * (whole - x),
-            free,
+            Unknowns(free, len(x), []),
             scales=scales,
             threshold=lambda first: RELAXED * first,
             max_iterations=RELAXING_ITERATIONS,

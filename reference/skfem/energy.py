@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 from scipy.sparse import csc_matrix
 
 from ...lhm.mesh import Floats
 from .. import terms
 from ..scene import Scene
+from .bending import Bends
 from .laws import project_spd
 from .parts import DeadLoads, Discretisation, Membranes, Part, Springs, Tets, Treatment
 
@@ -17,7 +19,11 @@ class Energy:
     def __init__(self, scene: Scene, at: Discretisation):
         self._parts: list[Part] = [Tets(scene, at), DeadLoads(scene, at)]
         self._parts += [Membranes(scene, term, at) for term in scene.of(terms.SurfaceStrain)]
-        self._parts += [Springs(term, at) for term in scene.of(terms.Target)]
+        self._parts += [Bends(scene, term, at) for term in scene.of(terms.Bending)]
+        self._parts += [Springs(t.vertices, t.positions, t.stiffness, at) for t in scene.of(terms.Target)]
+        if scene.of(terms.Inertia):
+            stiffness, places = scene.inertia()
+            self._parts.append(Springs(np.arange(len(places)), places, stiffness, at))
 
     def value(self, x: Floats) -> float:
         """The energy [µJ]; infinite where a law does not hold."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.mesh import Floats
 from ..solution import Reason
 from .definite import solve_definite, solve_semidefinite
 from .energy import Energy
+from .unknowns import Unknowns
 
 ARMIJO = 1e-4
 HALVINGS = 40
@@ -31,34 +32,35 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Positions with their energy [µJ] and gradient [mN]."""
+    """Positions with their energy [µJ], and its gradient [mN] by degree of freedom and by unknown."""
 
     x: Floats
     value: float
+    forces: Floats
     gradient: Floats
 
 
 def minimise(
     energy: Energy,
     x: Floats,
-    free: Ints,
+    unknowns: Unknowns,
     *,
     scales: Scales,
     threshold: Callable[[float], float],
     max_iterations: int,
     on_step: OnStep,
 ) -> tuple[Floats, Reason, int]:
-    """Minimise over the free degrees of freedom from x, where the energy must be finite.
+    """Minimise over the unknowns from x, where the energy must be finite and bodies have their shapes.
 
     Returns positions, why it stopped and the iterations made. `threshold` gives the gradient norm [mN] to stop at
     from the one at the start.
     """
-    state = State(x, energy.value(x), energy.gradient(x))
-    first = float(np.linalg.norm(state.gradient[free]))
+    state = _state(energy, unknowns, x, energy.value(x))
+    first = float(np.linalg.norm(state.gradient))
     goal = threshold(first)
     iteration = 0
     while True:
-        norm = float(np.linalg.norm(state.gradient[free]))
+        norm = float(np.linalg.norm(state.gradient))
         stop = on_step(state.x, state.value, norm)
         if norm <= goal:
             return state.x, Reason.CONVERGED, iteration
@@ -67,45 +69,44 @@ def minimise(
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
         near = norm < NEAR * first
-        found = _step(energy, state, free, scales, near=near)
+        found = _step(energy, state, unknowns, scales, near=near)
         if isinstance(found, Reason):
             return state.x, Reason.STAGNATED if near and found is Reason.LINE_SEARCH else found, iteration
         state = found
         iteration += 1
 
 
-def _step(energy: Energy, state: State, free: Ints, scales: Scales, *, near: bool) -> State | Reason:
+def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, near: bool) -> State | Reason:
     """A step along the Newton direction; far away, halved until the energy falls enough (Armijo).
 
     Near the answer energy differences drown in rounding: there a full step that halves the gradient is taken as it is.
     """
     step = None
     if near:
-        step = solve_definite(energy.exact_hessian(state.x)[free][:, free], -state.gradient[free])
+        matrix = unknowns.hessian(state.x, state.forces, energy.exact_hessian(state.x))
+        step = solve_definite(matrix, -state.gradient)
     if step is None:
-        matrix = energy.projected_hessian(state.x)[free][:, free]
-        step = solve_semidefinite(matrix, -state.gradient[free], scale=scales.stiffness)
+        matrix = unknowns.projected_hessian(state.x, state.forces, energy.projected_hessian(state.x))
+        step = solve_semidefinite(matrix, -state.gradient, scale=scales.stiffness)
     if step is None:
         return Reason.LINEAR_SOLVER
     if near:
-        full = _moved(energy, state.x, free, step)
-        if full is not None and np.linalg.norm(full.gradient[free]) <= 0.5 * np.linalg.norm(state.gradient[free]):
+        x = unknowns.moved(state.x, step)
+        value = energy.value(x)
+        full = _state(energy, unknowns, x, value) if np.isfinite(value) else None
+        if full is not None and np.linalg.norm(full.gradient) <= 0.5 * np.linalg.norm(state.gradient):
             return full
-    slope = float(state.gradient[free] @ step)
+    slope = float(state.gradient @ step)
     length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(HALVINGS):
-        x = state.x.copy()
-        x[free] += length * step
+        x = unknowns.moved(state.x, length * step)
         value = energy.value(x)
         if value < state.value and value <= state.value + ARMIJO * length * slope:
-            return State(x, value, energy.gradient(x))
+            return _state(energy, unknowns, x, value)
         length /= 2
     return Reason.LINE_SEARCH
 
 
-def _moved(energy: Energy, x: Floats, free: Ints, step: Floats) -> State | None:
-    """The state after a full step, None where the energy is infinite."""
-    moved = x.copy()
-    moved[free] += step
-    value = energy.value(moved)
-    return State(moved, value, energy.gradient(moved)) if np.isfinite(value) else None
+def _state(energy: Energy, unknowns: Unknowns, x: Floats, value: float) -> State:
+    forces = energy.gradient(x)
+    return State(x, value, forces, unknowns.gradient(x, forces))

@@ -140,7 +140,8 @@ class Membranes:
     def __init__(self, scene: Scene, term: terms.SurfaceStrain, at: Discretisation):
         count = len(term.triangles)
         self._law = Membrane(_per_item(term.stiffness, count), _per_item(term.growth, count))
-        self._gradients, self._areas = rest_gradients(scene.vertices, term.triangles)
+        _, self._areas = rest_gradients(scene.vertices, term.triangles)
+        self._gradients, _ = rest_gradients(scene.vertices if term.rest is None else term.rest, term.triangles)
         self._dofs = at.dofs[term.triangles]
         self._size = at.size
 
@@ -171,13 +172,13 @@ class Membranes:
 
 
 class Springs:
-    """One Target term."""
+    """Springs that pull vertices (k,) to positions [mm], shape (k, 3), with stiffness [mN/mm], one or (k,)."""
 
-    def __init__(self, term: terms.Target, at: Discretisation):
-        self._dofs = at.dofs[term.vertices]
-        self._positions = term.positions
+    def __init__(self, vertices: Ints, positions: Floats, stiffness, at: Discretisation):
+        self._dofs = at.dofs[vertices]
+        self._positions = positions
         self._stiffness = np.zeros(at.size)
-        self._stiffness[self._dofs] = _per_item(term.stiffness, len(term.vertices))[:, None]
+        self._stiffness[self._dofs] = _per_item(stiffness, len(vertices))[:, None]
 
     def _stretch(self, x: Floats) -> Floats:
         stretch = np.zeros(len(x))

@@ -15,20 +15,26 @@ from .carry import carry
 from .energy import Energy
 from .newton import Scales, minimise
 from .parts import MATERIALS, Discretisation
+from .unknowns import Body, Unknowns
 
 KNOWN = (
     terms.Hyperelastic,
     terms.Strain,
     terms.Volume,
     terms.SurfaceStrain,
+    terms.Bending,
     terms.Target,
     terms.Fixed,
+    terms.RigidBody,
     terms.Gravity,
     terms.Traction,
+    terms.Inertia,
 )
 VARYING: dict[type[terms.Term], tuple[str, ...]] = {
     terms.Target: ("positions",),
     terms.Fixed: ("values",),
+    terms.RigidBody: ("rest",),
+    terms.Inertia: ("positions", "velocities"),
     terms.Gravity: ("acceleration", "density"),
     terms.Traction: ("vector",),
     terms.Volume: ("target",),
@@ -54,7 +60,8 @@ class Prepared:
     ) -> Solution:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
-        Held components are carried to their places first, before the first iteration of the history.
+        Held components are carried to their places first, before the first iteration of the history, and rigid bodies
+        to their first ones: that of their shape, or the nearest to a given start.
         Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
         """
         scene = self.scene if scene is None else scene
@@ -65,9 +72,13 @@ class Prepared:
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
         held, positions = scene.dirichlet()
-        free = np.flatnonzero(~at.flat(held))
         begin = _start(scene, start)
-        x, forces = _begin(energy, at.flat(begin), at.flat(np.where(held, positions, begin)), free, scales)
+        goal, free = at.flat(np.where(held, positions, begin)), ~at.flat(held)
+        bodies = Body.all_of(scene, at)
+        for body in bodies:
+            free[body.dofs] = False
+            goal[body.dofs] = body.rest if start is None else body.nearest(goal)
+        x, forces = _begin(energy, at.flat(begin), goal, np.flatnonzero(free), scales)
 
         def on_step(x: Floats, value: float, norm: float) -> bool:
             return recorder.record(x[at.dofs], value, norm)
@@ -76,7 +87,7 @@ class Prepared:
             x, reason, iterations = minimise(
                 energy,
                 x,
-                free,
+                Unknowns(np.flatnonzero(free), at.size, bodies),
                 scales=scales,
                 threshold=lambda first: stop_threshold(scene, max(first, forces), tolerance),
                 max_iterations=MAX_ITERATIONS if max_iterations is None else max_iterations,
