@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm.head import MANDIBLE
@@ -74,6 +75,85 @@ def test_projective_and_skfem_agree(sphere_head, name):
     parameters, jaw = CASES[name]
     scene = facial_scene(sphere_head, parameters, expression(sphere_head, jaw))
     assert largest_difference(scene, "projective", "skfem", 1e-11) < 1e-8
+
+
+BONES = {
+    "free mandible": (Parameters(gravity=3.0), "rigid"),
+    "free mandible, another size": (Parameters(mandible_scale_y=1.1, skin_bending=50.0), "rigid"),
+    "soft bones": (Parameters(mandible_scale_z=0.9), "soft"),
+}
+
+
+@pytest.mark.parametrize("other", ["fenicsx", "projective"])
+@pytest.mark.parametrize("name", BONES)
+def test_bones_agree(sphere_head, name, other):
+    """Exact unknowns of a body thrice: by exponentials, by Cayley turns, by a Schur complement."""
+    parameters, bones = BONES[name]
+    scene = facial_scene(sphere_head, parameters, expression(sphere_head, 15.0), bones=bones)
+    assert largest_difference(scene, "skfem", other, 1e-11, at_least=10.0) < 1e-8
+
+
+def moving_jaw(head):
+    """A free mandible, bent surfaces and inertia in one scene."""
+    scene = facial_scene(head, Parameters(gravity=2.0), expression(head, 15.0), bones="rigid")
+    n, rest = len(head.bone), np.array(scene.vertices)
+    rest[:n] *= 1.03
+    velocities = np.tile([100.0, 0.0, 30.0], (len(rest), 1))
+    more = [
+        terms.SurfaceStrain(n + head.skin_wrap.triangles, 20.0, rest=1.02 * rest),
+        terms.Bending(head.skin_wrap.triangles, 3e3, rest=rest),
+        terms.Bending(2 * n + head.skin_wrap.triangles, np.linspace(1e3, 1e4, len(head.skin_wrap.triangles))),
+        terms.Inertia(1e-6, 1 / 60, positions=rest, velocities=velocities),
+    ]
+    return Scene(scene.vertices, scene.tets, [*scene.terms, *more])
+
+
+@pytest.mark.parametrize("other", ["fenicsx", "projective"])
+def test_inertia_and_bending_agree(sphere_head, other):
+    assert largest_difference(moving_jaw(sphere_head), "skfem", other, 1e-11, at_least=10.0) < 1e-8
+
+
+def test_energy_gradient_and_hessian_agree_far_from_rest(sphere_head):
+    """At one disturbed state; every Hessian by its products with the same changes of the unknowns."""
+    pytest.importorskip("dolfinx")
+    from softdeca.reference.fenicsx.bodies import RigidProblem
+    from softdeca.reference.fenicsx.numbering import Numbering
+    from softdeca.reference.fenicsx.problem import Problem
+    from softdeca.reference.skfem.energy import Energy
+    from softdeca.reference.skfem.parts import Discretisation
+    from softdeca.reference.skfem.unknowns import Body, Unknowns
+
+    scene = moving_jaw(sphere_head)
+    mandible = scene.of(terms.RigidBody)[0]
+    loose = np.setdiff1d(np.arange(len(scene.vertices)), mandible.vertices)
+    rng = np.random.default_rng(4)
+    x = scene.vertices + rng.normal(0.0, 0.5, scene.vertices.shape)
+    pose = Rotation.from_rotvec([0.4, -0.2, 0.1])
+    x[mandible.vertices] = pose.apply(scene.body_rest(mandible)) + [1.0, -6.0, 2.0]
+
+    order = Numbering(scene)
+    problem = RigidProblem(scene, order, Problem(scene, order))
+    state = problem.at(order.to_dofs(x) - order.X, problem.nearest(order.to_dofs(x)))
+    at = Discretisation(scene)
+    energy, bodies = Energy(scene, at), Body.all_of(scene, at)
+    unknowns = Unknowns(at.dofs[loose].ravel(), at.size, bodies)
+    flat = at.flat(x)
+    forces = energy.gradient(flat)
+    assert state.energy == pytest.approx(energy.value(flat), rel=1e-12)
+
+    # FEniCSx' unknowns by block of three in the order of scikit-fem's here: loose vertices, translation, turn.
+    block = np.concatenate([np.searchsorted(problem.free, order.dof[loose]), len(loose) + np.arange(2)])
+    expected = unknowns.gradient(flat, forces).reshape(-1, 3)
+    np.testing.assert_allclose(state.gradient()[block], expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+    hessian = unknowns.hessian(flat, forces, energy.exact_hessian(flat))
+    changes = rng.normal(size=(len(block), 3, 4))
+    indptr, columns, values = state.hessian().getValuesCSR()
+    by_node = np.empty_like(changes)
+    by_node[block] = changes
+    found = csr_matrix((values, columns, indptr)) @ by_node.reshape(-1, 4)
+    expected = (hessian @ changes.reshape(-1, 4)).reshape(changes.shape)
+    found = found.reshape(changes.shape)[block]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("jaw", [0.0, 15.0])
