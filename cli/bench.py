@@ -43,6 +43,31 @@ def verification(solvers: tuple[str, ...], as_json: bool) -> int:
 
 
 @bench.command()
+@click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
+@click.option("--match", default="", help="only cases with this in their name or source, such as H5 or twisted")
+@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
+def hard(solvers: tuple[str, ...], match: str, as_json: bool) -> int:
+    """Hard cases (random starts, collapse, crush, twist, long steps) through every solver; exit status 1 if one fails.
+
+    Each row: case, solver, outcome, iterations, error and what it may be at most.
+    """
+    from ..benchmarks.hard_cases import try_hard_cases
+
+    with shown() as progress:
+        rows = try_hard_cases(progress, solvers=solvers or SOLVERS, match=match)
+    if as_json:
+        click.echo(json.dumps(rows, indent=1))
+    else:
+        for row in rows:
+            error = f"error {row['error']:.1e} of {row['bound']:.0e}"
+            click.echo(
+                f"{row['source'].split(';')[0]:<3} {row['case']:<52} {row['solver']:<11} {row['outcome']:<15} "
+                f"{row['iterations']:>5} iterations  {error}"
+            )
+    return 0 if all(row["outcome"] == "passed" for row in rows) else 1
+
+
+@bench.command()
 @click.option("--identities", default="anny", help="whose heads: 'anny' (the default head) or 'ict:FILE'")
 @click.option("--count", default=1000, type=click.IntRange(min=1), help="how many random identities")
 @click.option("--sigma", default=2.5, type=float, help="largest coefficient of an identity, in standard deviations")

@@ -73,6 +73,16 @@ def relative_energy(scene: Scene, solution: Solution) -> float:
     return solution.energy / (MU * scene.volumes.sum())
 
 
+def relative_stress(scene: Scene, solution: Solution) -> float:
+    """The largest stress of a tet over Young's modulus, by the isotropic laws' linearisation: lmbda = 4 mu."""
+    rest, edges = (
+        (p[:, 1:] - p[:, :1]).transpose(0, 2, 1) for p in (q[scene.tets] for q in (scene.vertices, solution.positions))
+    )
+    strain = np.linalg.svd(edges @ np.linalg.inv(rest), compute_uv=False) - 1.0
+    stress = 2.0 * MU * strain + 4.0 * MU * strain.sum(axis=1, keepdims=True)
+    return float(np.abs(stress).max() / (2.8 * MU))
+
+
 def _near(A: Floats) -> Callable[[Scene], Floats]:
     """A start near A X + SHIFT, its vertices astray by up to a hundredth of a cell."""
 
@@ -102,6 +112,7 @@ def _problems() -> list[Problem]:
             for what, quantity, limits in (
                 ("positions", deviation(R), bounds),
                 ("energy", relative_energy, dict.fromkeys(bounds, 1e-14)),
+                ("stress", relative_stress, dict.fromkeys(bounds, 1e-10)),
             ):
                 problems.append(
                     Problem(

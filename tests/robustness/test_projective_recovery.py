@@ -39,26 +39,16 @@ def assert_at_rest(solution):
     assert np.abs(here - rotation.apply(rest)).max() < 1e-6
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_h1_random_start(free, seed):
-    start = np.random.default_rng(seed).uniform(-1, 1, X.shape)
-    assert_at_rest(free.solve(start=start, tolerance=1e-10))
-
-
 @pytest.mark.parametrize(
     "kept", [(1, 1, 0), (1, 0, 0), (0, 0, 0), (1, 1, -1)], ids=["plane", "line", "point", "mirror"]
 )
-def test_h2_collapse_and_h3_mirror(free, kept):
+def test_h2_collapse_and_h3_mirror_are_finite_and_deterministic(free, kept):
     start = X * kept
+    energy, gradient = free.energy.evaluate(start - X)
+    assert np.isfinite(energy) and np.isfinite(gradient).all()
     solution = free.solve(start=start, tolerance=1e-10)
     assert_at_rest(solution)
     np.testing.assert_array_equal(solution.positions, free.solve(start=start, tolerance=1e-10).positions)
-
-
-def test_h3_a_vertex_pulled_through_its_face(free):
-    start = X.copy()
-    start[-1] -= 0.6
-    assert_at_rest(free.solve(start=start, tolerance=1e-10))
 
 
 def test_held_far_away_comes_along():

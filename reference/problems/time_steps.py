@@ -1,0 +1,139 @@
+"""V3 and H11: steps of implicit Euler, which has closed forms for free fall and for an oscillator.
+
+A block of tissue falls and swings as a whole, so that its elastic energies must stay out of it. Units: mm, s, kPa.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..scene import Scene
+from ..solution import Solution
+from ..terms import Fixed, Gravity, Inertia, Strain, Target, Term, Volume
+from .hard_case import Attempt, HardCase
+from .meshes import box, vertices_at
+
+DENSITY = 1e-6
+GRAVITY = 9810.0
+SIZE, CELLS = (10.0, 10.0, 20.0), (2, 2, 4)
+TISSUE: tuple[Term, ...] = (Strain(5.0), Volume(67.5))
+STEPS = 20
+FREQUENCY = 4.0
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def _march(scene: Scene, attempt: Attempt, first: Floats, steps: int, tolerance: float = 1e-10) -> list[Solution]:
+    """Solve steps of the scene's Inertia term one after another, from the velocities `first` [mm/s], shape (n, 3)."""
+    prepared = attempt.prepare(scene)
+    (inertia,) = scene.of(Inertia)
+    x, v = scene.vertices, first
+    solutions = []
+    for _ in range(steps):
+        moved = replace(inertia, positions=x, velocities=v)
+        terms = tuple(moved if term is inertia else term for term in scene.terms)
+        solutions.append(attempt.solve(prepared, replace(scene, terms=terms), start=x, tolerance=tolerance))
+        v = (solutions[-1].positions - x) / inertia.time_step
+        x = solutions[-1].positions
+    return solutions
+
+
+def free_fall_error(attempt: Attempt) -> float:
+    """The largest distance from z_n = -g h² n (n + 1)/2, relative to the depth fallen."""
+    h = 1.0 / 60.0
+    X, tets = box(CELLS, SIZE)
+    scene = Scene(X, tets, (*TISSUE, Gravity(GRAVITY * DOWN, DENSITY), Inertia(DENSITY, h)))
+    fallen = np.stack([s.positions for s in _march(scene, attempt, np.zeros_like(X), STEPS)]) - X
+    n = np.arange(1, STEPS + 1)
+    depth = GRAVITY * h**2 * n * (n + 1) / 2
+    return float(np.abs(fallen - depth[:, None, None] * DOWN).max() / depth[-1])
+
+
+def oscillator_error(what: str, attempt: Attempt) -> float:
+    """Relative error of the "amplitude" ratio 1/√(1 + (ωh)²) per step or of the "angle" atan(ωh) per step.
+
+    Springs of ω² times each vertex' mass swing the block as one. A swing obeys x_n+1 = 2 r cos(a) x_n - r² x_n-1.
+    """
+    h, omega = 1.0 / 60.0, 2.0 * np.pi * FREQUENCY
+    X, tets = box(CELLS, SIZE)
+    inertia = Inertia(DENSITY, h)
+    masses = Scene(X, tets, (inertia,)).inertia()[0] * h**2
+    scene = Scene(X, tets, (*TISSUE, inertia, Target(np.arange(len(X)), X, omega**2 * masses)))
+    first = np.tile([100.0, 0.0, 0.0], (len(X), 1))
+    x = np.array([np.mean(s.positions - X, axis=0)[0] for s in _march(scene, attempt, first, STEPS, 1e-12)])
+    (last, before), *_ = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)
+    ratio = np.sqrt(-before)
+    found, expected = {
+        "amplitude": (ratio, 1.0 / np.sqrt(1.0 + (omega * h) ** 2)),
+        "angle": (np.arccos(last / (2.0 * ratio)), np.arctan(omega * h)),
+    }[what]
+    return abs(found / expected - 1.0)
+
+
+def hanging(time_step: float) -> tuple[Scene, Scene]:
+    """A column that stands on its base and is let go under its own weight: with Inertia, and without."""
+    X, tets = box(CELLS, SIZE)
+    static: tuple[Term, ...] = (*TISSUE, Gravity(GRAVITY * DOWN, DENSITY), Fixed(vertices_at(X, 2, 0.0)))
+    return Scene(X, tets, (*static, Inertia(DENSITY, time_step))), Scene(X, tets, static)
+
+
+def largest_rise(time_step: float, attempt: Attempt) -> float:
+    """The largest rise of the energy from one iteration to the next, relative to the most that a step lowers it by."""
+    scene, _ = hanging(time_step)
+    histories = [s.history.energy for s in _march(scene, attempt, np.zeros_like(scene.vertices), 3)]
+    rise = max(np.diff(energy).max(initial=0.0) for energy in histories)
+    return float(rise / max(energy[0] - energy[-1] for energy in histories))
+
+
+def distance_to_static(time_step: float, attempt: Attempt) -> float:
+    """The largest distance of one step's end from the static answer, relative to the largest displacement."""
+    scene, static = hanging(time_step)
+    rest = attempt.solve(attempt.prepare(static), tolerance=1e-12).positions
+    (step,) = _march(scene, attempt, np.zeros_like(rest), 1, 1e-12)
+    return float(np.abs(step.positions - rest).max() / np.abs(rest - static.vertices).max())
+
+
+SOLVERS = ("projective", "fenicsx")
+CASES = (
+    HardCase(
+        "free fall by implicit Euler",
+        "V3; closed form: -g h² n (n + 1)/2",
+        "positions within 1e-9 of the depth fallen",
+        free_fall_error,
+        1e-9,
+        SOLVERS,
+    ),
+    *(
+        HardCase(
+            f"oscillator by implicit Euler: {what} per step",
+            "V3; closed form: 1/√(1 + (ωh)²), atan(ωh)",
+            "ratio within 1e-9",
+            partial(oscillator_error, what),
+            1e-9,
+            SOLVERS,
+        )
+        for what in ("amplitude", "angle")
+    ),
+    *(
+        HardCase(
+            f"time step of {h:.4g} s",
+            "H11",
+            "the energy falls from iteration to iteration, but for rounding",
+            partial(largest_rise, h),
+            1e-12,
+            SOLVERS,
+        )
+        for h in (1 / 240, 1 / 60, 0.1, 1.0, 10.0, 1000.0)
+    ),
+    HardCase(
+        "time step of 1000 s: static",
+        "H11; the static answer",
+        "positions within 1e-6 of the largest displacement",
+        partial(distance_to_static, 1000.0),
+        1e-6,
+        SOLVERS,
+    ),
+)

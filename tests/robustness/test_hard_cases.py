@@ -1,0 +1,95 @@
+"""Every hard case by projective dynamics, and by Newton where it is quick; `softdeca bench hard` runs all."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.reference import MissingDependencyError, Reason, SceneError, problems
+from softdeca.reference.problems import homogeneous, recovery, stretched_bars, time_steps
+
+SLOW = {"skfem": ("x5", "x10", "random", "crushed", "twisted")}
+FEW_SEEDS = [f"seed {seed}," for seed in range(2, recovery.SEEDS)]
+CASES = [
+    (case, solver)
+    for case in problems.HARD
+    for solver in case.solvers
+    if not any(word in case.name for word in SLOW.get(solver, ()))
+    and (solver == "projective" or not any(seed in case.name for seed in FEW_SEEDS))
+]
+
+
+@pytest.mark.parametrize(("case", "solver"), CASES, ids=lambda value: getattr(value, "name", value))
+def test_hard_case(case, solver):
+    try:
+        outcome = problems.run_hard(case, solver)
+    except MissingDependencyError as missing:
+        pytest.skip(str(missing))
+    assert outcome.passed, f"{outcome.outcome}: {outcome.error:.2e} of {outcome.bound:.0e}, {outcome.criterion}"
+
+
+def named(name):
+    return next(case for case in problems.HARD if case.name.startswith(name))
+
+
+def test_an_outcome_says_what_went_wrong():
+    """An error above the bound is missed; a solve that did not converge says why; a solver must be the case's."""
+    strict = replace(named("bar stretched x2, Strain + 10"), bound=1e-9)
+    assert problems.run_hard(strict, "projective").outcome == "missed"
+
+    def impatient(attempt):
+        attempt.stopped = Reason.MAX_ITERATIONS
+        return 0.0
+
+    assert problems.run_hard(replace(strict, error=impatient), "projective").outcome == "MAX_ITERATIONS"
+    with pytest.raises(SceneError, match="is not for solver 'skfem'"):
+        problems.run_hard(named("random start, seed 0, Strain"), "skfem")
+    names = [case.name for case in problems.HARD]
+    assert len(set(names)) == len(names)
+
+
+def test_recovery_is_judged_by_shape_and_by_every_tet():
+    """A turned block is at rest; one vertex off by 1e-4 is not, and its tets are below .9999."""
+    scene = recovery.standing_block()
+    solution = problems.hard_case.Attempt("skfem").solve(problems.hard_case.Attempt("skfem").prepare(scene))
+    turned = replace(solution, positions=solution.positions @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) + 3.0)
+    assert recovery.away_from_rest(scene, turned) < 1e-14
+    bent = solution.positions.copy()
+    bent[-1] += 1e-4
+    assert 1e-5 < recovery.away_from_rest(scene, replace(solution, positions=bent)) < np.inf
+    assert recovery.away_from_rest(scene, replace(solution, volume_ratio=solution.volume_ratio * 0.99)) == np.inf
+
+
+@pytest.mark.parametrize("row", [r for r in homogeneous.STRAIN_ROWS if "Volume" in r.label], ids=str)
+def test_the_stretched_bar_s_law_has_the_published_rows(row):
+    """Six digits of V3: the law minimises over the lateral stretches and the nearest shape of volume 1 at once."""
+    lateral, stress = stretched_bars.strain_and_volume(row.stretch)
+    np.testing.assert_allclose(lateral, row.free_stretch, atol=1e-6)
+    assert stress == pytest.approx(row.stress, abs=1e-6)
+
+
+def test_the_neo_hookean_bar_s_law_has_the_published_rows():
+    for row in homogeneous.NEO_HOOKEAN_ROWS:
+        if row.loaded == 1:
+            lateral, stress = stretched_bars.neo_hookean(row.stretch)
+            np.testing.assert_allclose(lateral, row.free_stretch, atol=1e-10)
+            assert stress == pytest.approx(row.stress, abs=1e-10)
+
+
+def test_the_time_steps_scenes_weigh_what_they_should():
+    """10 x 10 x 20 mm of 1e-6 kg/mm³ are 2 g, and weigh 19.62 mN."""
+    moving, static = time_steps.hanging(0.5)
+    assert moving.inertia()[0].sum() == pytest.approx(2e-3 / 0.25)
+    assert static.loads().sum(axis=0) == pytest.approx([0, 0, -19.62])
+
+
+def test_bench_hard_prints_a_row_per_case_and_solver(command):
+    ended = command("bench", "hard", "--match", "h9", "--solver", "projective", "--solver", "skfem")
+    assert ended.status == 0
+    assert len(ended.out.splitlines()) == 8
+    assert "layers of stiffness 1:1e+06" in ended.out and "passed" in ended.out and "iterations" in ended.out
+    rows = json.loads(command("bench", "hard", "--match", "free fall", "--solver", "projective", "--json").out)
+    assert [row["outcome"] for row in rows] == ["passed"] and rows[0]["error"] <= rows[0]["bound"]
+    refused = command("bench", "hard", "--match", "nothing of the kind")
+    assert refused.status != 0 and "no hard case matches" in refused.errors[-1]
