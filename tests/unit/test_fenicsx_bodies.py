@@ -15,6 +15,7 @@ from softdeca.reference.fenicsx.bending import Rings
 from softdeca.reference.fenicsx.bodies import RigidProblem
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.problems import meshes
 
 
 def jaw_scene(head, *more, jaw=15.0, scale=1.0, bone=True):
@@ -131,6 +132,18 @@ def test_body_of_quadratic_elements_is_rigid_and_softer_around(sphere_head):
     body = scene.of(terms.RigidBody)[0]
     np.testing.assert_allclose(pdist(answer.positions[body.vertices]), pdist(scene.body_rest(body)), rtol=1e-12)
     assert answer.energy < solve(scene, solver="fenicsx", tolerance=1e-9).energy
+
+
+def test_body_alone_takes_the_best_rigid_motion():
+    """All vertices in one body, springs to scattered places: the least-squares rotation of their covariance."""
+    X, tets = meshes.unstructured(2, 2.0)
+    goal = Rotation.from_rotvec([1.0, -2.0, 0.5]).apply(X) + [3.0, 1.0, 2.0]
+    goal += np.random.default_rng(0).normal(0.0, 0.1, X.shape)
+    best, _ = Rotation.align_vectors(goal - goal.mean(axis=0), X - X.mean(axis=0))
+    scene = Scene(X, tets, [terms.RigidBody(np.arange(len(X))), terms.Target(np.arange(len(X)), goal, 2.0)])
+    answer = solve(scene, solver="fenicsx", tolerance=1e-11)
+    assert answer.converged
+    np.testing.assert_allclose(answer.positions, best.apply(X - X.mean(axis=0)) + goal.mean(axis=0), atol=1e-10)
 
 
 def test_free_body_falls_for_one_step(sphere_head):

@@ -101,6 +101,18 @@ def test_start_gives_the_pose(sphere_head):
     np.testing.assert_allclose(scaled.positions, solve(larger, solver="skfem", tolerance=1e-11).positions, atol=1e-7)
 
 
+def test_body_alone_takes_the_best_rigid_motion():
+    """All vertices in one body, springs to scattered places: the least-squares rotation of their covariance."""
+    X, tets = meshes.unstructured(2, 2.0)
+    goal = Rotation.from_rotvec([1.0, -2.0, 0.5]).apply(X) + [3.0, 1.0, 2.0]
+    goal += np.random.default_rng(0).normal(0.0, 0.1, X.shape)
+    best, _ = Rotation.align_vectors(goal - goal.mean(axis=0), X - X.mean(axis=0))
+    scene = Scene(X, tets, [terms.RigidBody(np.arange(len(X))), terms.Target(np.arange(len(X)), goal, 2.0)])
+    answer = solve(scene, solver="skfem", tolerance=1e-11)
+    assert answer.converged
+    np.testing.assert_allclose(answer.positions, best.apply(X - X.mean(axis=0)) + goal.mean(axis=0), atol=1e-10)
+
+
 def test_free_body_falls_for_one_step(sphere_head):
     """With inertia alone everything moves on by h v + h² g, a body of it too."""
     V, n, h = np.array(sphere_head.vertices), len(sphere_head.bone), 1 / 60
