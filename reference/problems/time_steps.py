@@ -96,7 +96,7 @@ def distance_to_static(time_step: float, attempt: Attempt) -> float:
     return float(np.abs(step.positions - rest).max() / np.abs(rest - static.vertices).max())
 
 
-SOLVERS = ("projective", "fenicsx")
+SOLVERS = ("projective", "fenicsx", "skfem")
 CASES = (
     HardCase(
         "free fall by implicit Euler",

@@ -50,13 +50,16 @@ class Point:
 class Problem:
     """What is minimised: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
-    `untangling`, where given, evaluates an energy that leads out of inverted tets and has the same matrix A.
+    `untangling`, where given, evaluates an energy that leads out of inverted tets and has the same matrix A. `bounded`
+    says that A bounds the energies of free vertices, so that a plain step never raises them; those of Bending it
+    does not, whose rest shape turns along.
     """
 
     at: Callable[[Place], Point]
     move: Callable[[Place, Floats], Place]
     precondition: Callable[[Floats, Point], Floats]
     untangling: Callable[[Place], Point] | None = None
+    bounded: bool = True
 
     def after(self, point: Point, step: Floats) -> Point:
         """The point after a step [mm] over the unknowns."""
@@ -132,10 +135,10 @@ Descent = Callable[[Problem, Point, Watch], tuple[Point, Reason]]
 def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
     """Local projections and global solves in turn (Bouaziz et al. 2014); the energy never rises but by rounding.
 
-    With bodies, whose turns the matrix does not bound, this takes a safeguard.
+    With bodies, whose turns the matrix does not bound, and energies that it does not, this takes a safeguard.
     """
     while (reason := watch.see(point)) is None:
-        if len(point.place.rotations):
+        if len(point.place.rotations) or not problem.bounded:
             _, point = _safe_step(problem, point)
         else:
             point = problem.after(point, -problem.precondition(point.gradient, point))

@@ -128,7 +128,8 @@ class ProjectivePrepared:
         work = _Work(self.system)
         tangled = bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
         untangling = work.on(energy.untangling(VOLUME_SHARE[self.method])) if tangled else None
-        problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling)
+        bounded = energy.bending is None
+        problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling, bounded)
         first = problem.at(place)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
         point, reason = METHODS[self.method](problem, first, watch)

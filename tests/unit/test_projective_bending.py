@@ -117,3 +117,13 @@ def test_a_flat_sheet_takes_another_rest_shape():
     assert (np.diff(solution.history.energy) <= 1e-13 * solution.history.energy[0]).all()
     assert solution.energy == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(solution.positions, rest, atol=1e-6)
+
+
+def test_plain_steps_are_safeguarded():
+    """On a cylinder so narrow that rings turn far, plain local/global steps would raise the energy again and again."""
+    X, triangles = sheet((12, 6))
+    rest, border = rolled(X, 0.2), border_of(12, 6)
+    elastic = [terms.SurfaceStrain(triangles, 1.0, rest=rest), terms.Bending(triangles, 5.0, rest=rest)]
+    scene = Scene(X, NO_TETS, [*elastic, terms.Fixed(border, rest[border])])
+    solution = prepare(scene, method="plain").solve(tolerance=1e-6, max_iterations=200)
+    assert (np.diff(solution.history.energy) <= 1e-13 * solution.history.energy[0]).all()
