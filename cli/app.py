@@ -5,7 +5,7 @@ import sys
 import click
 
 from ..lhm.errors import SoftdecaError
-from . import bench, head, study
+from . import bench, head, simulate, study
 
 
 @click.group(context_settings={"show_default": True})
@@ -15,6 +15,7 @@ def app() -> None:
 
 app.add_command(study.study)
 app.add_command(head.head)
+app.add_command(simulate.simulate)
 app.add_command(bench.bench)
 
 

@@ -1,0 +1,131 @@
+"""A moving head as GIF or MP4: blendshapes beside what is simulated, rendered off screen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from ..lhm.errors import InputError, MissingDependencyError
+from ..lhm.files.atomic import replaced
+from ..lhm.mesh import Floats, Surface
+from .pictures import SKIN, _look, _poly, _pyvista
+
+Preview = Literal["mp4", "gif", "none"]
+Picture = NDArray[np.uint8]
+
+GIF_RATE, GIF_SECONDS = 25.0, 20.0
+BACKGROUND = "#f4f1ec"
+FACING = (0.3, 0.04, 1.0)
+HEADROOM = 1.14
+
+
+def steps_shown(count: int, rate: float, kind: Preview) -> range:
+    """Which frames of a take of so many, at `rate` [Hz], a preview shows: a GIF at most 25 a second, for 20 s."""
+    if kind != "gif":
+        return range(count)
+    return range(0, min(count, int(np.ceil(GIF_SECONDS * rate))), max(1, int(np.ceil(rate / GIF_RATE))))
+
+
+def pictures_of(
+    neutral: Surface,
+    pairs: Iterable[tuple[Floats, Floats]],
+    captions: Sequence[str],
+    *,
+    size: int = 400,
+) -> Iterator[Picture]:
+    """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3).
+
+    The camera stands still, so that what moves is the face.
+    """
+    pyvista = _pyvista()
+    rows = 2 * (23 * size // 40)
+    plotter = pyvista.Plotter(off_screen=True, window_size=(2 * size, rows))
+    plotter.enable_anti_aliasing("msaa", multi_samples=8)
+    plotter.set_background(BACKGROUND)
+    used = neutral.vertices[np.unique(neutral.triangles)]
+    centre, height = (used.max(axis=0) + used.min(axis=0)) / 2, HEADROOM * float(np.ptp(used[:, 1]))
+    _look(plotter, centre, height, FACING)
+    right = np.cross((0.0, 1.0, 0.0), FACING)
+    aside = 0.5 * height * size / rows * right / np.linalg.norm(right)
+    meshes = []
+    for offset in (-aside, aside):
+        mesh = _poly(pyvista, neutral.vertices + offset, neutral.triangles)
+        mesh.point_data.active_normals = neutral.vertex_normals
+        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.2, specular_power=12, ambient=0.12, reset_camera=False)
+        actor.prop.interpolation = "Phong"
+        meshes.append((mesh, offset))
+    plotter.reset_camera_clipping_range()
+    for pair in pairs:
+        for (mesh, offset), vertices in zip(meshes, pair, strict=True):
+            mesh.points = np.asarray(vertices + offset)
+            mesh.point_data.active_normals = neutral.with_vertices(vertices).vertex_normals
+        yield _captioned(np.asarray(plotter.screenshot(None, return_img=True)), captions)
+    plotter.close()
+
+
+def write_preview(path: Path, kind: Preview, pictures: Iterable[Picture], times: Floats, rate: float) -> None:
+    """Write pictures, shown at `times` [s], as a GIF, or as an MP4 at `rate` [Hz]; whole or not at all.
+
+    MissingDependencyError if an MP4 is asked for and imageio-ffmpeg is not installed.
+    """
+    if kind not in get_args(Preview) or kind == "none":
+        raise InputError(f"preview {kind!r}: expected mp4 or gif")
+    with replaced(path) as temporary:
+        if kind == "gif":
+            _write_gif(temporary, iter(pictures), times)
+        else:
+            _write_mp4(temporary, iter(pictures), rate)
+
+
+def check_preview(kind: Preview) -> None:
+    """Raise MissingDependencyError where a preview of this kind could not be written."""
+    if kind == "mp4":
+        _ffmpeg()
+
+
+def _captioned(picture: Picture, captions: Sequence[str]) -> Picture:
+    image = Image.fromarray(picture)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(15)
+    for column, caption in enumerate(captions):
+        place = ((column + 0.5) * image.width / len(captions), 14)
+        draw.text(place, caption, fill="#4a4038", font=font, anchor="mt")
+    return np.asarray(image)
+
+
+def _write_gif(path: Path, pictures: Iterator[Picture], times: Floats) -> None:
+    first = Image.fromarray(next(pictures)).quantize(128, dither=Image.Dither.NONE)
+    rest = (Image.fromarray(p).quantize(palette=first, dither=Image.Dither.NONE) for p in pictures)
+    # GIF counts hundredths of a second: rounding the times, not the steps between them, keeps the take's length.
+    steps = np.maximum(np.diff(np.round(100.0 * (times - times[0])).astype(int)), 2)
+    durations = [10 * int(step) for step in np.append(steps, steps[-1:] if steps.size else 10)]
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0)
+
+
+def _write_mp4(path: Path, pictures: Iterator[Picture], rate: float) -> None:
+    first = next(pictures)
+    size = (first.shape[1], first.shape[0])
+    writer = _ffmpeg().write_frames(str(path), size, fps=rate, quality=8, macro_block_size=2, ffmpeg_log_level="error")
+    writer.send(None)
+    try:
+        writer.send(np.ascontiguousarray(first))
+        for picture in pictures:
+            writer.send(np.ascontiguousarray(picture))
+    except OSError as error:
+        raise InputError(f"{path}: ffmpeg could not write it ({' '.join(str(error).split())[:120]})") from None
+    finally:
+        writer.close()
+
+
+def _ffmpeg():
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError:
+        raise MissingDependencyError(
+            "an MP4 preview needs imageio-ffmpeg: pip install 'softdeca[preview]', or take --preview gif"
+        ) from None
+    return imageio_ffmpeg

@@ -1,0 +1,229 @@
+"""A take of ARKit weights simulated on a head, frame after frame: log, results, export, preview; it can go on later."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.expressions import Take, conversation, read_take
+from ..lhm.files.gltf import write_gltf
+from ..lhm.files.vtkhdf import write_vtkhdf
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats
+from ..lhm.progress import OnProgress
+from ..reference import Parameters, Sequence, Solution
+from ..reference.sequence import TOLERANCE
+from .alone import alone_in
+from .preview import Preview, check_preview, pictures_of, steps_shown, write_preview
+from .take_store import TakeStore, digest
+
+Format = Literal["vtkhdf", "gltf"]
+FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
+MADE_UP = "conversation"
+SECONDS, RATE = 10.0, 60.0
+
+
+@dataclass(frozen=True)
+class TakeConfig:
+    """What is made of a take, and how; `choices` go to `facial_scene`."""
+
+    out: Path
+    format: Format = "vtkhdf"
+    preview: Preview = "none"
+    dynamic: bool = False
+    tolerance: float = TOLERANCE
+    choices: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self):
+        for name, known in (("format", get_args(Format)), ("preview", get_args(Preview))):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} {getattr(self, name)!r}: expected one of {', '.join(known)}")
+
+
+@dataclass(frozen=True)
+class TakeResult:
+    """Frames simulated in all, those that failed with their reason, the files written, and the log's medians."""
+
+    frames: int
+    failed: tuple[tuple[int, str], ...]
+    files: tuple[Path, ...]
+    median_seconds: float
+    median_iterations: float
+
+
+def take_from_text(text: str) -> Take:
+    """A file by `read_take`, or "conversation[:SECONDS[:SEED]]", made-up talk at 60 Hz (10 s and seed 0 by default)."""
+    name, *rest = text.split(":")
+    if name != MADE_UP:
+        return read_take(text)
+    try:
+        seconds = float(rest[0]) if rest else SECONDS
+        seed = int(rest[1]) if len(rest) > 1 else 0
+        if len(rest) > 2 or not 0.0 < seconds < 36000.0 or seed < 0:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"take {text!r}: expected {MADE_UP}[:SECONDS[:SEED]]") from None
+    count = max(1, round(seconds * RATE))
+    weights = conversation(np.random.default_rng(seed), count, rate=RATE)
+    return Take(weights, RATE, np.arange(count) / RATE)
+
+
+def cut(take: Take, text: str) -> Take:
+    """The frames A:B of a take, B left out, either left out for the take's end; InputError if there are none."""
+    try:
+        first, last = (int(part) if part.strip() else None for part in text.split(":"))
+    except ValueError:
+        raise InputError(f"frames {text!r}: expected A:B") from None
+    chosen = slice(first, last)
+    if not len(take.times[chosen]):
+        raise InputError(f"frames {text!r}: none of the take's {len(take.times)}")
+    return Take(take.weights[chosen], take.rate, take.times[chosen], take.clipped, take.missing)
+
+
+def run_take(
+    config: TakeConfig,
+    head: LayeredHead,
+    deltas: Floats,
+    take: Take,
+    parameters: Parameters,
+    progress: OnProgress,
+) -> TakeResult:
+    """Simulate what is missing, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
+
+    deltas: what each expression adds to the head's skin [mm], shape (52, n, 3); take: evenly spaced frames, `rate`
+    apart. A frame that does not converge keeps what was reached, one that cannot be simulated its blendshapes; both are
+    listed. InputError if another run works in the folder, or it holds another take.
+    """
+    check_preview(config.preview)
+    with alone_in(config.out, "simulate"):
+        store = TakeStore(config.out, _manifest(config, head, deltas, take, parameters))
+        _simulate(config, head, deltas, take, parameters, store, progress)
+        log = list(store.log())
+        files = [_export(config, head, take, store, progress)]
+        if config.preview != "none":
+            files.append(_preview(config, head, deltas, take, store, progress))
+    failed = tuple((row["frame"], row["reason"]) for row in log if row["reason"] != "CONVERGED")
+    seconds, iterations = (float(np.median([row[key] for row in log])) for key in ("seconds", "iterations"))
+    return TakeResult(len(log), failed, (*files, config.out / "log.jsonl"), seconds, iterations)
+
+
+def _manifest(
+    config: TakeConfig, head: LayeredHead, deltas: Floats, take: Take, parameters: Parameters
+) -> dict[str, Any]:
+    """What decides the frames: a folder whose manifest differs holds another take."""
+    values = [np.asarray(getattr(parameters, f.name)) for f in fields(parameters)]
+    return {
+        "head": digest(head.skin.vertices, head.skin.triangles, head.vertices, head.tets, head.bone),
+        "expressions": digest(deltas),
+        "weights": digest(take.weights),
+        "first time": float(take.times[0]),
+        "frames": len(take.times),
+        "rate": float(take.rate),
+        "parameters": digest(*values),
+        "dynamic": config.dynamic,
+        "tolerance": config.tolerance,
+        "choices": json.loads(json.dumps(config.choices)),
+    }
+
+
+def _simulate(
+    config: TakeConfig,
+    head: LayeredHead,
+    deltas: Floats,
+    take: Take,
+    parameters: Parameters,
+    store: TakeStore,
+    progress: OnProgress,
+) -> None:
+    step = 1.0 / take.rate
+    sequence = Sequence(
+        head, parameters, time_step=step, dynamic=config.dynamic, tolerance=config.tolerance, **config.choices
+    )
+    done, sequence.state = store.done()
+    count = len(take.times)
+    for number in range(done, count):
+        begin = time.perf_counter()
+        targets = _blended(head, deltas, take.weights[number])
+        skin, record = _frame(sequence, targets)
+        record = {"frame": number, "time": float(take.times[number]), **record}
+        record["seconds"] = round(time.perf_counter() - begin, 4)
+        if sequence.state is None:
+            raise SoftdecaError(f"frame {number}: {record['reason']}; nothing to begin from")
+        store.add(number, (skin - head.skin.vertices).astype(np.float32), record, sequence.state)
+        progress(f"simulation: frame {number + 1} of {count}", (number + 1) / count)
+
+
+def _frame(sequence: Sequence, targets: Floats) -> tuple[Floats, dict[str, Any]]:
+    """The next frame's skin [mm], and its line of the log."""
+    try:
+        solution = sequence.frame(targets)
+    except SoftdecaError as error:
+        return targets, _record(str(error))
+    if not np.isfinite(solution.positions).all():
+        return targets, _record(solution.reason.name, solution)
+    return sequence.skin(targets, solution), _record(solution.reason.name, solution)
+
+
+def _record(reason: str, solution: Solution | None = None) -> dict[str, Any]:
+    """Iterations, energy [µJ], residual (gradient norm [mN]), inverted tets, contacts; None where there is none."""
+    row: dict[str, Any] = dict.fromkeys(("energy", "residual", "inverted", "contacts_before", "contacts"))
+    if solution is not None:
+        row["energy"] = _number(solution.energy)
+        row["residual"] = _number(solution.history.gradient_norm[-1])
+        row["inverted"] = int(np.count_nonzero(solution.volume_ratio <= 0.0))
+        row["contacts_before"] = _number(solution.detail.get("contact_pairs_before"))
+        row["contacts"] = _number(solution.detail.get("contact_pairs_after"))
+    return {"iterations": 0 if solution is None else solution.iterations, "reason": reason, **row}
+
+
+def _number(value: float | None) -> float | None:
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+def _blended(head: LayeredHead, deltas: Floats, weights: Floats) -> Floats:
+    used = np.flatnonzero(weights)
+    return head.skin.vertices + np.tensordot(weights[used], deltas[used], axes=1)
+
+
+def _export(config: TakeConfig, head: LayeredHead, take: Take, store: TakeStore, progress: OnProgress) -> Path:
+    path, count = config.out / FILES[config.format], len(take.times)
+    progress(f"export: {path.name}", 0.0)
+    if config.format == "vtkhdf":
+        frames = (head.skin.vertices + store.moved(k) for k in range(count))
+        write_vtkhdf(path, head.skin.triangles, take.times, _told(frames, count, path.name, progress))
+    else:
+        write_gltf(path, head.skin, take.times, np.array([store.moved(k) for k in range(count)]))
+    progress(f"export: {path.name}", 1.0)
+    return path
+
+
+def _preview(
+    config: TakeConfig,
+    head: LayeredHead,
+    deltas: Floats,
+    take: Take,
+    store: TakeStore,
+    progress: OnProgress,
+) -> Path:
+    path = config.out / f"preview.{config.preview}"
+    shown = steps_shown(len(take.times), take.rate, config.preview)
+    pairs = ((_blended(head, deltas, take.weights[k]), head.skin.vertices + store.moved(k)) for k in shown)
+    pictures = pictures_of(head.skin, _told(pairs, len(shown), path.name, progress), ("blendshapes", "simulated"))
+    write_preview(path, config.preview, pictures, take.times[shown], take.rate)
+    progress(f"preview: {path.name}", 1.0)
+    return path
+
+
+def _told(items: Iterator, count: int, what: str, progress: OnProgress) -> Iterator:
+    """The items, each with word of how far the file is."""
+    stage = "preview" if what.startswith("preview") else "export"
+    for number, item in enumerate(items):
+        progress(f"{stage}: {what}", number / count)
+        yield item

@@ -1,0 +1,122 @@
+"""The folder of a simulated take: a file per frame, a log, and the state from which the next frame follows."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lhm.errors import InputError
+from ..lhm.files.atomic import replaced, write_whole
+from ..lhm.files.npz import read_arrays, write_arrays
+from ..reference.sequence import State
+
+STATE = ("positions", "sought", "before")
+
+
+def digest(*arrays) -> str:
+    """A short hash of arrays' shapes, types and bytes."""
+    found = hashlib.sha256()
+    for array in map(np.ascontiguousarray, arrays):
+        found.update(f"{array.dtype.str} {array.shape};".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()[:16]
+
+
+class TakeStore:
+    """Frames in frames/NNNNNN.npz (`moved`: the skin less its neutral [mm], float32), log.jsonl, state.npz, take.json.
+
+    A frame counts as done once the state after it is written: what a killed run left beyond that is made anew, and the
+    state is kept in full precision, so that a run that goes on makes the bytes of one that was never stopped.
+    InputError if the folder holds a take with another `manifest`.
+    """
+
+    def __init__(self, folder: Path, manifest: Mapping[str, Any]):
+        self.folder, self._manifest = folder, dict(manifest)
+        found = self._read_manifest()
+        for key, value in self._manifest.items():
+            if found is not None and found.get(key) != value:
+                raise InputError(
+                    f"{folder}: holds a take with another {key} ({found.get(key)}, asked for {value}); "
+                    "give another --out or remove it"
+                )
+        if found is None:
+            with replaced(folder / "take.json") as temporary:
+                temporary.write_text(json.dumps(self._manifest, indent=1))
+
+    def done(self) -> tuple[int, State | None]:
+        """How many frames are done, and the state after them; the log is cut to these.
+
+        All begin anew where a frame, a line of the log or the state is missing or damaged.
+        """
+        try:
+            arrays = read_arrays(self.folder / "state.npz", "frames", *STATE)
+            count, state = int(arrays["frames"]), State(*(arrays[name] for name in STATE))
+            for number in range(count):
+                self.moved(number)
+        except InputError:
+            count, state = 0, None
+        lines = self._lines()[:count]
+        if len(lines) < count:
+            count, state, lines = 0, None, []
+        with replaced(self.folder / "log.jsonl") as temporary:
+            temporary.write_text("".join(lines))
+        return count, state
+
+    def add(self, number: int, moved: NDArray[np.float32], record: Mapping[str, Any], state: State) -> None:
+        """Write frame `number` (they come in order), its line of the log, and the state after it."""
+        write_arrays(self._path(number), {"moved": moved})
+        try:
+            with open(self.folder / "log.jsonl", "a", encoding="utf-8") as log:
+                log.write(json.dumps(record, allow_nan=False) + "\n")
+        except OSError as error:
+            raise InputError(f"{self.folder / 'log.jsonl'}: cannot be written ({error.strerror})") from None
+        buffer = io.BytesIO()
+        np.savez(buffer, frames=np.int64(number + 1), **{name: getattr(state, name) for name in STATE})
+        write_whole(self.folder / "state.npz", buffer.getvalue())
+
+    def moved(self, number: int) -> NDArray[np.float32]:
+        """A frame's skin less its neutral [mm], shape (n, 3); InputError if it is missing or damaged."""
+        return read_arrays(self._path(number), "moved", of="a frame of a take")["moved"]
+
+    def log(self) -> Iterator[dict[str, Any]]:
+        """The log's lines, in the frames' order."""
+        return map(json.loads, self._lines())
+
+    def _path(self, number: int) -> Path:
+        return self.folder / "frames" / f"{number:06d}.npz"
+
+    def _lines(self) -> list[str]:
+        """The log's whole lines; those from the first damaged one on are left out."""
+        try:
+            lines = (self.folder / "log.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
+        except (OSError, UnicodeDecodeError):
+            return []
+        whole = []
+        for line in lines:
+            try:
+                json.loads(line)
+            except ValueError:
+                break
+            if not line.endswith("\n"):
+                break
+            whole.append(line)
+        return whole
+
+    def _read_manifest(self) -> dict[str, Any] | None:
+        path = self.folder / "take.json"
+        if not path.exists():
+            return None
+        try:
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            manifest = None
+        if not isinstance(manifest, dict):
+            raise InputError(f"{path}: damaged, or no take of softdeca; give another --out") from None
+        return manifest

@@ -1,0 +1,254 @@
+"""softdeca simulate: a take in, files that other programs read out; it stops, goes on, refuses what does not fit."""
+
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from PIL import Image
+
+from softdeca.benchmarks.take import TakeConfig, cut, run_take, take_from_text
+from softdeca.lhm import InputError, expressions
+from softdeca.lhm.progress import silent
+from softdeca.reference import Parameters, SceneError, Sequence
+from softdeca.reference.parameter_file import read_parameters
+
+COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
+
+
+@pytest.fixture
+def deltas(sphere_head):
+    """Two expressions of the sphere: jawOpen swings its lower half down, mouthLeft to a side [mm]."""
+    x = sphere_head.skin.vertices
+    low = np.clip(-x[:, 1:2] / 100, 0, 1)
+    found = np.zeros((52, *x.shape))
+    found[expressions.index("jawOpen")] = 9 * low * [0, -1, 0.2]
+    found[expressions.index("mouthLeft")] = 5 * low * [1, 0, 0]
+    return found
+
+
+def take(frames=8):
+    t = np.arange(frames) / 60
+    weights = np.zeros((frames, 52))
+    weights[:, expressions.index("jawOpen")] = np.sin(20 * t) ** 2
+    weights[:, expressions.index("mouthLeft")] = 0.5 - 0.5 * np.cos(15 * t)
+    return expressions.Take(weights, 60.0, t)
+
+
+def contents(folder):
+    files = sorted(p for p in folder.rglob("*") if p.suffix in (".npz", ".vtkhdf"))
+    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}, [{**row, "seconds": 0} for row in log]
+
+
+@pytest.mark.parametrize(("dynamic", "bones"), [(False, "prescribed"), (True, "prescribed"), (True, "rigid")])
+def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_path, dynamic, bones):
+    p = Parameters(gravity=1.5)
+
+    def run(name, progress=silent):
+        config = TakeConfig(tmp_path / name, dynamic=dynamic, choices={"bones": bones})
+        return run_take(config, sphere_head, deltas, take(), p, progress)
+
+    whole = run("whole")
+
+    def stop(at):
+        def progress(what, fraction):
+            if what.startswith(f"simulation: frame {at} "):
+                raise KeyboardInterrupt
+
+        return progress
+
+    for at in (3, 4, 7):
+        with pytest.raises(KeyboardInterrupt):
+            run("stopped", stop(at))
+    with open(tmp_path / "stopped" / "log.jsonl", "a") as log:
+        log.write('{"frame": 7, "ti')  # what a kill leaves of a line
+    again = run("stopped")
+    assert contents(tmp_path / "stopped") == contents(tmp_path / "whole")
+    assert (whole.frames, whole.failed) == (again.frames, again.failed) == (8, ())
+    moved = [np.load(tmp_path / "whole" / "frames" / f"{k:06d}.npz")["moved"] for k in range(8)]
+    with h5py.File(tmp_path / "whole" / "take.vtkhdf") as file:
+        played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
+    assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
+    sequence = Sequence(sphere_head, p, dynamic=dynamic, bones=bones)
+    for k in range(8):
+        targets = sphere_head.skin.vertices + np.tensordot(take().weights[k], deltas, axes=1)
+        skin = sequence.skin(targets, sequence.frame(targets))
+        assert moved[k] == pytest.approx(skin - sphere_head.skin.vertices, abs=1e-5)
+
+
+@pytest.mark.parametrize("harm", ["frame", "log", "state"])
+def test_what_was_damaged_is_made_anew(sphere_head, deltas, tmp_path, harm):
+    config = TakeConfig(tmp_path / "take")
+    run_take(config, sphere_head, deltas, take(4), Parameters(), silent)
+    before = contents(config.out)
+    broken = {"frame": "frames/000001.npz", "log": "log.jsonl", "state": "state.npz"}[harm]
+    (config.out / broken).write_bytes((config.out / broken).read_bytes()[:40])
+    run_take(config, sphere_head, deltas, take(4), Parameters(), silent)
+    assert contents(config.out) == before
+
+
+def test_frames_are_not_simulated_twice_for_another_format(sphere_head, deltas, tmp_path, monkeypatch):
+    config = TakeConfig(tmp_path / "take")
+    run_take(config, sphere_head, deltas, take(3), Parameters(), silent)
+    monkeypatch.setattr(Sequence, "frame", None)
+    done = run_take(replace(config, format="gltf"), sphere_head, deltas, take(3), Parameters(), silent)
+    assert done.frames == 3 and (tmp_path / "take" / "take.glb").read_bytes().startswith(b"glTF")
+
+
+def test_another_take_in_the_folder_and_a_second_run_are_refused(sphere_head, deltas, tmp_path):
+    config = TakeConfig(tmp_path)
+    run_take(config, sphere_head, deltas, take(2), Parameters(), silent)
+    for other, message in (
+        ((config, sphere_head, deltas, take(3), Parameters()), "another weights"),
+        ((config, sphere_head, deltas, take(2), Parameters(gravity=2.0)), "another parameters"),
+        ((replace(config, dynamic=True), sphere_head, deltas, take(2), Parameters()), "another dynamic"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run_take(*other, silent)
+    with open(tmp_path / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(InputError, match="another simulate runs there"):
+            run_take(config, sphere_head, deltas, take(2), Parameters(), silent)
+
+
+def test_frames_that_fail_are_listed_and_the_rest_goes_on(sphere_head, deltas, tmp_path, monkeypatch):
+    frame, calls = Sequence.frame, []
+
+    def breaks(self, targets):
+        calls.append(0)
+        if len(calls) == 3:
+            raise SceneError("made to fail")
+        return frame(self, targets)
+
+    monkeypatch.setattr(Sequence, "frame", breaks)
+    done = run_take(TakeConfig(tmp_path), sphere_head, deltas, take(5), Parameters(), silent)
+    assert done.frames == 5 and done.failed == ((2, "made to fail"),)
+    blended = np.tensordot(take(5).weights[2], deltas, axes=1)
+    assert np.load(tmp_path / "frames" / "000002.npz")["moved"] == pytest.approx(blended, abs=1e-5)
+
+
+def test_the_command_writes_a_preview_a_log_and_a_model(command, tmp_path):
+    (tmp_path / "p.toml").write_text("gravity = 2.0\nfrequency = 3\n")
+    ended = command(
+        *("simulate", "conversation:0.2:4", "--level", 1, "--seed", 1, "--parameters", tmp_path / "p.toml"),
+        *("--format", "gltf", "--dynamic", "--frames", "2:", "--out", tmp_path / "take", "--json"),
+    )
+    assert ended.status == 0 and ended.errors == []
+    result = json.loads(ended.out)
+    assert result["frames"] == 10 and result["failed"] == []
+    assert [os.path.basename(f) for f in result["files"]] == ["take.glb", "preview.gif", "log.jsonl"]
+    log = [json.loads(line) for line in (tmp_path / "take" / "log.jsonl").read_text().splitlines()]
+    assert [row["frame"] for row in log] == list(range(10))
+    assert log[0]["time"] == pytest.approx(2 / 60) and all(row["reason"] == "CONVERGED" for row in log)
+    with Image.open(tmp_path / "take" / "preview.gif") as gif:
+        durations = [gif.seek(k) or gif.info["duration"] for k in range(gif.n_frames)]
+        assert 1 < len(durations) <= 4 and sum(durations) == 200, "every third of ten frames, 20 a second"
+        shown = np.array(gif.convert("RGB"), dtype=float)
+    assert shown.shape == (460, 800, 3)
+    assert shown[40:420].std() > 20 and np.abs(shown[:, :400] - shown[:, 400:]).mean() > 0.2, "two heads that differ"
+
+
+def test_an_mp4_preview_has_the_takes_length(sphere_head, deltas, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    run_take(TakeConfig(tmp_path, preview="mp4"), sphere_head, deltas, take(6), Parameters(), silent)
+    reader = ffmpeg.read_frames(str(tmp_path / "preview.mp4"))
+    meta = next(reader)
+    pictures = [np.frombuffer(picture, np.uint8) for picture in reader]
+    assert meta["size"] == (800, 460) and meta["fps"] == 60 and len(pictures) == 6
+    assert np.std(pictures[3]) > 20
+
+
+def test_a_recorded_take_is_simulated(command, data, tmp_path):
+    file = data / "arkit_sequences" / "alex_rom_3.csv"
+    ended = command(
+        *("simulate", file, "--level", 1, "--frames", "900:906", "--preview", "none", "--out", tmp_path / "take")
+    )
+    assert ended.status == 0 and "6 frames, 0 failed" in ended.out
+    assert len(ended.errors) == 1 and "weights outside [0, 1] clipped" in ended.errors[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["conversation:-1"], "expected conversation[:SECONDS[:SEED]]"),
+        (["missing.csv"], "missing.csv: no such file"),
+        (["conversation:1", "--frames", "70:80"], "frames '70:80': none of the take's 60"),
+        (["conversation:1", "--frames", "3"], "frames '3': expected A:B"),
+        (["conversation:1", "--fps", "0"], "rate: 0 Hz"),
+        (["conversation:1", "--parameters", "none.toml"], "none.toml: no such file"),
+        (["conversation:1", "--head", "none.npz"], "none.npz: no such file"),
+        (["conversation:1", "--head", "a.npz", "--seed", "1"], "give one"),
+        (["conversation:1", "--tolerance", "2", "--level", "1"], "tolerance: expected a number in (0, 1)"),
+    ],
+)
+def test_bad_input_is_one_line(command, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    ended = command("simulate", *arguments, "--preview", "none")
+    assert ended.status != 0 and len(ended.errors) == 1 and message in ended.errors[0]
+    assert not (tmp_path / "out" / "take" / "frames").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("weight = 3", "unknown parameter 'weight'"),
+        ("gravity = 7", r"gravity = 7 is outside \[0, 3\] g"),
+        ("gravity = true", "gravity: expected a number"),
+        ("gravity = [1, 2]", "gravity: expected a number"),
+        ("gravity = ", "not a TOML file"),
+        ('skin_stiffness = "none.npy"', "none.npy: expected a number, or an .npy file"),
+        ('skin_stiffness = "text.npy"', "text.npy: not an array of numbers"),
+        ('gravity = "good.npy"', "one number for the whole head"),
+        ('skin_stiffness = "low.npy"', r"skin_stiffness = 1 \(number 1\) is outside"),
+    ],
+)
+def test_a_bad_parameter_file_is_named_with_its_parameter(tmp_path, text, message):
+    (tmp_path / "p.toml").write_text(text)
+    (tmp_path / "text.npy").write_text("hello")
+    np.save(tmp_path / "good.npy", np.full(4, 1.5))
+    np.save(tmp_path / "low.npy", [20.0, 1.0])
+    with pytest.raises(InputError, match=message) as error:
+        read_parameters(tmp_path / "p.toml")
+    assert str(tmp_path / "p.toml") in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_parameter_file_gives_numbers_and_arrays(tmp_path):
+    np.save(tmp_path / "skin.npy", [20.0, 30.0])
+    (tmp_path / "p.toml").write_text('gravity = 2\nskin_stiffness = "skin.npy"  # local\n')
+    found = read_parameters(tmp_path / "p.toml")
+    assert found == Parameters(gravity=2.0, skin_stiffness=np.array([20.0, 30.0]))
+
+
+def test_frames_are_cut_as_python_does():
+    whole = take_from_text("conversation:0.5:3")
+    assert len(whole.times) == 30
+    for text, expected in (("5:9", range(5, 9)), (":3", range(3)), ("-2:", range(28, 30))):
+        assert np.array_equal(cut(whole, text).weights, whole.weights[list(expected)])
+        assert cut(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path):
+    arguments = [*COMMAND, "simulate", "conversation:20", "--level", "1", "--preview", "none", "--out", tmp_path / "t"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        for line in process.stderr:
+            if line.startswith("simulation: frame"):
+                break
+        os.killpg(process.pid, signal.SIGINT)
+        rest = process.stderr.read()
+        process.wait(60)
+    said = [line for line in rest.splitlines() if line and not line.endswith(" s)")]
+    assert process.returncode == 130
+    assert said == [f"softdeca: interrupted; the same command goes on after the frames in {tmp_path / 't'}"]
+    names = {p.name for p in (tmp_path / "t").iterdir()}
+    assert (
+        {".lock", "take.json", "frames", "log.jsonl"}
+        <= names
+        <= {".lock", "take.json", "frames", "log.jsonl", "state.npz"}
+    )
