@@ -47,7 +47,7 @@ def work_precision(cases: Sequence[Mapping]) -> str:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper center", ncol=6, frameon=False, fontsize=9)
     figure.tight_layout(rect=(0, 0, 1, 0.95))
-    return _svg(plt, figure)
+    return svg(plt, figure)
 
 
 def training(history: Sequence[Mapping]) -> str:
@@ -61,7 +61,7 @@ def training(history: Sequence[Mapping]) -> str:
     axis.grid(alpha=0.25)
     axis.legend(frameon=False)
     figure.tight_layout()
-    return _svg(plt, figure)
+    return svg(plt, figure)
 
 
 def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
@@ -83,7 +83,7 @@ def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]])
         axis.spines[["top", "right"]].set_visible(False)
     figure.supylabel("heads", fontsize=9)
     figure.tight_layout()
-    return _svg(plt, figure)
+    return svg(plt, figure)
 
 
 def pyplot():
@@ -97,7 +97,8 @@ def pyplot():
     return plt
 
 
-def _svg(plt, figure) -> str:
+def svg(plt, figure) -> str:
+    """A figure as SVG text, closed."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg")
     plt.close(figure)
