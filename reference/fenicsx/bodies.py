@@ -64,7 +64,7 @@ class RigidProblem:
         self._P = PETSc.Mat().createAIJ(
             ((3 * self._n,) * 2, (3 * self.count,) * 2), bsize=3, csr=(indptr, indices, P.data), comm=COMM
         )
-        self.matrix = problem.matrix.PtAP(self._P)
+        self.matrix = problem.matrix.ptap(self._P)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.matrix.setNearNullSpace(self._rigid_motions())
@@ -149,7 +149,7 @@ class RigidProblem:
         indptr, indices = (part.astype(PETSc.IntType) for part in (P.indptr, P.indices))
         self._P.setValuesCSR(indptr, indices, P.data)
         self._P.assemble()
-        hessian.PtAP(self._P, result=self.matrix)
+        hessian.ptap(self._P, result=self.matrix)
         for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
             y, g = pose.turn.apply(body.r), forces[body.nodes]
             curvature = 0.5 * (y.T @ g + g.T @ y) - np.sum(y * g) * np.eye(3)
