@@ -106,9 +106,18 @@ def cell_tets(domain) -> Ints:
 
 def vector_space(domain, degree: int):
     """Continuous vectors, piecewise of a degree."""
-    if VERSION < (0, 6):
-        return _fem.VectorFunctionSpace(domain, ("Lagrange", degree))
-    return _fem.functionspace(domain, ("Lagrange", degree, (3,)))
+    with _quiet():
+        if VERSION < (0, 6):
+            return _fem.VectorFunctionSpace(domain, ("Lagrange", degree))
+        return _fem.functionspace(domain, ("Lagrange", degree, (3,)))
+
+
+def pressure_space(domain):
+    """Continuous piecewise linear numbers."""
+    with _quiet():
+        if VERSION < (0, 6):
+            return _fem.FunctionSpace(domain, ("Lagrange", 1))
+        return _fem.functionspace(domain, ("Lagrange", 1))
 
 
 def cell_vectors(domain, cells: Ints, vectors: Floats):
@@ -179,6 +188,11 @@ def assemble_scalar(form) -> float:
 def add_vector(form, into: Floats):
     """Add a linear form's vector to an array of dofs."""
     fem.assemble_vector(into, form)
+
+
+def empty_matrix(form) -> PETSc.Mat:
+    """A matrix with room for a bilinear form."""
+    return petsc.create_matrix(form)
 
 
 def add_matrix(form, into: PETSc.Mat):

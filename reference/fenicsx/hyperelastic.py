@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -39,6 +40,16 @@ def density(displacement, cells: Ints, material: Material):
     return DENSITIES[type(material)](F, symbols(material, displacement.function_space.mesh, cells)), F
 
 
+def evaluated_when_asked(psi, F, degree: int, domain) -> Callable[[], Callable[[Ints], Floats]]:
+    """What gives the function of cells for dP/dF at a rule's points; its code is large, not every solve needs it."""
+
+    @cache
+    def evaluator() -> Callable[[Ints], Floats]:
+        return seam.evaluator(ufl.diff(ufl.diff(psi, F), F), seam.quadrature_rule(degree)[0], domain)
+
+    return evaluator
+
+
 @dataclass(frozen=True, eq=False)
 class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells (k,), and dP/dF there."""
@@ -47,7 +58,7 @@ class HyperelasticForms:
     energy: Any
     gradient: Any
     tangent: Any
-    _dP_dF: Callable[[Ints], Floats]
+    _dP_dF: Callable[[], Callable[[Ints], Floats]]
 
     @classmethod
     def of(cls, displacement, cells: Ints, material: Material, degree: int = 1) -> HyperelasticForms:
@@ -61,7 +72,7 @@ class HyperelasticForms:
         energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
-        dP_dF = seam.evaluator(ufl.diff(ufl.diff(psi, F), F), seam.quadrature_rule(degree)[0], space.mesh)
+        dP_dF = evaluated_when_asked(psi, F, degree, space.mesh)
         return cls(cells, seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent), dP_dF)
 
     def assemble_energy(self) -> float:
@@ -75,7 +86,7 @@ class HyperelasticForms:
 
     def point_tangent(self) -> Floats:
         """dP/dF [kPa] at the points, shape (k q, 9, 9)."""
-        return self._dP_dF(self.cells).reshape(-1, 9, 9)
+        return self._dP_dF()(self.cells).reshape(-1, 9, 9)
 
     def softened_tangent(self, kept: float) -> Floats:
         """dP/dF [kPa] at the points, shape (k q, 9, 9), every negative eigenvalue multiplied by `kept`."""

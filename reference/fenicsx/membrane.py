@@ -115,9 +115,19 @@ def _quadratic() -> tuple[Floats, Floats]:
     """Shares (q,) of the area, and derivatives of the shape functions by barycentric coordinates, (q, 6, 3)."""
     points, weights = seam.quadrature_rule(SURFACE_DEGREE, "triangle")
     barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
-    shapes = np.zeros((len(points), 6, 3))
+    return weights / weights.sum(), quadratic_shapes(barycentric)[1]
+
+
+def quadratic_shapes(barycentric: Floats) -> tuple[Floats, Floats]:
+    """Shape functions (q, 6) of quadratic triangles at barycentric coordinates (q, 3), and their derivatives by them.
+
+    The first three belong to corners, the others to the middles of the opposite sides; derivatives are (q, 6, 3).
+    """
+    values, derivatives = np.zeros((len(barycentric), 6)), np.zeros((len(barycentric), 6, 3))
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
-        shapes[:, a, a] = 4.0 * barycentric[:, a] - 1.0
-        shapes[:, 3 + a, b], shapes[:, 3 + a, c] = 4.0 * barycentric[:, c], 4.0 * barycentric[:, b]
-    return weights / weights.sum(), shapes
+        values[:, a] = barycentric[:, a] * (2.0 * barycentric[:, a] - 1.0)
+        values[:, 3 + a] = 4.0 * barycentric[:, b] * barycentric[:, c]
+        derivatives[:, a, a] = 4.0 * barycentric[:, a] - 1.0
+        derivatives[:, 3 + a, b], derivatives[:, 3 + a, c] = 4.0 * barycentric[:, c], 4.0 * barycentric[:, b]
+    return values, derivatives

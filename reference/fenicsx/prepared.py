@@ -8,7 +8,7 @@ import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
-from ..materials import Corotated, Material
+from ..materials import Corotated, Incompressible, Material
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import (
@@ -17,6 +17,7 @@ from ..terms import (
     Gravity,
     Hyperelastic,
     Inertia,
+    Pressure,
     RigidBody,
     Strain,
     SurfaceStrain,
@@ -24,43 +25,79 @@ from ..terms import (
     Traction,
     Volume,
 )
+from .balance import Balance
 from .bodies import Pose, RigidProblem
 from .densities import DENSITIES
 from .linear import LINEAR_SOLVERS
+from .mixed_densities import check_mixed
 from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem, State
+from .restraint import check_restrained
 
-TERMS = (Hyperelastic, Strain, Volume, SurfaceStrain, Bending, Target, Fixed, RigidBody, Gravity, Traction, Inertia)
+TERMS = (
+    Hyperelastic,
+    Strain,
+    Volume,
+    SurfaceStrain,
+    Bending,
+    Target,
+    Fixed,
+    RigidBody,
+    Gravity,
+    Traction,
+    Pressure,
+    Inertia,
+)
 LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
 VARYING = {
     Target: ("positions",),
     Fixed: ("values",),
     Gravity: ("acceleration", "density"),
     Traction: ("vector",),
+    Pressure: ("value",),
     Strain: ("limit",),
     Volume: ("target",),
     SurfaceStrain: ("growth",),
     RigidBody: ("rest",),
     Inertia: ("positions", "velocities"),
 }
-DEGREE_OF = {"P1": 1, "P2": 2}
+DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
 MAX_ITERATIONS = 100
 SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
 LOAD_STEP_TOLERANCE = 1e-2
+STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
+GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 
 
 def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
-    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct).
-    Raises SceneError for another element or linear solver, or a term that this solver cannot model.
+    element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
+    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct); with a
+    pressure it is always direct. Raises SceneError for another element or linear solver, for a term that this solver
+    cannot model, and for a law that the element cannot.
     """
     if element not in DEGREE_OF:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
-    refuse_unknown(scene, "fenicsx", TERMS, LAWS)
+    _check_terms(scene, element)
     return PreparedFenicsx(scene, element, linear_solver)
+
+
+def _check_terms(scene: Scene, element: str):
+    refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
+    for term in scene.of(Hyperelastic):
+        if element == "P2P1":
+            check_mixed(term.material)
+        elif isinstance(term.material, Incompressible):
+            raise SceneError(f"element {element!r} cannot model Incompressible, which needs element 'P2P1'")
+    if element == "P2P1" and scene.of(Volume):
+        raise SceneError("element 'P2P1' cannot model Volume by a pressure; element 'P2' models it")
+    if element == "P2P1" and not scene.of(Hyperelastic):
+        raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
+    if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
+        raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
 
 
 class PreparedFenicsx:
@@ -72,7 +109,7 @@ class PreparedFenicsx:
             raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear!r}; there are {names}")
         self.scene = scene
         self._numbering = Numbering(scene, DEGREE_OF[element])
-        self._problem = Problem(scene, self._numbering)
+        self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
         self._linear = LINEAR_SOLVERS[linear](self._problem.matrix)
         self._direct = LINEAR_SOLVERS["mumps"](self._problem.matrix)
         self._rigid = None
@@ -80,6 +117,9 @@ class PreparedFenicsx:
             self._rigid = RigidProblem(scene, self._numbering, self._problem)
             self._rigid_linear = LINEAR_SOLVERS[linear](self._rigid.matrix)
             self._rigid_direct = LINEAR_SOLVERS["mumps"](self._rigid.matrix)
+        self._balances = element == "P2P1" or bool(scene.of(Pressure))
+        # A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable.
+        self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in (Strain, Volume, RigidBody))
 
     def solve(
         self,
@@ -104,11 +144,21 @@ class PreparedFenicsx:
         if limit < 0:
             raise SceneError(f"max_iterations must be at least 0, got {limit}")
         self._problem.set(scene)
+        check_restrained(scene, loads=None if self._balances else scene.loads())
+        balance = Balance(scene, self._numbering, self._problem, begin, tolerance, max_iterations, on_iteration)
+        if self._balances:
+            return balance.run()
         poses: list[Pose] = []
         if self._rigid is not None:
             self._rigid.set(scene)
             poses = self._rigid.rest() if start is None else self._rigid.nearest(self._numbering.to_dofs(begin))
-        return _Solve(self, scene, begin, poses, tolerance, limit, on_iteration).run()
+        solve = _Solve(self, scene, begin, poses, tolerance, limit, on_iteration)
+        solution = solve.run()
+        doubtful = self._may_snap and solution.converged
+        if doubtful and solution.iterations <= STRAIGHT_ITERATIONS and balance.stable(solve.end):
+            return solution
+        given_up = solution.reason in GIVEN_UP and self._rigid is None
+        return balance.run() if doubtful or given_up else solution
 
 
 def _checked_start(scene: Scene, start: Floats | None) -> Floats:
@@ -211,6 +261,7 @@ class _Solve:
         return None, 0.0, 0.0
 
     def _solution(self, state: AnyState, reason: Reason, iterations: int) -> Solution:
+        self.end = state.u
         positions = self._positions(state.u)
         held, values = self._scene.dirichlet()
         if reason is Reason.CONVERGED:

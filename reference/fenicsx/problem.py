@@ -21,6 +21,7 @@ from .hyperelastic import HyperelasticForms
 from .laws import CorotatedLaw, NeoHookeanLaw, PrincipalLaw, StrainLaw, VolumeLaw
 from .loads import dead_loads
 from .membrane import Membrane
+from .mixed_forms import MixedForms
 from .numbering import Numbering
 from .quadrature import DEGREES, QuadratureForms
 
@@ -40,13 +41,16 @@ class Spring:
 class Problem:
     """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
 
-    Vectors are of shape (n, 3), by dof. `matrix` is the one that every Hessian is assembled into.
+    Vectors are of shape (n, 3), by dof. `matrix` is the one that every Hessian is assembled into. The laws of a
+    mixed problem have the pressure [kPa] of linear elements, a function that is given from outside.
     """
 
-    def __init__(self, scene: Scene, numbering: Numbering):
+    def __init__(self, scene: Scene, numbering: Numbering, *, mixed: bool = False):
         self.numbering = numbering
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
+        self.pressure = seam.function(seam.pressure_space(numbering.space.mesh)) if mixed else None
+        self.pressure_dofs = seam.cell_dofs(self.pressure.function_space, 4) if self.pressure is not None else None
         solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
         empty = np.empty(0, dtype=np.int64)
         cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
@@ -56,7 +60,7 @@ class Problem:
         self._tensors = [
             (self._points(forms.cells), forms)
             for forms, term in zip(self._hyperelastic, self._by_ufl(scene), strict=True)
-            if not isinstance(term.material, NeoHookean)
+            if mixed or not isinstance(term.material, NeoHookean)
         ]
         n = len(numbering.X)
         self._faces = [numbering.face_dofs(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
@@ -84,9 +88,12 @@ class Problem:
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
     def _by_ufl(self, scene: Scene) -> list[Hyperelastic]:
-        return [term for term in scene.of(Hyperelastic) if type(term.material) in DENSITIES]
+        solids = scene.of(Hyperelastic)
+        return solids if self.pressure is not None else [t for t in solids if type(t.material) in DENSITIES]
 
     def _forms(self, term: Hyperelastic, cells: Ints) -> HyperelasticForms:
+        if self.pressure is not None:
+            return MixedForms.of_both(self._displacement, self.pressure, cells, term.material, self._degree)
         return HyperelasticForms.of(self._displacement, cells, term.material, self._degree)
 
     def set(self, scene: Scene):
@@ -109,7 +116,8 @@ class Problem:
         solids = scene.of(Hyperelastic)
         corotated = [term for term in solids if isinstance(term.material, Corotated)]
         self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume), *corotated)]
-        self._stand_ins = [self._law(scene, term) for term in solids if isinstance(term.material, NeoHookean)]
+        neo_hookean = [t for t in solids if isinstance(t.material, NeoHookean) and self.pressure is None]
+        self._stand_ins = [self._law(scene, term) for term in neo_hookean]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
@@ -135,6 +143,11 @@ class Problem:
             return points, CorotatedLaw(at_points(term.material.mu), at_points(term.material.lmbda))
         assert isinstance(term.material, NeoHookean)
         return points, NeoHookeanLaw(at_points(term.material.mu), at_points(term.material.lmbda))
+
+    @property
+    def mixed_forms(self) -> list[MixedForms]:
+        """The forms of laws with a pressure."""
+        return [forms for forms in self._hyperelastic if isinstance(forms, MixedForms)]
 
     def at(self, u: Floats) -> State:
         """The problem at a displacement [mm], shape (n, 3)."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from typing import Any
+
 import numpy as np
 import ufl
 
@@ -28,18 +31,28 @@ class QuadratureForms:
         self.per_cell = len(points)
         self.volume = np.outer(cell_volumes[cells], weights / weights.sum()).ravel()
         self._gradient_at = seam.evaluator(ufl.grad(displacement), points, domain)
+        self._space, self._degree = space, degree
+        self._dx = seam.cell_measure(domain, cells)(
+            metadata={"quadrature_degree": degree, "quadrature_scheme": "default"}
+        )
 
-        stress_space = seam.quadrature_space(domain, degree, (3, 3))
-        self._stress = seam.function(stress_space)
-        self._stress_dofs = seam.cell_dofs(stress_space, self.per_cell)[cells].ravel()
-        tangent_space = seam.quadrature_space(domain, degree, (9, 9))
-        self._tangent = seam.function(tangent_space)
-        self._tangent_dofs = seam.cell_dofs(tangent_space, self.per_cell)[cells].ravel()
+    @cached_property
+    def _stress(self) -> tuple[Any, Ints, Any]:
+        """A function of stresses, its dofs at the points, and the form that integrates it."""
+        stress, dofs = self._tensor((3, 3))
+        form = ufl.inner(stress, ufl.grad(ufl.TestFunction(self._space))) * self._dx
+        return stress, dofs, seam.compile_form(form)
 
-        dx = seam.cell_measure(domain, cells)(metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})
-        v, du = ufl.TestFunction(space), ufl.TrialFunction(space)
-        self._linear = seam.compile_form(ufl.inner(self._stress, ufl.grad(v)) * dx)
-        self._bilinear = seam.compile_form(ufl.inner(ufl.dot(self._tangent, _flat(du)), _flat(v)) * dx)
+    @cached_property
+    def _tangent(self) -> tuple[Any, Ints, Any]:
+        tangent, dofs = self._tensor((9, 9))
+        v, du = ufl.TestFunction(self._space), ufl.TrialFunction(self._space)
+        form = ufl.inner(ufl.dot(tangent, _flat(du)), _flat(v)) * self._dx
+        return tangent, dofs, seam.compile_form(form)
+
+    def _tensor(self, shape: tuple[int, int]) -> tuple[Any, Ints]:
+        space = seam.quadrature_space(self._space.mesh, self._degree, shape)
+        return seam.function(space), seam.cell_dofs(space, self.per_cell)[self.cells].ravel()
 
     def deformation_gradient(self) -> Floats:
         """F at the points, shape (k q, 3, 3), for the displacement's present values."""
@@ -47,13 +60,15 @@ class QuadratureForms:
 
     def add_gradient(self, P: Floats, into: Floats):
         """Add the integral of P : grad v [mN], P [kPa] of shape (k q, 3, 3), to an array of dofs (3n,)."""
-        self._stress.x.array.reshape(-1, 9)[self._stress_dofs] = P.reshape(-1, 9)
-        seam.add_vector(self._linear, into)
+        stress, dofs, form = self._stress
+        stress.x.array.reshape(-1, 9)[dofs] = P.reshape(-1, 9)
+        seam.add_vector(form, into)
 
     def add_tangent(self, C: Floats, into: PETSc.Mat):
         """Add the integral of grad v : C : grad u [mN/mm], C [kPa] of shape (k q, 9, 9), to a matrix."""
-        self._tangent.x.array.reshape(-1, 81)[self._tangent_dofs] = C.reshape(-1, 81)
-        seam.add_matrix(self._bilinear, into)
+        tangent, dofs, form = self._tangent
+        tangent.x.array.reshape(-1, 81)[dofs] = C.reshape(-1, 81)
+        seam.add_matrix(form, into)
 
 
 def _flat(v):

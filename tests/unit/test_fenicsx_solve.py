@@ -315,7 +315,7 @@ def test_refusals():
         pass
 
     for options, message in (
-        ({"element": "P7"}, "unknown element 'P7'; there are P1, P2"),
+        ({"element": "P7"}, "unknown element 'P7'; there are P1, P2, P2P1"),
         ({"linear_solver": "jacobi"}, "unknown linear_solver 'jacobi'; there are cg, mumps"),
     ):
         with pytest.raises(SceneError, match=message):

@@ -1,0 +1,89 @@
+"""A solve by the equations of equilibrium: for mixed elements, follower pressure, and where descent gave up."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..scene import Scene
+from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..terms import Pressure
+from .equilibrium import Equilibrium, Point
+from .follower import FollowerPressure
+from .load_path import LoadPath
+from .numbering import Numbering
+from .problem import Problem
+
+MAX_ITERATIONS = 1000
+
+
+class Balance:
+    """A scene's load path on a problem, from start [mm], shape (scene vertices, 3)."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        numbering: Numbering,
+        problem: Problem,
+        start: Floats,
+        tolerance: float,
+        max_iterations: int | None,
+        on_iteration: OnIteration | None,
+    ):
+        self._scene, self._numbering, self._problem = scene, numbering, problem
+        held, positions = scene.dirichlet()
+        self._held, self._values = held, positions
+        self._elsewhere = np.where(held, positions, start)
+        nodes = numbering.held(held)
+        u = numbering.to_dofs(start) - numbering.X
+        goal = np.where(nodes, numbering.to_dofs(positions) - numbering.X, u)
+        pressures = [
+            FollowerPressure.of(term, numbering.face_dofs(term.name, term.triangles)) for term in scene.of(Pressure)
+        ]
+        self._equations = Equilibrium(problem, np.flatnonzero(nodes | problem.unsupported[:, None]), pressures)
+        self._recorder = Recorder(on_iteration)
+        self._assemblies = problem.assemblies
+        self._path = LoadPath(
+            self._equations,
+            self._unknowns(u),
+            self._unknowns(goal),
+            lambda first: stop_threshold(scene, first, tolerance),
+            self._report,
+            MAX_ITERATIONS if max_iterations is None else max_iterations,
+        )
+
+    def _unknowns(self, u: Floats) -> Floats:
+        z = np.zeros(self._equations.count)
+        z[: u.size] = u.ravel()
+        return z
+
+    def _positions(self, point: Point) -> Floats:
+        return self._numbering.to_scene(self._numbering.X + point.state.u, self._elsewhere)
+
+    def _report(self, point: Point, norm: float) -> bool:
+        return self._recorder.record(self._positions(point), point.energy, norm)
+
+    def stable(self, u: Floats) -> bool:
+        """Whether the tangent at a displacement of the nodes [mm], shape (n, 3), is positive definite."""
+        return self._path.stable_at(self._unknowns(u))
+
+    def run(self) -> Solution:
+        """Follow the load path to its end."""
+        point, reason = self._path.run()
+        positions = self._positions(point)
+        if reason is Reason.CONVERGED:
+            positions[self._held] = self._values[self._held]
+        detail: dict[str, float] = {
+            "linear_solves": self._path.factored,
+            "assemblies": self._problem.assemblies - self._assemblies,
+            "load_share": self._path.share,
+        }
+        return Solution(
+            positions,
+            reason,
+            self._path.iterations,
+            point.energy,
+            self._recorder.history(),
+            volume_ratio(self._scene, positions),
+            detail,
+        )

@@ -1,0 +1,78 @@
+"""Follower pressure on linear or quadratic triangles: nodal forces and their tangent, of the present shape.
+
+With x(ξ, η) on a triangle the outer normal times area is x_ξ × x_η, so the pressure p adds p ∫ N_a x_ξ × x_η dξ dη to
+the gradient. Its derivative is symmetric where the border of the triangles is held or slides in a plane that closes
+the volume, and not else (Bonet and Wood 2008, Section 8.5.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.mesh import Floats, Ints
+from ..terms import Pressure
+from . import dolfinx_version as seam
+from .membrane import quadratic_shapes
+
+DEGREES = {3: 2, 6: 6}
+"""Degree of the rule that is exact, by the nodes of a triangle."""
+
+
+@dataclass(frozen=True, eq=False)
+class FollowerPressure:
+    """Triangles' nodes (m, k), pressure (m,) [kPa], and a rule: weights (q,), shapes (q, k), derivatives (q, k, 2)."""
+
+    nodes: Ints
+    value: Floats
+    weights: Floats
+    shapes: Floats
+    derivatives: Floats
+
+    @classmethod
+    def of(cls, term: Pressure, nodes: Ints) -> FollowerPressure:
+        """The term on its triangles' nodes (m, 3) or (m, 6), corners first."""
+        k = nodes.shape[1]
+        points, weights = seam.quadrature_rule(DEGREES[k], "triangle")
+        barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
+        shapes, by_barycentric = barycentric, np.broadcast_to(np.eye(3), (len(points), 3, 3))
+        if k == 6:
+            shapes, by_barycentric = quadratic_shapes(barycentric)
+        derivatives = by_barycentric @ np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
+        return cls(nodes, np.broadcast_to(term.value, len(nodes)), weights, shapes, derivatives)
+
+    def _tangents(self, x: Floats) -> tuple[Floats, Floats]:
+        """x_ξ and x_η [mm] at the points, shape (m, q, 3)."""
+        both = np.einsum("mkc,qkd->dmqc", x[self.nodes], self.derivatives)
+        return both[0], both[1]
+
+    def add_gradient(self, x: Floats, into: Floats):
+        """Add the pressure's part of the gradient [mN] at nodes x [mm], shape (n, 3), to an array (n, 3)."""
+        along, across = self._tangents(x)
+        force = np.einsum("m,q,qk,mqc->mkc", self.value, self.weights, self.shapes, np.cross(along, across))
+        for c in range(3):
+            into[:, c] += np.bincount(self.nodes.ravel(), force[:, :, c].ravel(), minlength=len(into))
+
+    def energy(self, x: Floats) -> float:
+        """The pressure times the volume under the triangles, seen from the origin [µJ]: a potential if they close."""
+        along, across = self._tangents(x)
+        at = np.einsum("mkc,qk->mqc", x[self.nodes], self.shapes)
+        return float(np.einsum("m,q,mqc,mqc->", self.value, self.weights, at, np.cross(along, across)) / 3.0)
+
+    def tangent(self, x: Floats) -> Floats:
+        """The derivative of the gradient [mN/mm], shape (m, k, k, 3, 3): node, node, component, component."""
+        along, across = (_cross_matrix(t) for t in self._tangents(x))
+        by_along, by_across = self.derivatives[:, :, 0], self.derivatives[:, :, 1]
+        scaled = np.einsum("m,q,qa->mqa", self.value, self.weights, self.shapes)
+        tangent = np.einsum("mqa,qb,mqij->mabij", scaled, by_across, along, optimize=True)
+        return tangent - np.einsum("mqa,qb,mqij->mabij", scaled, by_along, across, optimize=True)
+
+
+def _cross_matrix(v: Floats) -> Floats:
+    """The matrices of w -> v × w, shape (..., 3, 3)."""
+    result = np.zeros((*v.shape, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        result[..., i, j], result[..., i, k] = -v[..., k], v[..., j]
+    return result

@@ -1,0 +1,198 @@
+"""Newton's method on the equations of equilibrium, and the path of equilibria that loads and motions grow along.
+
+A step is damped until the simplified correction that follows it is shorter than the correction itself, a test that
+does not depend on how forces, volumes and pressures are scaled (Deuflhard 2011, "Newton Methods for Nonlinear
+Problems", Section 3.3). Where the whole load fails at once, it grows in steps of adaptive size from the start. Where
+steps shrink to nothing, the last equilibrium tells why: near a limit point the displacement grows without bound with
+the load, or the tangent turns indefinite; else the steps, not the load, are at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..solution import Reason
+from .direct import Factorisation
+from .equilibrium import Equilibrium, Point
+
+SMALLEST_DAMPING = 1 / 32
+STEP_ITERATIONS = 25
+FIRST_SHARE = 1 / 4
+SMALLEST_SHARE = 1 / 1024
+EASY = 5  # iterations, within which the next load step may be longer
+PATH_TOLERANCE = 1e-6
+STEEP = 4.0  # times the first rate of displacement by load, that tells a limit point
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrated:
+    """A point of the path, whether Newton got there, its iterations, and whether the tangent there is stable."""
+
+    point: Point
+    reason: Reason
+    iterations: int
+    stable: bool
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is an equilibrium."""
+        return self.reason is Reason.CONVERGED
+
+
+@dataclass(eq=False)
+class LoadPath:
+    """Equations, where held unknowns go (3n + n_p,), and who is told of each iteration and may stop."""
+
+    equations: Equilibrium
+    start: Floats
+    goal: Floats
+    threshold: Callable[[float], float]
+    report: Callable[[Point, float], bool]
+    max_iterations: int
+    factors: Factorisation = field(default_factory=Factorisation)
+    factored: int = 0
+    iterations: int = 0
+    share: float = 0.0
+    _first: float = 0.0
+    _unstable: bool = False
+
+    def run(self) -> tuple[Point, Reason]:
+        """All of the load at once or, where that fails or ends unstable, in steps; the last equilibrium and why."""
+        begin = self.equations.at(self.start, 0.0)
+        if not begin.finite:
+            self.report(begin, np.inf)
+            return begin, Reason.NOT_FINITE
+        whole = self._correct(self.start, 1.0, final=True)
+        if whole.converged and whole.stable:
+            self.share = 1.0
+            return whole.point, Reason.CONVERGED
+        if whole.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS, Reason.STAGNATED):
+            return whole.point, whole.reason
+        return self._grow()
+
+    def stable_at(self, z: Floats) -> bool:
+        """Whether the tangent under the whole load is regular and stable."""
+        derivative = self.equations.derivative(self.equations.at(z, 1.0))
+        return self._factor(derivative) and self._stable
+
+    def _grow(self) -> tuple[Point, Reason]:
+        """Follow the path from the start."""
+        first = self._correct(self.start, 0.0)
+        if not first.converged:
+            return first.point, first.reason
+        here = first.point
+        first_rate = self._rate(here)
+        before: Point | None = None
+        step = FIRST_SHARE
+        self._unstable = False
+        while here.share < 1.0:
+            share = min(1.0, here.share + step)
+            after = self._correct(self._predicted(before, here, share), share, final=share == 1.0)
+            if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
+                return here, after.reason
+            if after.converged and after.stable:
+                before, here, self.share = here, after.point, share
+                step *= 2.0 if after.iterations <= EASY else 1.0
+                continue
+            self._unstable |= after.converged
+            step *= 0.5
+            if step < SMALLEST_SHARE:
+                steep = self._rate(here) > STEEP * first_rate
+                return here, Reason.LIMIT_POINT if self._unstable or steep else Reason.LINE_SEARCH
+        return here, Reason.CONVERGED
+
+    def _predicted(self, before: Point | None, here: Point, share: float) -> Floats:
+        if before is None:
+            return here.z
+        guess = here.z + (share - here.share) / (here.share - before.share) * (here.z - before.z)
+        return guess if self.equations.at(guess, share).finite else here.z
+
+    def _at_share(self, share: float) -> Floats:
+        return self.start + share * (self.goal - self.start)
+
+    def _rate(self, point: Point) -> float:
+        """The norm of the displacement's change by the share of load and motion [mm]."""
+        equations = self.equations
+        derivative = equations.derivative(point)
+        if not self._factor(derivative):
+            return np.inf
+        held, free = equations.held, equations.free
+        motion = self.goal[held] - self.start[held]
+        forces = equations.by_share(point)[free] + derivative[free][:, held] @ motion
+        change = np.zeros(equations.count)
+        change[free] = -self.factors.solve(forces)
+        change[held] = motion
+        return float(np.linalg.norm(change[: equations.displacements]))
+
+    def _factor(self, derivative) -> bool:
+        free = self.equations.free
+        self.factored += 1
+        return self.factors.factor(derivative[free][:, free], symmetric=self.equations.symmetric)
+
+    @property
+    def _stable(self) -> bool:
+        """Whether the last factored tangent has no more negative directions than the pressures bring."""
+        expected = self.equations.free_pressures
+        return self.factors.negative == (expected if self.factors.symmetric else expected % 2)
+
+    def _correct(self, z: Floats, share: float, *, final: bool = False) -> Equilibrated:
+        """Newton's method from z at a share of load and motion."""
+        equations = self.equations
+        held, free = equations.held, equations.free
+        target = self._at_share(share)[held]
+        point = equations.at(z, share)
+        damping, last = 1.0, 0.0
+        for iteration in range(STEP_ITERATIONS + 1):
+            derivative = equations.derivative(point)
+            if iteration == 0:
+                equations.scale_volumes(derivative)
+            jump = target - point.z[held]
+            forces = point.residual[free] + derivative[free][:, held] @ jump
+            norm = equations.norm(forces)
+            if iteration == 0:
+                first = max(norm, equations.norm(point.residual[free]))
+                if final and self._first == 0.0:
+                    self._first = first
+                last = self.threshold(self._first) if final else max(PATH_TOLERANCE * first, self.threshold(first))
+            if self.report(point, norm):
+                return Equilibrated(point, Reason.INTERRUPTED, iteration, False)
+            regular = self._factor(derivative)
+            if norm <= last and not jump.any():
+                return Equilibrated(point, Reason.CONVERGED, iteration, regular and self._stable)
+            if not regular:
+                return Equilibrated(point, Reason.LINEAR_SOLVER, iteration, False)
+            if self.iterations >= self.max_iterations:
+                return Equilibrated(point, Reason.MAX_ITERATIONS, iteration, False)
+            self.iterations += 1
+            correction = np.zeros(equations.count)
+            correction[free] = -self.factors.solve(forces)
+            correction[held] = jump
+            damping = min(1.0, 2.0 * damping)
+            following = self._damped(point, correction, damping)
+            if following is None:
+                stagnated = norm <= 1e3 * last and not jump.any()
+                return Equilibrated(point, Reason.STAGNATED if stagnated else Reason.LINE_SEARCH, iteration, False)
+            point, damping = following
+        return Equilibrated(point, Reason.LINE_SEARCH, STEP_ITERATIONS, False)
+
+    def _damped(self, point: Point, correction: Floats, damping: float) -> tuple[Point, float] | None:
+        """The point after as much of a correction as the one that would follow allows, and how much that is."""
+        equations, free = self.equations, self.equations.free
+        in_space = free < equations.displacements
+        length = np.linalg.norm(correction[free][in_space])
+        size = 1e-14 * np.linalg.norm(point.z[: equations.displacements] + 1e-300)
+        while damping >= SMALLEST_DAMPING:
+            z = point.z + damping * correction
+            if damping == 1.0:
+                z[equations.held] = point.z[equations.held] + correction[equations.held]
+            after = equations.at(z, point.share)
+            if after.finite:
+                simplified = -self.factors.solve(after.residual[free])
+                if np.linalg.norm(simplified[in_space]) <= (1.0 - damping / 4.0) * length + size:
+                    return after, damping
+            damping *= 0.5
+        return None

@@ -1,0 +1,97 @@
+"""Rigid motions that a scene leaves free, by name."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ...lhm.errors import SceneError
+from ...lhm.mesh import Floats, Ints
+from ..scene import Scene
+from ..terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
+
+FREE = 1e-9  # of the largest singular value, below which nothing holds a motion
+WORK = 1e-9  # of a load's norm, below which it does no work on a motion
+
+
+def check_restrained(scene: Scene, *, loads: Floats | None):
+    """Raise SceneError for a rigid motion that nothing holds, naming it.
+
+    With dead loads [mN], shape (scene vertices, 3), only one on which they do work counts: without it there is an
+    equilibrium all the same, though its place is not determined.
+    """
+    held = scene.dirichlet()[0]
+    held[scene.inertia()[0] > 0] = True
+    for term in scene.of(Target):
+        held[term.vertices[np.broadcast_to(term.stiffness, len(term.vertices)) > 0]] = True
+    for part in _parts(scene):
+        motions = _motions(scene.vertices[part])
+        free = _null_space(motions[held[part]])
+        if loads is not None and free.shape[1]:
+            work = np.einsum("vck,vc->k", motions @ free, loads[part])
+            if np.abs(work).max() <= WORK * max(np.linalg.norm(loads[part]), 1e-300):
+                continue
+        if free.shape[1]:
+            names = ", ".join(_names(free))
+            raise SceneError(
+                f"the scene is under-constrained: nothing holds {names} of the part with vertex {part[0]}; "
+                "hold it by Fixed or Target"
+            )
+
+
+def _parts(scene: Scene) -> list[Ints]:
+    """The vertices that energies and bodies join to parts."""
+    solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
+    groups = [scene.tets[scene.tets_of(term)] for term in solids]
+    groups += [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Bending))]
+    groups += [term.vertices[None] for term in scene.of(RigidBody)]
+    if not groups:
+        return []
+    first = np.concatenate([np.repeat(group[:, 0], group.shape[1]) for group in groups])
+    other = np.concatenate([group.ravel() for group in groups])
+    n = len(scene.vertices)
+    _, label = connected_components(coo_matrix((np.ones(len(first)), (first, other)), shape=(n, n)), directed=False)
+    used = np.unique(other)
+    return [used[label[used] == part] for part in np.unique(label[used])]
+
+
+def _motions(X: Floats) -> Floats:
+    """Displacements of three translations and three rotations, of length about 1 each, shape (v, 3, 6)."""
+    centred = X - X.mean(axis=0)
+    centred = centred / max(np.sqrt(np.mean(np.sum(centred**2, axis=1))), 1e-300)
+    result = np.zeros((len(X), 3, 6))
+    for c in range(3):
+        result[:, c, c] = 1.0
+        result[:, :, 3 + c] = np.cross(np.eye(3)[c], centred)
+    return result / np.sqrt(len(X))
+
+
+def _null_space(rows: Floats) -> Floats:
+    """Orthonormal combinations of motions on which rows (k, 6) vanish, shape (6, r)."""
+    if not len(rows):
+        return np.eye(6)
+    _, s, Vt = np.linalg.svd(np.concatenate([rows, np.zeros((6, 6))]), full_matrices=False)
+    return Vt[s <= FREE * max(s[0], 1e-300)].T
+
+
+def _names(free: Floats) -> list[str]:
+    """Translations among the motions (6, r), then the axes of what else is left."""
+    _, s, Vt = np.linalg.svd(free[3:], full_matrices=True)
+    turning = int((s > 1e-6).sum())
+    translations = free[:3] @ Vt[turning:].T
+    rotations = free[3:] @ Vt[:turning].T
+    return [f"translation along {axis}" for axis in _axes(translations)] + [
+        f"rotation about {axis}" for axis in _axes(rotations)
+    ]
+
+
+def _axes(directions: Floats) -> list[str]:
+    """Names of a basis of the span of directions (3, k): x, y, z where they lie in it."""
+    if not directions.shape[1]:
+        return []
+    basis = np.linalg.svd(directions, full_matrices=False)[0]
+    inside = [c for c in range(3) if np.linalg.norm(basis[c]) > 1.0 - 1e-6]
+    if len(inside) == basis.shape[1]:
+        return ["xyz"[c] for c in inside]
+    return [f"({v[0]:.2f}, {v[1]:.2f}, {v[2]:.2f})" for v in basis.T]

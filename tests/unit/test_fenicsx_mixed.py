@@ -1,0 +1,230 @@
+"""Displacement and pressure: derivatives of the equations, laws in both forms, follower pressure, refusals."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("dolfinx")
+
+from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
+from softdeca.reference.fenicsx.equilibrium import Equilibrium
+from softdeca.reference.fenicsx.follower import FollowerPressure
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.problems import meshes
+
+LAWS = {
+    "neo-Hookean": materials.NeoHookean(1.0, 5.0),
+    "stable neo-Hookean": materials.StableNeoHookean(1.0, 5.0),
+    "St. Venant-Kirchhoff": materials.StVenantKirchhoff(1.0, 3.0),
+    "isochoric, quadratic": materials.IsochoricNeoHookean(1.0, 5.0),
+    "isochoric, logarithmic": materials.IsochoricNeoHookean(1.0, 5.0, "kappa/4 (J^2-1-2 ln J)"),
+    "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, 5.0, C20=0.1),
+    "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, (1.0, 0.0, 0.0), 5.0),
+}
+INCOMPRESSIBLE = {
+    name: materials.Incompressible(law)
+    for name, law in LAWS.items()
+    if name not in ("isochoric, logarithmic", "St. Venant-Kirchhoff")
+}
+
+
+def equations(scene, element_degree=2, mixed=True):
+    problem = Problem(scene, Numbering(scene, element_degree), mixed=mixed)
+    pressures = [
+        FollowerPressure.of(term, problem.numbering.face_dofs(term.name, term.triangles))
+        for term in scene.of(terms.Pressure)
+    ]
+    return Equilibrium(problem, np.empty(0, dtype=np.int64), pressures)
+
+
+def pulled_cube(law, stretch=1.2):
+    X, tets = meshes.unstructured(2)
+    far = meshes.vertices_at(X, 0, 1.0)
+    held = [terms.Fixed(meshes.vertices_at(X, 0, 0.0)), terms.Fixed(far, X[far] * [stretch, 1, 1])]
+    return Scene(X, tets, [terms.Hyperelastic(law), *held])
+
+
+def check_derivative(scene, mixed=True, degree=2):
+    """The derivative by central differences; symmetric where no pressure follows."""
+    system = equations(scene, degree, mixed)
+    rng = np.random.default_rng(0)
+    z = 0.01 * rng.normal(size=system.count)
+    d = rng.normal(size=system.count)
+    h = 2e-5
+
+    def residual(step):
+        return system.at(z + step * h * d, 0.7).residual
+
+    change = (8 * (residual(1) - residual(-1)) - (residual(2) - residual(-2))) / (12 * h)
+    derivative = system.derivative(system.at(z, 0.7))
+    assert np.abs(derivative @ d - change).max() < 1e-7 * np.abs(change).max()
+    return abs(derivative - derivative.T).max() / abs(derivative).max()
+
+
+@pytest.mark.parametrize(
+    "law", [*LAWS.values(), *INCOMPRESSIBLE.values()], ids=[*LAWS, *(f"J=1 {n}" for n in LAWS if n in INCOMPRESSIBLE)]
+)
+def test_the_equations_have_their_derivative(law):
+    scene = pulled_cube(law)
+    loaded = Scene(scene.vertices, scene.tets, [*scene.terms, terms.Gravity((0, 0, -1.0), density=0.1)])
+    assert check_derivative(loaded) < 1e-12
+
+
+@pytest.mark.parametrize(("degree", "mixed"), [(1, False), (2, False), (2, True)])
+def test_follower_pressure_has_its_derivative(degree, mixed):
+    """Not symmetric on part of a surface; symmetric on all of it, where it is a potential's."""
+    scene = pulled_cube(LAWS["neo-Hookean"])
+    part = meshes.triangles_at(scene.vertices, scene.tets, 2, 1.0)
+    whole = meshes.boundary_triangles(scene.tets)
+    for triangles, symmetric in ((part, False), (whole, True)):
+        value = np.linspace(1.0, 2.0, len(triangles)) if triangles is part else 1.5
+        loaded = Scene(scene.vertices, scene.tets, [*scene.terms, terms.Pressure(triangles, value)])
+        assert (check_derivative(loaded, mixed, degree) < 1e-12) == symmetric
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_follower_pressure_on_a_turned_cube(degree):
+    """The resultant is pressure times area against the outer normal, turned with the cube; the work is -p dV."""
+    X, tets = meshes.block(2)
+    scene = Scene(X, tets, [])
+    order = Numbering(scene, degree)
+    face = meshes.triangles_at(X, tets, 2, 1.0)
+    turn = np.array([[1.0, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]) * 2.0
+    gradient = np.zeros(order.X.shape)
+    FollowerPressure.of(terms.Pressure(face, 3.0), order.face_dofs("face", face)).add_gradient(
+        order.X @ turn.T, gradient
+    )
+    assert np.allclose(gradient.sum(axis=0), 3.0 * 4.0 * np.array([0.0, -0.8, 0.6]), atol=1e-13)
+    skin = meshes.boundary_triangles(tets)
+    closed = FollowerPressure.of(terms.Pressure(skin, 3.0), order.face_dofs("skin", skin))
+    assert closed.energy(order.X @ turn.T) == pytest.approx(3.0 * 8.0, rel=1e-13)
+
+
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "Guccione"])
+def test_both_forms_of_a_law_agree(name):
+    """A smooth field, so that P2 and P2P1 differ by their discretisation error alone; homogeneous, so not at all."""
+    X, tets = meshes.unstructured(2)
+    far = meshes.vertices_at(X, 0, 1.0)
+    rollers = [terms.Fixed(meshes.vertices_at(X, c, 0.0), components=c) for c in range(3)]
+    held = [*rollers, terms.Fixed(far, X[far] * [1.3, 1, 1], components=0)]
+    scene = Scene(X, tets, [terms.Hyperelastic(LAWS[name]), *held])
+    one, other = (solve(scene, solver="fenicsx", element=element, tolerance=1e-11) for element in ("P2", "P2P1"))
+    assert one.converged and other.converged
+    assert np.abs(one.positions - other.positions).max() < 1e-9
+    assert other.energy == pytest.approx(one.energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("stretch", [0.6, 1.5, 3.0])
+def test_incompressible_neo_hookean_is_pulled_as_in_closed_form(stretch):
+    """P = mu (l - 1/l²), lateral stretch 1/sqrt(l)."""
+    X, tets = meshes.unstructured(2)
+    rollers = [terms.Fixed(meshes.vertices_at(X, c, 0.0), components=c) for c in range(3)]
+    law = materials.Incompressible(materials.NeoHookean(2.0, 1.0))
+    far = meshes.vertices_at(X, 0, 1.0)
+    held = terms.Fixed(far, X[far] * [stretch, 1, 1], components=0)
+    solution = solve(Scene(X, tets, [terms.Hyperelastic(law), *rollers, held]), solver="fenicsx", element="P2P1")
+    assert solution.converged
+    assert np.allclose(solution.positions, X * [stretch, stretch**-0.5, stretch**-0.5], atol=1e-6)
+    assert solution.energy == pytest.approx(1.0 * (stretch**2 + 2 / stretch - 3), rel=1e-6)
+    load = terms.Traction(meshes.triangles_at(X, tets, 0, 1.0), (2.0 * (stretch - stretch**-2), 0, 0))
+    if stretch > 1:
+        pulled = solve(Scene(X, tets, [terms.Hyperelastic(law), *rollers, load]), solver="fenicsx", element="P2P1")
+        assert pulled.converged, pulled.reason
+        assert np.allclose(pulled.positions[:, 0], X[:, 0] * stretch, atol=1e-5)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "P2P1"])
+def test_a_cube_under_pressure_all_round(element):
+    """Follower pressure p shrinks a compressible cube to the J that its volumetric law gives: p = -U'(J)."""
+    X, tets = meshes.unstructured(2)
+    rollers = [terms.Fixed(meshes.vertices_at(X, c, 0.0), components=c) for c in range(3)]
+    far = np.concatenate([meshes.triangles_at(X, tets, c, 1.0) for c in range(3)])
+    law = materials.IsochoricNeoHookean(1.0, 5.0)
+    scene = Scene(X, tets, [terms.Hyperelastic(law), *rollers, terms.Pressure(far, 5.0 * 0.2)])
+    solution = solve(scene, solver="fenicsx", element=element, tolerance=1e-10)
+    assert solution.converged, solution.reason
+    assert np.allclose(solution.positions, X * 0.8 ** (1 / 3), atol=1e-8)
+
+
+def rivlin_cube(load, law):
+    X, tets = meshes.block(2)
+    rollers = [terms.Fixed(meshes.vertices_at(X, c, 0.0), components=c) for c in range(3)]
+    pulls = [terms.Traction(meshes.triangles_at(X, tets, c, 1.0), load * np.eye(3)[c]) for c in range(3)]
+    return Scene(X, tets, [terms.Hyperelastic(law), *rollers, *pulls])
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "P2P1"])
+def test_a_rivlin_cube_says_limit_point(element):
+    """Rivlin 1948: equal dead loads hold an incompressible neo-Hookean cube at rest, stable below 2 mu only."""
+    law = materials.IsochoricNeoHookean(1.0, 200.0)
+    below, above = (
+        solve(rivlin_cube(load, law), solver="fenicsx", element=element, tolerance=1e-9) for load in (1.8, 2.2)
+    )
+    assert below.converged, below.reason
+    assert above.reason is Reason.LIMIT_POINT
+    assert str(above.reason).startswith("limit point")
+
+
+def test_a_motion_too_far_for_one_step_is_taken_in_several():
+    """An incompressible block twisted by 120 degrees at once ends where it does by way of 60 degrees."""
+    X, tets = meshes.box((3, 2, 2))
+    ends = [meshes.vertices_at(X, 0, end) for end in (0.0, 1.0)]
+    law = materials.Incompressible(materials.NeoHookean(1.0, 1.0))
+
+    def twisted(degrees):
+        turned = np.array(X[ends[1]])
+        turned[:, 1:] = (turned[:, 1:] - 0.5) @ Rotation.from_euler("x", -degrees, degrees=True).as_matrix()[
+            1:, 1:
+        ] + 0.5
+        held = terms.Fixed(np.concatenate(ends), np.concatenate([X[ends[0]], turned]))
+        return Scene(X, tets, [terms.Hyperelastic(law), held])
+
+    options = {"solver": "fenicsx", "element": "P2P1", "tolerance": 1e-9}
+    at_once = solve(twisted(120.0), **options)
+    in_two = solve(twisted(120.0), start=solve(twisted(60.0), **options).positions, **options)
+    assert at_once.converged and in_two.converged, (at_once.reason, in_two.reason)
+    assert at_once.detail["load_share"] == 1.0
+    assert np.abs(at_once.positions - in_two.positions).max() < 1e-7
+
+
+SOFT = terms.Hyperelastic(materials.NeoHookean(1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("element", "others", "message"),
+    [
+        ("P1", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "'P1' cannot model Incompressible"),
+        ("P2", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "'P2' cannot model Incompressible"),
+        ("P2P1", [SOFT, terms.Volume(1.0)], "'P2P1' cannot model Volume"),
+        ("P2P1", [terms.Strain(1.0)], "'P2P1' needs a Hyperelastic term"),
+        ("P2P1", [terms.Hyperelastic(materials.Corotated(1.0, 2.0))], "'P2P1' cannot model Corotated"),
+        ("P2P1", [terms.Hyperelastic(materials.NeoHookean(1.0, 0.0))], "NeoHookean needs lmbda above 0, got 0.0"),
+    ],
+)
+def test_refusals(element, others, message):
+    X, tets = meshes.block(1)
+    with pytest.raises(SceneError, match=message):
+        solve(Scene(X, tets, [*others, terms.Fixed(X[:, 0] == 0)]), solver="fenicsx", element=element)
+
+
+@pytest.mark.parametrize(
+    ("held", "message"),
+    [
+        ([], "translation along x, translation along y, translation along z, rotation about x"),
+        ([terms.Fixed([0])], "holds rotation about x, rotation about y, rotation about z of the part with vertex 0"),
+        ([terms.Fixed([0, 1])], "holds rotation about z of"),
+        ([terms.Fixed(np.arange(4), components=(0, 2))], "holds translation along y of"),
+    ],
+)
+def test_free_rigid_motions_are_named(held, message):
+    X, tets = meshes.block(1)
+    pull = terms.Traction(meshes.triangles_at(X, tets, 1, 1.0), (0.15, 0.2, 0.3))
+    for element in ("P1", "P2P1"):
+        with pytest.raises(SceneError, match=message):
+            solve(Scene(X, tets, [SOFT, pull, *held]), solver="fenicsx", element=element)
+
+
+def test_a_poisson_ratio_of_a_half_is_refused():
+    with pytest.raises(SceneError, match=r"must lie in \(-1, 0.5\) for a displacement element, got 0.5"):
+        materials.NeoHookean.from_young(1.0, 0.5)
