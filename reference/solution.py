@@ -25,6 +25,9 @@ class Reason(str, Enum):
         "limit point: no stable equilibrium continues beyond this load; lower it, or prescribe the motion instead"
     )
     NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
+    CONTACT = (
+        "contact remains: surfaces still overlap deeper than allowed; move in smaller steps, or raise Contact.stiffness"
+    )
     INTERRUPTED = "interrupted by the caller"
 
     def __str__(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import (
     Bending,
+    Contact,
     Fixed,
     Gravity,
     Inertia,
@@ -32,6 +33,9 @@ from .descent import Descent, Point, Problem, Watch, accelerated, plain
 from .energy import Energy
 from .system import System
 
+if TYPE_CHECKING:
+    from .contact import Following
+
 Method = Literal["lbfgs", "plain"]
 METHODS: dict[str, Descent] = {"lbfgs": accelerated, "plain": plain}
 TERMS: tuple[type[Term], ...] = (
@@ -45,6 +49,7 @@ TERMS: tuple[type[Term], ...] = (
     Gravity,
     Traction,
     Inertia,
+    Contact,
 )
 VARYING: dict[type[Term], tuple[str, ...]] = {
     Strain: ("limit",),
@@ -98,6 +103,7 @@ class ProjectivePrepared:
     method: Method
     energy: Energy
     system: System
+    contact: Following | None
 
     def solve(
         self,
@@ -112,7 +118,8 @@ class ProjectivePrepared:
 
         start [mm], shape (n, 3), default rest; what is Fixed is put where it is held, and
         a RigidBody where it fits best, before the first iteration.
-        Nothing is factored again. `detail` counts factorisations, evaluations and global solves.
+        Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
+        scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
         Raises SceneError if `scene` needs a new preparation, if start or tolerance are out of range, or if loads push
         a part that nothing holds.
         """
@@ -135,6 +142,9 @@ class ProjectivePrepared:
         point, reason = METHODS[self.method](problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
+        outcome: dict[str, float] = {}
+        if self.contact is not None and reason in (Reason.CONVERGED, Reason.STAGNATED):
+            point, reason, outcome = self.contact.solve(problem, point, scene.vertices, watch)
         positions = np.where(held, values, scene.vertices + point.u)
         return Solution(
             positions=positions,
@@ -143,7 +153,7 @@ class ProjectivePrepared:
             energy=point.energy,
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
-            detail=work.counts(),
+            detail=work.counts() | outcome,
         )
 
 
@@ -151,14 +161,24 @@ def prepare(scene: Scene, *, method: Method = "lbfgs") -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 
     method is "lbfgs" (accelerated) or "plain" (local/global). Terms: Strain, Volume, SurfaceStrain, Bending, Target,
-    Fixed, Gravity, Traction, Inertia. Raises SceneError for another term or method.
+    Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term or method.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     energy = Energy.of(scene)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
-    return ProjectivePrepared(scene, method, energy, System.of(matrix, anchored, Coordinates.of(scene)))
+    system = System.of(matrix, anchored, Coordinates.of(scene))
+    return ProjectivePrepared(scene, method, energy, system, _following(scene, system))
+
+
+def _following(scene: Scene, system: System) -> Following | None:
+    """What solves for contact, where the scene has any."""
+    if not scene.of(Contact):
+        return None
+    from .contact import Following
+
+    return Following.of(scene, system)
 
 
 def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
