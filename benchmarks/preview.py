@@ -56,7 +56,7 @@ def pictures_of(
     for offset in (-aside, aside):
         mesh = _poly(pyvista, neutral.vertices + offset, neutral.triangles)
         mesh.point_data.active_normals = neutral.vertex_normals
-        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.2, specular_power=12, ambient=0.12, reset_camera=False)
+        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.1, specular_power=8, ambient=0.12, reset_camera=False)
         actor.prop.interpolation = "Phong"
         meshes.append((mesh, offset))
     plotter.reset_camera_clipping_range()
@@ -64,6 +64,7 @@ def pictures_of(
         for (mesh, offset), vertices in zip(meshes, pair, strict=True):
             mesh.points = np.asarray(vertices + offset)
             mesh.point_data.active_normals = neutral.with_vertices(vertices).vertex_normals
+        plotter.render()
         yield _captioned(np.asarray(plotter.screenshot(None, return_img=True)), captions)
     plotter.close()
 
@@ -98,7 +99,7 @@ def _captioned(picture: Picture, captions: Sequence[str]) -> Picture:
 
 
 def _write_gif(path: Path, pictures: Iterator[Picture], times: Floats) -> None:
-    first = Image.fromarray(next(pictures)).quantize(128, dither=Image.Dither.NONE)
+    first = Image.fromarray(next(pictures)).quantize(256, dither=Image.Dither.NONE)
     rest = (Image.fromarray(p).quantize(palette=first, dither=Image.Dither.NONE) for p in pictures)
     # GIF counts hundredths of a second: rounding the times, not the steps between them, keeps the take's length.
     steps = np.maximum(np.diff(np.round(100.0 * (times - times[0])).astype(int)), 2)
