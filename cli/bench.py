@@ -109,6 +109,33 @@ def heads(identities: str, count: int, sigma: float, seed: int, workers: int, ou
 
 
 @bench.command()
+@click.option(
+    "--parts",
+    default="throughput,precision,minimal,scaling",
+    help="which, with commas between: throughput, precision, minimal, scaling  [all]",
+)
+@click.option("--out", default="out/simulator", type=AFile, help="folder of the report")
+@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
+def simulator(parts: str, out: Path, as_json: bool) -> int:
+    """Speed against error of the simulator, what pieces cost, how it grows: OUT/index.html, OUT/results.json.
+
+    Exit status 1 if a statement about it does not hold; seconds are those of an idle machine only on an idle machine.
+    """
+    from ..benchmarks.simulator import SimulatorConfig, run_simulator
+
+    with shown() as progress:
+        results = run_simulator(SimulatorConfig(tuple(filter(None, parts.split(","))), out), progress)
+    if as_json:
+        click.echo((out / "results.json").read_text())
+    else:
+        for asked in results["gates"]:
+            value = "-" if asked["value"] is None else f"{asked['value']:.3g}"
+            click.echo(f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {value} ({asked['bound']})")
+        click.echo(f"report: {out / 'index.html'}")
+    return 0 if all(gate["passed"] for gate in results["gates"]) else 1
+
+
+@bench.command()
 @click.option("--skin", required=True, type=AFile, help="a neutral skin of any topology (OBJ, PLY, STL, NPZ)")
 @click.option("--skull", "skulls", required=True, multiple=True, type=AFile, help="its skull; repeat for several bones")
 @click.option("--regressor", type=AFile, help="depths by `head train-regressor`; default: a prior")
