@@ -120,6 +120,26 @@ def test_two_equal_spheres_flatten_each_other_at_the_plane_between():
     np.testing.assert_allclose(x[upper] * [1, -1, 1] + [0, 21, 0], x[lower], atol=2 * ALLOWED)
 
 
+def test_a_folded_sheet_does_not_go_through_itself():
+    """The arms of a U, one surface, are pushed 0.6 through each other at their ends."""
+    kept = np.ones((10, 5, 3), dtype=bool)
+    kept[2:, 1:4] = False
+    X, tets = bar((10, 5, 3), (20, 5, 5), (0, 0, 0), kept=kept)
+    ends = np.flatnonzero((X[:, 0] > 15.0) & ((X[:, 1] == 0.0) | (X[:, 1] == 5.0)))
+    push = np.where(X[ends, 1] == 0.0, 1.0, -1.0)[:, None] * [0, 1.8, 0]
+    target = terms.Target(ends, X[ends] + push, 5.0)
+    held = terms.Fixed(np.flatnonzero(X[:, 0] == 0.0))
+    scene = Scene(X, tets, [terms.Strain(5.0), terms.Volume(10.0), target, held])
+    free = solve(scene, tolerance=1e-8)
+    contact = terms.Contact(outside(tets), thickness=0.02)
+    solution = solve(replace(scene, terms=[*scene.terms, contact]), tolerance=1e-8)
+    assert solution.converged and solution.detail["contact_pairs_before"] > 0
+    low, high = np.flatnonzero((X[:, 1] == 1.0) & (X[:, 0] > 15)), np.flatnonzero((X[:, 1] == 4.0) & (X[:, 0] > 15))
+    assert (free.positions[low, 1] > free.positions[high, 1] + 0.2).all()
+    assert (solution.positions[low, 1] < solution.positions[high, 1] + ALLOWED).all()
+    assert solution.detail["contact_depth_after"] <= ALLOWED
+
+
 def tangled_rows(scene, rng, count=7):
     ids = np.stack([rng.choice(np.unique(scene.terms[-1].triangles), 4, replace=False) for _ in range(count)])
     at = rng.dirichlet(np.ones(3), count)
