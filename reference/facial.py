@@ -32,7 +32,7 @@ def facial_scene(
     parameters: Parameters,
     targets: Floats,
     *,
-    bones: Bones = "prescribed",
+    bones: Bones = "rigid",
     layers: tuple[int, int] = (1, 1),
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
