@@ -175,7 +175,8 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
     assert len(merged.tets) == len(whole.tets) // 2
     assert merged.volumes.sum() == pytest.approx(whole.volumes.sum(), rel=1e-2)
     assert not merged.of(terms.SurfaceStrain) and len(merged.vertices) == 2 * n
-    finer = facial_scene(head, Parameters(), head.skin.vertices, layers=(2, 3), region=head.skin.vertices[:, 2] > 0)
+    front = head.skin.vertices[:, 2] > 0
+    finer = facial_scene(head, Parameters(), head.skin.vertices, bones="prescribed", layers=(2, 3), region=front)
     assert len(finer.vertices) == 6 * n and len(finer.tets) > 2 * len(whole.tets) // 2
     assert np.array_equal(finer.vertices[2 * n : 3 * n], head.muscle_wrap.vertices)
     assert finer.of(terms.Fixed)[0].values == pytest.approx(head.skull_wrap.vertices[head.bone > 0])
