@@ -17,9 +17,9 @@ from .triangles import Triangles
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """E(u) = Σ w/2 ‖F - p‖² + Σ k/2 |x - s|² - f·u over displacements u = x - X.
+    """E(u) = Σ w/2 ‖F - p‖² + Σ k/(2 A) |D|² + Σ k/2 |x - s|² - f·u over displacements u = x - X.
 
-    The springs are those of Target and of Inertia. What the scene does not name is None, and costs nothing.
+    |D| is of Bending, springs are of Target and of Inertia. What the scene does not name is None, and costs nothing.
     """
 
     tets: TetBlocks | None
