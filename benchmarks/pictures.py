@@ -69,13 +69,18 @@ def _png(plotter) -> bytes:
     return buffer.getvalue()
 
 
-def strip(panels: Sequence[Panel], *, view: Sequence[float] = VIEW, size: int = 340) -> bytes:
-    """Panels side by side at one scale, with a colour bar under each coloured one."""
+def strip(
+    panels: Sequence[Panel], *, view: Sequence[float] = VIEW, size: int = 340, framed: Floats | None = None
+) -> bytes:
+    """Panels side by side at one scale, with a colour bar under each coloured one.
+
+    The picture is as high as the points `framed` [mm], shape (k, 3), by default all of the first surface's.
+    """
     pyvista = _pyvista()
     plotter = pyvista.Plotter(
         off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
     )
-    points = panels[0].surface.vertices
+    points = panels[0].surface.vertices if framed is None else framed
     centre, height = (points.max(0) + points.min(0)) / 2, 1.12 * np.ptp(points[:, 1])
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)

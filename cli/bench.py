@@ -160,6 +160,48 @@ def depth(
     return 0
 
 
+@bench.command()
+@click.option("--effects", "names", default="", help="names between commas, as in 'jaw,zombie'  [all]")
+@click.option("--identities", default="anny", help="whose head: 'anny' (the default head), ict:FILE or flame:FILE")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
+@click.option("--reference", default="", help="compare with fenicsx or skfem too")
+@click.option("--fan", default=0, type=click.IntRange(min=0), help="random starts of a smile without an effect")
+@click.option("--out", default="out/effects", type=AFile, help="folder of the report")
+@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
+def effects(names: str, identities: str, seed: int, reference: str, fan: int, out: Path, as_json: bool) -> int:
+    """Palsy, weight, jaw, zombie, gravity, wrinkles on one head: OUT/index.html, OUT/results.json, pictures.
+
+    Exit status 1 if a scene does not converge, its energy rises, or its answer is not the tight run's.
+    """
+    from ..benchmarks.effects import EffectsConfig, run_effects
+
+    config = EffectsConfig(names, identities, seed, reference, fan, out)
+    with shown() as progress:
+        results = run_effects(config, progress)
+    click.echo((out / "results.json").read_text() if as_json else _effect_lines(results))
+    if not as_json:
+        click.echo(f"report: {out / 'index.html'}")
+    return 0 if all(gate["passed"] for gate in results["gates"]) else 1
+
+
+def _effect_lines(results: Mapping) -> str:
+    lines = []
+    for row in results["effects"]:
+        run = row["runs"]["with"]
+        other = f"{row['to_other_start_mm']:.1e} mm to a tight run"
+        if row["reference"]:
+            other += f", {row['reference']['mm']:.1e} mm to {row['reference']['solver']}"
+        lines.append(
+            f"{row['name']:<12} {run['iterations']:>4} iterations {run['seconds']:6.2f} s  "
+            f"moves {row['change_mm']['max']:5.2f} mm at most  {other}"
+        )
+    for asked in results["gates"]:
+        lines.append(
+            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
+        )
+    return "\n".join(lines)
+
+
 def _depth_lines(results: Mapping) -> str:
     trained = results["regressor"]
     lines = [f"one head (n = 1); regressor trained on: {trained['trained_on']}, {trained['pairs']} pairs"]

@@ -42,6 +42,12 @@ def sphere_head():
     return layered_sphere()
 
 
+@pytest.fixture(scope="session")
+def spheres():
+    """`layered_sphere`, for heads of more vertices."""
+    return layered_sphere
+
+
 @dataclass(frozen=True)
 class Ended:
     """How a command ended: exit status, and the lines of its two streams."""

@@ -1,0 +1,224 @@
+"""Effects: where they act, how a face settles under them, random starts, and what a run of them has to show."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from softdeca.benchmarks import effect_fan, effect_run
+from softdeca.benchmarks.effect_cases import EFFECTS, FADE, Effect, cheeks, fleshy, named_effects, on_triangles
+from softdeca.benchmarks.effect_fan import SUSPECTS, fan
+from softdeca.benchmarks.effect_run import carried_by_bones, neutral_scene, run_effect, with_effect
+from softdeca.benchmarks.effects import EffectsConfig, effect_gates
+from softdeca.benchmarks.effects_report import page
+from softdeca.lhm.errors import InputError
+from softdeca.reference import Parameters, facial_scene, solve
+
+OTHERS = ("lids", "mouth", "eyes", "teeth", "ears")
+
+
+def with_regions(head):
+    """A sphere with a mouth before and below its middle, and eyes above it."""
+    x = head.skin_wrap.vertices
+    front = x[:, 2] > 0
+    regions = {"face": front & (x[:, 1] > -80), "neck": x[:, 1] <= -80}
+    regions["lips"] = front & (np.abs(x[:, 0]) < 30) & (np.abs(x[:, 1] + 40) < 12)
+    eyes = front & (np.abs(np.abs(x[:, 0]) - 35) < 10) & (np.abs(x[:, 1] - 30) < 8)
+    return replace(head, regions=regions | {name: eyes for name in OTHERS})
+
+
+@pytest.fixture(scope="module")
+def fine_head(spheres):
+    return with_regions(spheres(4))
+
+
+@pytest.fixture(scope="module")
+def head(spheres):
+    return with_regions(spheres(3))
+
+
+def test_flesh_fades_in_along_the_skin(fine_head):
+    x, share = fine_head.skin_wrap.vertices, fleshy(fine_head)
+    brow = x[fine_head.regions["lids"], 1].max() + 10.0
+    none = (x[:, 1] >= brow) | fine_head.regions["lips"] | fine_head.regions["lids"]
+    none |= ~(fine_head.regions["face"] | fine_head.regions["neck"])
+    assert np.all(share[none] == 0.0)
+    straight = cdist(x, x[none]).min(axis=1)  # no way along the skin is shorter
+    t = np.minimum(straight / FADE, 1.0)
+    assert np.all(share >= t * t * (3 - 2 * t) - 1e-12)
+    assert np.any((share > 0.1) & (share < 0.9)) and np.any(share == 1.0)
+
+
+def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
+    x, share = fine_head.skin_wrap.vertices, cheeks(fine_head)
+    mirrored = np.argmin(cdist(x * [-1, 1, 1], x), axis=1)
+    np.testing.assert_allclose(share[mirrored], share, atol=1e-9)
+    lips, lids = (x[fine_head.regions[name]] for name in ("lips", "lids"))
+    some = x[share > 0.5]
+    assert some[:, 1].min() > lips[:, 1].min() and some[:, 1].max() < lids[:, 1].max()
+    assert np.all(np.abs(some[:, 0]) > 10) and len(some) > 10
+
+
+def test_a_head_without_regions_is_named(sphere_head):
+    with pytest.raises(InputError, match="'lids'|'face'"):
+        fleshy(sphere_head)
+
+
+def test_a_share_per_triangle_is_the_mean_of_its_corners(head):
+    y = head.skin_wrap.vertices[:, 1]
+    np.testing.assert_allclose(on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_every_effect_builds_its_scene(head, effect):
+    changed, plain = effect.with_it(head), effect.without(head)
+    assert changed != plain
+    neutral = facial_scene(head, plain, head.skin.vertices, bones="rigid")
+    assert len(facial_scene(head, changed, head.skin.vertices, bones="rigid").terms) >= len(neutral.terms)
+
+
+def test_effects_by_name():
+    assert named_effects("") == EFFECTS
+    assert [effect.name for effect in named_effects("jaw, zombie,jaw")] == ["jaw", "zombie"]
+    with pytest.raises(InputError, match="'slimming'; there are bells-palsy, weight-20"):
+        named_effects("slimming")
+
+
+def test_wraps_are_carried_by_a_scaled_mandible(head):
+    parameters = Parameters(mandible_scale_y=1.1)
+    n = len(head.bone)
+    moved = (carried_by_bones(head, parameters) - head.vertices).reshape(3, n, 3)
+    np.testing.assert_allclose(moved[0], moved[2], atol=1e-12)
+    jaw, cranium = moved[0][head.bone == 2, 1], moved[0][head.bone == 1]
+    y = head.skull_wrap.vertices[head.bone == 2, 1]
+    # A scale by 1.1 moves two points of the bone apart by a tenth of their distance.
+    np.testing.assert_allclose(np.subtract.outer(jaw, jaw), 0.1 * np.subtract.outer(y, y), atol=1e-12)
+    assert np.abs(cranium).max() < 1e-12
+    rings = [set() for _ in range(n)]
+    for a, b, c in head.skull_wrap.triangles:
+        rings[a] |= {b, c}
+        rings[b] |= {a, c}
+        rings[c] |= {a, b}
+    for vertex in np.flatnonzero(head.bone == 0):
+        np.testing.assert_allclose(moved[0][vertex], moved[0][list(rings[vertex])].mean(axis=0), atol=1e-9)
+    np.testing.assert_array_equal(carried_by_bones(head, Parameters()), head.vertices)
+
+
+def test_a_neutral_face_without_an_effect_is_at_rest(head):
+    scene = neutral_scene(head, Parameters())
+    solution = solve(scene)
+    assert solution.iterations == 0 and abs(solution.energy) < 1e-9
+
+
+def test_flesh_that_grows_is_not_held_by_the_old_surface(head):
+    parameters = Parameters(soft_volume=1.0 + 0.2 * on_triangles(head, fleshy(head)))
+    held = solve(facial_scene(head, parameters, head.skin.vertices, bones="prescribed"))
+    free = solve(neutral_scene(head, parameters))
+    grown = parameters.soft_volume.repeat(3) > 1.19
+    volumes = free_volumes = head.soft.volumes[grown]
+    gains = [s.volume_ratio[: len(grown)][grown] @ volumes / free_volumes.sum() - 1.0 for s in (held, free)]
+    assert 0.0 < gains[0] < gains[1] < 0.2
+
+
+def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkeypatch):
+    # Where all targets let go, and no bone is free, the settled face is in balance with targets that follow it.
+    monkeypatch.setattr(effect_run, "fleshy", lambda head: np.ones(len(head.bone)))
+    toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
+    effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
+    at_rest, ended = with_effect(toothless, effect, head.skin.vertices)
+    first = solve(facial_scene(toothless, Parameters(gravity=3.0), head.skin.vertices, bones="rigid"), max_iterations=0)
+    assert at_rest.solution.converged
+    assert ended.solution.history.gradient_norm[0] < 1e-5 * first.history.gradient_norm[0]
+
+
+def test_palsy_is_measured(head):
+    shape = head.skin.vertices + [0.0, 4.0, 0.0]
+    result = run_effect(head, EFFECTS[0], shape)
+    left = head.skin.vertices[:, 0] > 20
+    up = [skin[left, 1].mean() - head.skin.vertices[left, 1].mean() for skin in (result.without, result.with_it)]
+    assert up[1] < 0.5 * up[0]
+    record = result.record
+    assert set(record["runs"]) == {"with", "without"}
+    moved = np.linalg.norm(result.with_it - result.without, axis=1)
+    assert record["change_mm"]["max"] == moved.max()
+    run = record["runs"]["with"]
+    assert run["monotone"] and run["gradient_ratio"] <= 1e-6 and run["inverted_tets"] == 0
+    assert record["to_other_start_mm"] < 0.01 and record["to_own_limit_mm"] < 0.01
+
+
+def test_random_starts_end_in_one_minimum(head):
+    counted = []
+    found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 3, tell=counted.append)
+    assert counted == [1, 2, 3]
+    assert [row["jitter_mm"] for row in found["starts"]] == [1.0, 2.0, 10.0]
+    assert found["spread_mm"] < 1e-3 and found["suspects"] == {}
+
+
+def test_starts_that_part_are_traced_to_a_term(head, monkeypatch):
+    monkeypatch.setattr(effect_fan, "ONE_MINIMUM", -1.0)
+    found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 2)
+    assert set(found["suspects"]) == set(SUSPECTS)
+
+
+def solved_run(**changes) -> dict:
+    run = {"iterations": 3, "seconds": 1.0, "gradient_ratio": 9e-7, "monotone": True, "largest_rise": 0.0}
+    return run | {"inverted_tets": 0, "smallest_volume_ratio": 0.5, "soft_volume_percent": -0.1} | changes
+
+
+@pytest.fixture
+def record() -> dict:
+    return {
+        "name": "jaw",
+        "shown": "Figure <7>",
+        "expression": {"jawOpen": 0.2},
+        "runs": {"with": solved_run(), "without": solved_run()},
+        "to_own_limit_mm": 0.001,
+        "to_other_start_mm": 0.002,
+        "reference": {"solver": "fenicsx", "mm": 0.003, "seconds": 9.0},
+        "change_mm": {"mean": 0.1, "max": 2.0},
+        "neutral_change_mm": 0.5,
+    }
+
+
+def test_gates_miss_what_is_missed(record):
+    fine = {"spread_mm": 1e-4}
+    assert all(gate["passed"] for gate in effect_gates([record], fine))
+    worse = copy.deepcopy(record)
+    worse["runs"]["without"] |= {"gradient_ratio": 2e-6, "monotone": False}
+    worse["to_other_start_mm"] = worse["reference"]["mm"] = 0.02
+    gates = effect_gates([record, worse], {"spread_mm": 0.5})
+    assert len(gates) == 5 and not any(gate["passed"] for gate in gates)
+    alone = record | {"reference": None}
+    assert len(effect_gates([alone], None)) == 3
+
+
+def test_the_page_shows_what_was_measured(record):
+    start = {"seed": 0, "jitter_mm": 1.0, "iterations": 7, "converged": True, "energy": 1.5, "inverted_tets": 0}
+    results = {
+        "title": "effects",
+        "tets": 12,
+        "effects": [record],
+        "fan": {"starts": [start | {"to_lowest_mm": 0.25}], "spread_mm": 0.25, "suspects": {"no skin": 1e-5}},
+        "gates": effect_gates([record], {"spread_mm": 0.25}),
+        "machine": {"processor": "a CPU", "versions": {"numpy": "1.26.4"}},
+        "seconds": 3.0,
+    }
+    html = page(results, {name: b"png" for name in ("jaw", "jaw-side", "jaw-close")})
+    assert "Figure &lt;7&gt;" in html and "no skin" in html and "<span class=no>NO</span>" in html
+    assert html.count("data:image/png;base64,cG5n") == 3
+
+
+@pytest.mark.parametrize(
+    "options, says", [({"effects": "x"}, "'x'"), ({"reference": "projective"}, "expected"), ({"fan": -1}, "fan")]
+)
+def test_options_are_checked(options, says):
+    with pytest.raises(InputError, match=says):
+        EffectsConfig(**options)
+
+
+def test_an_unknown_effect_is_one_line(command):
+    ended = command("bench", "effects", "--effects", "slimming")
+    assert ended.status == 1 and ended.out == ""
+    assert len(ended.errors) == 1 and "unknown effect 'slimming'" in ended.errors[0]
