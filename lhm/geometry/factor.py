@@ -1,25 +1,61 @@
-"""Sparse Cholesky factors in float32 or float64: cholespy's, or SuperLU's where cholespy is not installed."""
+"""Sparse Cholesky factors by one of three libraries, and which of them are there.
+
+| name     | library              | licence                      | float32 | reuses a pattern |
+|----------|----------------------|------------------------------|---------|------------------|
+| cholespy | PyPI's cholespy      | BSD-3; in it CHOLMOD         | yes     | no               |
+| cholmod  | the system's CHOLMOD | LGPL-2.1, supernodes GPL-2   | no      | yes              |
+| superlu  | SciPy's SuperLU      | BSD-3                        | yes     | no               |
+
+For a head (12 140 unknowns, 1.2 million entries in the factor) on one core: analysis and numeric factor 118 ms by
+cholespy, 38 ms by CHOLMOD, of which 26 ms are the numeric part; a solve of three columns 2.4, 4.3 and 8 ms.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
+from ..errors import InputError, MissingDependencyError
+from . import cholmod
+
 try:
     from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
 except ImportError:
     CholeskySolverD = None
 
+LinearSolver = Literal["cholespy", "cholmod", "superlu"]
+Solve = Callable[[NDArray], NDArray]
 
-def factorise(matrix: csc_matrix) -> Callable[[NDArray], NDArray]:
-    """Factor a symmetric positive definite matrix (n, n); the result maps (n, columns) of its dtype to solutions."""
-    if CholeskySolverD is None:
-        lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        return lu.solve
+
+def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Solve | None = None) -> Solve:
+    """Factor a symmetric positive definite matrix (n, n); the result maps (n, columns) of its dtype to solutions.
+
+    linear_solver None takes cholespy, or SuperLU where that is not installed. With "cholmod", `like` is a factor of a
+    matrix of the same pattern, whose analysis is used again; others have no use for it. Raises InputError for an
+    unknown linear solver and MissingDependencyError for one that is not installed.
+    """
+    if linear_solver not in (None, *get_args(LinearSolver)):
+        raise InputError(f"unknown linear solver {linear_solver!r}; there are {', '.join(get_args(LinearSolver))}")
+    if linear_solver == "cholmod":
+        if cholmod.library() is None:
+            raise MissingDependencyError("linear solver 'cholmod' needs libcholmod.so.3 (Debian's libcholmod3)")
+        return cholmod.Factor(matrix, like if isinstance(like, cholmod.Factor) else None)
+    if linear_solver == "cholespy" and CholeskySolverD is None:
+        raise MissingDependencyError("linear solver 'cholespy' needs the package cholespy")
+    return _superlu(matrix) if linear_solver == "superlu" or CholeskySolverD is None else _cholespy(matrix)
+
+
+def _superlu(matrix: csc_matrix) -> Solve:
+    lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return lu.solve
+
+
+def _cholespy(matrix: csc_matrix) -> Solve:
     kind = CholeskySolverF if matrix.dtype == np.float32 else CholeskySolverD
     indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
     solver = kind(matrix.shape[0], indptr, indices, matrix.data, MatrixType.CSC)

@@ -1,6 +1,6 @@
-"""Two ways down: plain projective dynamics, and L-BFGS that starts each step from the PD matrix.
+"""Three ways down: plain projective dynamics, Anderson's mixing of its steps, and L-BFGS that starts from its matrix.
 
-Both are written in residual form, u -= A⁻¹ ∇E: the gradient is exact, so A decides the way but not the answer.
+All are written in residual form, u -= A⁻¹ ∇E: the gradient is exact, so A decides the way but not the answer.
 Steps and gradients are flat vectors over the unknowns; where rigid bodies turn, those of different points are compared
 as they stand, which is exact to second order.
 """
@@ -22,6 +22,7 @@ from .memory import Memory
 ARMIJO = 1e-4
 MAX_HALVINGS = 6
 PATIENCE = 200
+MIXED = 10
 ROUNDING = 1e-13
 UNTANGLED = 1e-5
 MAX_UNTANGLING = 150
@@ -52,7 +53,7 @@ class Problem:
 
     `untangling`, where given, evaluates an energy that leads out of inverted tets and has the same matrix A. `bounded`
     says that A bounds the energies of free vertices, so that a plain step never raises them; those of Bending it
-    does not, whose rest shape turns along.
+    does not, whose rest shape turns along. `memory` is what L-BFGS starts with and adds to.
     """
 
     at: Callable[[Place], Point]
@@ -60,6 +61,7 @@ class Problem:
     precondition: Callable[[Floats, Point], Floats]
     untangling: Callable[[Place], Point] | None = None
     bounded: bool = True
+    memory: Memory | None = None
 
     def after(self, point: Point, step: Floats) -> Point:
         """The point after a step [mm] over the unknowns."""
@@ -139,18 +141,18 @@ def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
     """
     while (reason := watch.see(point)) is None:
         if len(point.place.rotations) or not problem.bounded:
-            _, point = _safe_step(problem, point)
+            _, point = _safe_step(problem, point, problem.precondition(point.gradient, point))
         else:
             point = problem.after(point, -problem.precondition(point.gradient, point))
     return point, reason
 
 
-def _safe_step(problem: Problem, point: Point) -> tuple[Floats, Point]:
-    """The step -A⁻¹ ∇E, halved while the energy rises, and its end.
+def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, Point]:
+    """The step against `uphill` = A⁻¹ ∇E, halved while the energy rises, and its end.
 
     Where A holds a share of what bounds the energy, a step of twice this share would lower it.
     """
-    step = -problem.precondition(point.gradient, point)
+    step = -uphill
     ahead = problem.after(point, step)
     for _ in range(MAX_HALVINGS):
         if ahead.energy <= point.energy + ROUNDING * abs(point.energy):
@@ -160,20 +162,52 @@ def _safe_step(problem: Problem, point: Point) -> tuple[Floats, Point]:
     return step, ahead
 
 
-def accelerated(problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
-    """L-BFGS, after a descent of the untangling energy where the start needs one.
+def after_untangling(descend: Descent, problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
+    """A way down after L-BFGS on the untangling energy, where the start needs that.
 
     A stiff Volume term has local minima among inverted tets; Strain alone was never seen to stay in one.
     """
     if problem.untangling is not None:
         other = Untangling(problem, watch)
-        relaxed = replace(problem, at=problem.untangling, untangling=None)
+        relaxed = replace(problem, at=problem.untangling, untangling=None, memory=None)
         end, _ = lbfgs(relaxed, relaxed.at(point.place), other)
         point = problem.at(end.place)
         if other.stopped is not None:
             return point, other.stopped
         watch.forget()
-    return lbfgs(problem, point, watch)
+    return descend(problem, point, watch)
+
+
+def anderson(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
+    """Plain steps mixed with the last few (Anderson 1965; for projective dynamics Peng et al. 2018).
+
+    Where the mixed step would raise the energy, the plain one is taken, and the history emptied.
+    """
+    steps: list[Floats] = []
+    residuals: list[Floats] = []
+    last: Floats | None = None
+    while (reason := watch.see(point)) is None:
+        residual = -problem.precondition(point.gradient, point)
+        if last is not None:
+            residuals.append(residual - last)
+        mixed = _mixed(residual, steps, residuals) if steps else None
+        ahead = None if mixed is None else problem.after(point, mixed)
+        if mixed is None or ahead is None or not ahead.energy <= point.energy:
+            steps, residuals = [], []
+            mixed, ahead = _safe_step(problem, point, -residual)
+        steps.append(mixed)
+        steps, residuals = steps[-MIXED:], residuals[1 - MIXED :]
+        last, point = residual, ahead
+    return point, reason
+
+
+def _mixed(residual: Floats, steps: list[Floats], residuals: list[Floats]) -> Floats:
+    """The step f - Σ γ (s + Δf) whose γ makes |f - Σ γ Δf| least (Walker and Ni 2011, Eq. 2.2)."""
+    changes = np.array(residuals)
+    normal = changes @ changes.T
+    normal[np.diag_indices_from(normal)] *= 1.0 + 1e-12
+    weights = np.linalg.lstsq(normal, changes @ residual, rcond=None)[0]
+    return residual - weights @ (np.array(steps) + changes)
 
 
 def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reason]:
@@ -181,12 +215,12 @@ def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
 
     Where no fraction of its step lowers the energy, one along -A⁻¹ ∇E is taken, and the memory emptied.
     """
-    memory = Memory(len(point.gradient))
+    memory = Memory(len(point.gradient)) if problem.memory is None else problem.memory
     while (reason := watch.see(point)) is None:
         taken = _line_search(problem, point, memory) if memory else None
         if taken is None:
             memory.clear()
-            taken = _safe_step(problem, point)
+            taken = _safe_step(problem, point, problem.precondition(point.gradient, point))
         step, ahead = taken
         memory.add(step, ahead.gradient - point.gradient)
         point = ahead

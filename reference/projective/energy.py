@@ -72,6 +72,7 @@ class Energy:
 
         With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
         one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian.
+        Entries that happen to be zero are kept, so that scenes of one topology have matrices of one pattern.
         """
         n = len(scene.vertices)
         anchored = np.zeros(n)
@@ -85,6 +86,4 @@ class Energy:
         if self.bending is not None:
             entries.append(self.bending.stiffness_entries(n))
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
-        matrix = csr_matrix((values, (rows, columns)), shape=(n, n))
-        matrix.eliminate_zeros()
-        return matrix, anchored > 0
+        return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0

@@ -23,6 +23,11 @@ class Memory:
     def __len__(self) -> int:
         return len(self._order)
 
+    @property
+    def size(self) -> int:
+        """The number of unknowns."""
+        return self._steps.shape[1]
+
     def clear(self):
         """Forget all pairs."""
         self._order = []

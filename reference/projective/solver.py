@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from ...lhm.errors import SceneError
+from ...lhm.geometry.factor import LinearSolver
 from ...lhm.mesh import Floats
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
@@ -29,15 +31,20 @@ from ..terms import (
     Volume,
 )
 from .coordinates import Coordinates, Place
-from .descent import Descent, Point, Problem, Watch, accelerated, plain
+from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
 from .energy import Energy
+from .memory import Memory
 from .system import System
 
 if TYPE_CHECKING:
     from .contact import Following
 
-Method = Literal["lbfgs", "plain"]
-METHODS: dict[str, Descent] = {"lbfgs": accelerated, "plain": plain}
+Method = Literal["lbfgs", "anderson", "plain"]
+METHODS: dict[str, Descent] = {
+    "lbfgs": partial(after_untangling, lbfgs),
+    "anderson": partial(after_untangling, anderson),
+    "plain": plain,
+}
 TERMS: tuple[type[Term], ...] = (
     Strain,
     Volume,
@@ -63,7 +70,7 @@ VARYING: dict[type[Term], tuple[str, ...]] = {
 }
 # The share of Volume's weight in the matrix (see `Energy.matrix`). For L-BFGS 0.15 to 0.5 do about as well: on three
 # expressions of a head 54, 29 and 39 iterations to 0.01 mm instead of 77, 49 and 60 with a share of 1.
-VOLUME_SHARE: dict[Method, float] = {"lbfgs": 0.3, "plain": 1.0}
+VOLUME_SHARE: dict[Method, float] = {"lbfgs": 0.3, "anderson": 1.0, "plain": 1.0}
 MAX_ITERATIONS = 5000
 
 
@@ -96,6 +103,13 @@ class _Work:
 
 
 @dataclass(frozen=True, eq=False)
+class ProjectiveSolution(Solution):
+    """A solution with what L-BFGS remembers of the energy, from which that of a scene nearby may start."""
+
+    memory: Memory | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True, eq=False)
 class ProjectivePrepared:
     """A scene with its PD matrix factored; see `reference.solve.Prepared`."""
 
@@ -113,11 +127,13 @@ class ProjectivePrepared:
         tolerance: float = 1e-6,
         max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
-    ) -> Solution:
+        warm: Solution | None = None,
+    ) -> ProjectiveSolution:
         """Minimise the energy of the prepared scene, or of one that differs only in the fields of `VARYING`.
 
-        start [mm], shape (n, 3), default rest; what is Fixed is put where it is held, and
-        a RigidBody where it fits best, before the first iteration.
+        start [mm], shape (n, 3), default rest; `warm` is the solution of the frame before, which gives the default
+        start and the pairs of steps and changes that L-BFGS begins with. What is Fixed is put where it is held, and a
+        RigidBody where it fits best, before the first iteration.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
         scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
         Raises SceneError if `scene` needs a new preparation, if start or tolerance are out of range, or if loads push
@@ -128,15 +144,15 @@ class ProjectivePrepared:
         limit = _checked_limits(tolerance, max_iterations)
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
-        place = coordinates.start(np.where(held, values, _checked_start(scene, start)) - scene.vertices)
+        place = coordinates.start(np.where(held, values, _checked_start(scene, start, warm)) - scene.vertices)
         recorder = Recorder(on_iteration)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         work = _Work(self.system)
         tangled = bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
         untangling = work.on(energy.untangling(VOLUME_SHARE[self.method])) if tangled else None
-        bounded = energy.bending is None
-        problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling, bounded)
+        bounded, memory = energy.bending is None, self._remembered(warm)
+        problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling, bounded, memory)
         first = problem.at(place)
         watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
         point, reason = METHODS[self.method](problem, first, watch)
@@ -146,7 +162,7 @@ class ProjectivePrepared:
         if self.contact is not None and reason in (Reason.CONVERGED, Reason.STAGNATED):
             point, reason, outcome = self.contact.solve(problem, point, scene.vertices, watch)
         positions = np.where(held, values, scene.vertices + point.u)
-        return Solution(
+        return ProjectiveSolution(
             positions=positions,
             reason=reason,
             iterations=watch.iteration,
@@ -154,21 +170,41 @@ class ProjectivePrepared:
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
             detail=work.counts() | outcome,
+            memory=memory,
         )
 
+    def _remembered(self, warm: Solution | None) -> Memory | None:
+        """A memory of its own for a solve, of what a solution of as many unknowns left."""
+        if self.method != "lbfgs":
+            return None
+        left = warm.memory if isinstance(warm, ProjectiveSolution) else None
+        size = self.system.coordinates.size
+        return Memory(size) if left is None or left.size != size else left.copy()
 
-def prepare(scene: Scene, *, method: Method = "lbfgs") -> ProjectivePrepared:
+
+def prepare(
+    scene: Scene,
+    *,
+    method: Method = "lbfgs",
+    linear_solver: LinearSolver | None = None,
+    like: ProjectivePrepared | None = None,
+) -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 
-    method is "lbfgs" (accelerated) or "plain" (local/global). Terms: Strain, Volume, SurfaceStrain, Bending, Target,
-    Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term or method.
+    method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
+    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.geometry.factor`.
+    With "cholmod", a scene prepared `like` another of the same topology, such as another identity, takes over its
+    symbolic factorisation. Terms: Strain, Volume, SurfaceStrain, Bending, Target, Fixed, RigidBody, Gravity, Traction,
+    Inertia, Contact. Raises SceneError for another term or method, InputError for another linear solver and
+    MissingDependencyError for one that is not installed.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     energy = Energy.of(scene)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
-    system = System.of(matrix, anchored, Coordinates.of(scene))
+    known = None if like is None else like.system
+    system = System.of(matrix, anchored, Coordinates.of(scene), linear_solver=linear_solver, like=known)
     return ProjectivePrepared(scene, method, energy, system, _following(scene, system))
 
 
@@ -205,7 +241,9 @@ def _checked_limits(tolerance: float, max_iterations: int | None) -> int:
     return MAX_ITERATIONS if max_iterations is None else int(max_iterations)
 
 
-def _checked_start(scene: Scene, start: Floats | None) -> Floats:
+def _checked_start(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
+    if start is None and warm is not None:
+        start = warm.positions
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
     if positions.shape != scene.vertices.shape:
         raise SceneError(f"start: expected shape {scene.vertices.shape}, got {positions.shape}")

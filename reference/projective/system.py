@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ...lhm.errors import SceneError
-from ...lhm.geometry.factor import factorise
+from ...lhm.geometry.factor import LinearSolver, factorise
 from ...lhm.mesh import Floats, Ints
 from .coordinates import Body, Coordinates
 
@@ -44,11 +44,19 @@ class System:
     groups: tuple[Group, ...]
 
     @classmethod
-    def of(cls, matrix: csr_matrix, anchored: np.ndarray, coordinates: Coordinates) -> System:
-        """From the matrix (n, n) [mN/mm] and the vertices that a Target holds (n,)."""
+    def of(
+        cls,
+        matrix: csr_matrix,
+        anchored: np.ndarray,
+        coordinates: Coordinates,
+        *,
+        linear_solver: LinearSolver | None = None,
+        like: System | None = None,
+    ) -> System:
+        """From the matrix (n, n) [mN/mm] and the vertices that a Target holds (n,); see `factorise` for the rest."""
         _, part = connected_components(_joined(matrix, coordinates.bodies), directed=False)
         groups = []
-        for components, free in coordinates.groups:
+        for number, (components, free) in enumerate(coordinates.groups):
             is_tied = np.zeros(part.max() + 1, dtype=bool)
             is_tied[part[anchored | coordinates.held[:, components[0]]]] = True
             loose = np.where(is_tied[part], -1, part)
@@ -57,7 +65,11 @@ class System:
             diagonal = reduced.diagonal()
             shift = np.where(loose[free] >= 0, SHIFT * diagonal, 0.0)
             shift[diagonal == 0] = 1.0
-            solver = factorise((reduced + diags(shift)).tocsc()) if len(free) else np.copy
+            reduced.setdiag(diagonal + shift)
+            solver: Solver = np.copy
+            if len(free):
+                known = like.groups[number].solver if like is not None and number < len(like.groups) else None
+                solver = factorise(reduced.tocsc(), linear_solver=linear_solver, like=known)
             groups.append(Group(components, solver, loose, *_schur(matrix, rows, solver, coordinates.bodies)))
         return cls(coordinates, tuple(groups))
 
@@ -110,7 +122,9 @@ def _joined(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
     first = np.concatenate([np.repeat(body.vertices[0], len(body.vertices)) for body in bodies] or [[]])
     other = np.concatenate([body.vertices for body in bodies] or [[]])
     links = coo_matrix((np.ones(len(other)), (first.astype(int), other.astype(int))), shape=matrix.shape)
-    return abs(matrix) + links.tocsr()
+    joined = abs(matrix) + links.tocsr()
+    joined.eliminate_zeros()
+    return joined
 
 
 def _schur(matrix: csr_matrix, rows: csr_matrix, solver: Solver, bodies: tuple[Body, ...]) -> tuple[Floats, Floats]:

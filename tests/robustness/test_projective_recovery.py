@@ -91,7 +91,7 @@ def test_bad_starts_and_options_are_named(free):
             free.solve(tolerance=tolerance)
     with pytest.raises(SceneError, match="max_iterations"):
         free.solve(max_iterations=-1)
-    with pytest.raises(SceneError, match="unknown method 'newton'; there are lbfgs, plain"):
+    with pytest.raises(SceneError, match="unknown method 'newton'; there are lbfgs, anderson, plain"):
         prepare(Scene(X, TETS, ELASTIC), method="newton")
     with pytest.raises(SceneError, match="cannot model Hyperelastic"):
         prepare(Scene(X, TETS, [terms.Hyperelastic(materials.NeoHookean(1.0, 1.0))]))

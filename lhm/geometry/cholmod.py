@@ -1,0 +1,118 @@
+"""CHOLMOD by ctypes, where the system has libcholmod.so.3: a pattern analysed once, then numeric factors alone.
+
+Chen, Davis, Hager and Rajamanickam 2008 (Algorithm 887). The library is loaded, not linked or shipped; Debian has it as
+libcholmod3. Of its structs only the matrices' are spelled out, whose layout versions 3 and 4 share.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from ctypes import POINTER, byref, c_int, c_size_t, c_void_p
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
+
+COMMON_BYTES = 16384  # cholmod_common has 2664 in version 3.0
+REAL, LOWER, SOLVE_A = 1, -1, 0
+
+
+class _Sparse(ctypes.Structure):
+    _fields_ = [
+        *((name, c_size_t) for name in ("nrow", "ncol", "nzmax")),
+        *((name, c_void_p) for name in ("p", "i", "nz", "x", "z")),
+        *((name, c_int) for name in ("stype", "itype", "xtype", "dtype", "sorted", "packed")),
+    ]
+
+
+class _Dense(ctypes.Structure):
+    _fields_ = [
+        *((name, c_size_t) for name in ("nrow", "ncol", "nzmax", "d")),
+        *((name, c_void_p) for name in ("x", "z")),
+        *((name, c_int) for name in ("xtype", "dtype")),
+    ]
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """The shared library, or None where there is none."""
+    try:
+        found = ctypes.CDLL("libcholmod.so.3")
+    except OSError:
+        return None
+    for name in ("analyze", "copy_factor"):
+        getattr(found, f"cholmod_{name}").restype = c_void_p
+    return found
+
+
+class Analysis:
+    """The order of elimination and the structure of the factor for all matrices of one pattern."""
+
+    def __init__(self, matrix: csc_matrix):
+        loaded = library()
+        if loaded is None:
+            raise OSError("libcholmod.so.3 is not installed")
+        self.library = loaded
+        self.indptr, self.indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        self.common = ctypes.create_string_buffer(COMMON_BYTES)
+        self.library.cholmod_start(self.common)
+        self.symbolic = c_void_p(self.library.cholmod_analyze(byref(self.sparse(matrix.data)), self.common))
+        if not self.symbolic:
+            raise MemoryError("CHOLMOD could not analyse the matrix")
+        weakref.finalize(self, _release, self.library, self.symbolic, self.common, last=True)
+
+    def fits(self, matrix: csc_matrix) -> bool:
+        """Whether a matrix has the analysed pattern."""
+        return np.array_equal(matrix.indptr, self.indptr) and np.array_equal(matrix.indices, self.indices)
+
+    def sparse(self, data: NDArray) -> _Sparse:
+        """The lower half of the matrix of this pattern and these entries, float64, which must outlive it."""
+        n = len(self.indptr) - 1
+        return _Sparse(
+            *(n, n, len(self.indices)),
+            *(self.indptr.ctypes.data, self.indices.ctypes.data, None, data.ctypes.data, None),
+            *(LOWER, 0, REAL, 0, 1, 1),
+        )
+
+
+class Factor:
+    """A numeric factor, float64; calling it solves. Raises LinAlgError for a matrix that is not positive definite."""
+
+    def __init__(self, matrix: csc_matrix, like: Factor | None = None):
+        self.analysis = like.analysis if like is not None and like.analysis.fits(matrix) else Analysis(matrix)
+        calls, common = self.analysis.library, self.analysis.common
+        self._factor = c_void_p(calls.cholmod_copy_factor(self.analysis.symbolic, common))
+        if not self._factor:
+            raise MemoryError("CHOLMOD could not allocate a factor")
+        self._kept = [POINTER(_Dense)() for _ in range(3)]  # solution and two workspaces, used again
+        weakref.finalize(self, _release, calls, self._factor, common, self._kept, owner=self.analysis)
+        data = np.ascontiguousarray(matrix.data, dtype=np.float64)
+        done = calls.cholmod_factorize(byref(self.analysis.sparse(data)), self._factor, common)
+        n, minor = ctypes.cast(self._factor, POINTER(c_size_t * 2)).contents
+        if not done or minor < n:
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+
+    def __call__(self, right: NDArray) -> NDArray:
+        """The solutions for right-hand sides (n, columns)."""
+        columns = np.asfortranarray(right, dtype=np.float64)
+        n, count = columns.shape
+        given = _Dense(n, count, n * count, n, columns.ctypes.data, None, REAL, 0)
+        solution, *work = (byref(kept) for kept in self._kept)
+        calls = self.analysis.library
+        if not calls.cholmod_solve2(
+            SOLVE_A, self._factor, byref(given), None, solution, None, *work, self.analysis.common
+        ):
+            raise MemoryError("CHOLMOD could not solve")
+        values = ctypes.cast(self._kept[0].contents.x, POINTER(ctypes.c_double))
+        return np.ascontiguousarray(np.ctypeslib.as_array(values, (count, n)).T)
+
+
+def _release(calls, factor, common, kept=(), *, owner=None, last: bool = False):
+    """Free a factor and its workspaces; `owner` keeps the analysis alive until then, `last` closes the library."""
+    for dense in kept:
+        calls.cholmod_free_dense(byref(dense), common)
+    calls.cholmod_free_factor(byref(factor), common)
+    if last:
+        calls.cholmod_finish(common)

@@ -1,0 +1,113 @@
+"""Linear solvers, a symbolic factorisation used again, Anderson's mixing, and warm starts of a sequence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_matrix, diags, random_array
+
+from softdeca.lhm.errors import InputError, MissingDependencyError
+from softdeca.lhm.geometry import cholmod, factor
+from softdeca.reference import Scene, prepare, solve, terms
+
+cholmod_is_there = pytest.mark.skipif(cholmod.library() is None, reason="libcholmod.so.3 is not installed")
+SOLVERS = ["cholespy", "superlu", pytest.param("cholmod", marks=cholmod_is_there)]
+
+
+def matrix(size=200, seed=0):
+    entries = random_array((size, size), density=0.02, rng=np.random.default_rng(0))
+    scale = diags(np.random.default_rng(seed).uniform(1.0, 2.0, size))
+    return csc_matrix(scale @ (entries @ entries.T + diags(np.full(size, 0.1))) @ scale)
+
+
+def scene_of(head, stiffness=5.0, scale=1.0, shift=0.0):
+    skin = head.skin_wrap.vertices
+    pull = (
+        skin + shift * np.array([0.0, -1.0, 0.5]) * np.exp(-np.sum((skin / 60.0 - [0, 0, 1.6]) ** 2, axis=1))[:, None]
+    )
+    held = 2 * len(skin) + np.flatnonzero(head.bone == 1)
+    return Scene(
+        scale * head.vertices,
+        head.tets,
+        [
+            terms.Strain(stiffness),
+            terms.Volume(13.5 * stiffness),
+            terms.Target(np.arange(len(skin)), scale * pull, 10.0 * head.skin_wrap.vertex_areas),
+            terms.Fixed(held),
+        ],
+    )
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_every_linear_solver_solves(name, sphere_head):
+    right = np.random.default_rng(1).normal(size=(200, 5))
+    expected = np.linalg.solve(matrix().toarray(), right)
+    np.testing.assert_allclose(factor.factorise(matrix(), linear_solver=name)(right), expected, rtol=1e-8, atol=1e-8)
+    scene = scene_of(sphere_head, shift=8.0)
+    positions = prepare(scene, linear_solver=name).solve(tolerance=1e-9).positions
+    np.testing.assert_allclose(positions, solve(scene, tolerance=1e-9).positions, atol=1e-5)
+
+
+@cholmod_is_there
+def test_cholmod_takes_over_an_analysis_where_the_pattern_fits():
+    first = cholmod.Factor(matrix())
+    second = cholmod.Factor(matrix(seed=5), like=first)
+    assert second.analysis is first.analysis
+    right = np.random.default_rng(1).normal(size=(200, 3))
+    for made, seed in ((second, 5), (first, 0)):
+        np.testing.assert_allclose(made(right), np.linalg.solve(matrix(seed=seed).toarray(), right), atol=1e-8)
+    assert cholmod.Factor(matrix(150), like=first).analysis is not first.analysis
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        cholmod.Factor(-matrix())
+
+
+@cholmod_is_there
+def test_another_identity_is_prepared_like_the_first(sphere_head):
+    first = prepare(scene_of(sphere_head), linear_solver="cholmod")
+    scene = scene_of(sphere_head, stiffness=7.0, scale=1.1, shift=5.0)
+    second = prepare(scene, linear_solver="cholmod", like=first)
+    assert second.system.groups[0].solver.analysis is first.system.groups[0].solver.analysis
+    np.testing.assert_allclose(
+        second.solve(tolerance=1e-9).positions, solve(scene, tolerance=1e-9).positions, atol=1e-5
+    )
+
+
+def test_linear_solvers_that_are_not_there_are_named(sphere_head, monkeypatch):
+    with pytest.raises(InputError, match="unknown linear solver 'pardiso'; there are cholespy, cholmod, superlu"):
+        prepare(scene_of(sphere_head), linear_solver="pardiso")
+    monkeypatch.setattr(cholmod, "library", lambda: None)
+    monkeypatch.setattr(factor, "CholeskySolverD", None)
+    for name in ("cholmod", "cholespy"):
+        with pytest.raises(MissingDependencyError, match=f"linear solver '{name}' needs"):
+            factor.factorise(matrix(), linear_solver=name)
+
+
+def test_anderson_finds_the_same_minimum_in_far_fewer_steps_than_plain(sphere_head):
+    scene = scene_of(sphere_head, shift=10.0)
+    mixed, steps = (prepare(scene, method=method).solve(tolerance=1e-6) for method in ("anderson", "plain"))
+    assert mixed.converged and steps.converged
+    assert 4 * mixed.iterations < steps.iterations
+    assert (np.diff(mixed.history.energy) <= 1e-12 * mixed.history.energy[1:]).all()
+    np.testing.assert_allclose(mixed.positions, solve(scene, tolerance=1e-9).positions, atol=1e-3)
+
+
+def test_a_warm_start_saves_steps_and_hides_no_state(sphere_head):
+    scenes = [scene_of(sphere_head, shift=shift) for shift in (8.0, 8.5, 9.0)]
+    prepared = prepare(scenes[0])
+    first = prepared.solve(scenes[0])
+    second = prepared.solve(scenes[1], warm=first)
+    third = prepared.solve(scenes[2], warm=second)
+    again = prepared.solve(scenes[1], warm=first)
+    np.testing.assert_array_equal(again.positions, second.positions)
+    np.testing.assert_array_equal(again.history.energy, second.history.energy)
+    absolute = 1e-6 * first.history.gradient_norm[0]
+
+    def enough(i, x, energy, norm):
+        return norm <= absolute
+
+    cold = prepared.solve(scenes[2], tolerance=1e-12, on_iteration=enough)
+    warm = prepared.solve(scenes[2], tolerance=1e-12, on_iteration=enough, warm=second)
+    assert warm.iterations < cold.iterations
+    np.testing.assert_allclose(third.positions, solve(scenes[2], tolerance=1e-9).positions, atol=1e-4)
+    other = prepare(replace(scenes[0], terms=scenes[0].terms[:3]))
+    assert other.solve(warm=first).converged  # of other unknowns: only its positions are of use
