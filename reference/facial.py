@@ -38,6 +38,7 @@ def facial_scene(
     region: str | np.ndarray | None = None,
     contact: Sequence[str] = (),
     attached: Sequence[Attached] = (),
+    rule: terms.StrainRule = "clamp",
 ) -> Scene:
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
@@ -47,7 +48,8 @@ def facial_scene(
     muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to skull, no muscle wrap) and "skin"
     (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices, or at a named one, and holds the
     others where the expression carries them. `contact` names regions whose triangles are kept apart. `attached` things
-    are tied to the skull wrap by connecting tets and replace the bone that they are.
+    are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is the soft tissue's beyond
+    its strain limit: see `terms.Strain`.
     Raises SceneError for targets of another shape or that are not finite, and for unknown or contradicting choices.
     """
     targets = _checked_targets(head, targets)
@@ -56,7 +58,7 @@ def facial_scene(
     stack = Stack.of(head, layers, without)
     start = carried(head, parameters, wrap_targets)
     inside = _mask(head, region)
-    tissue = _tissue(head, parameters, stack, inside)
+    tissue = _tissue(head, parameters, stack, inside, rule)
     vertices, bodies = _attach(head, parameters, attached, wrap_targets, stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
@@ -87,25 +89,25 @@ class _Tissue:
     tets: list[Ints] = field(default_factory=list)
     terms: list[terms.Term] = field(default_factory=list)
 
-    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target):
+    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target, rule: terms.StrainRule = "clamp"):
         """Strain and Volume on those tets (k, 4) that are `kept` (k,); the values are one, or one per tet."""
         first = sum(map(len, self.tets))
         ids = first + np.arange(np.count_nonzero(kept))
         strain, limit, volume, target = (v[kept] if np.ndim(v) else v for v in (strain, limit, volume, target))
         self.tets.append(tets[kept])
-        self.terms += [terms.Strain(strain, limit, tets=ids), terms.Volume(volume, target, tets=ids)]
+        self.terms += [terms.Strain(strain, limit, tets=ids, rule=rule), terms.Volume(volume, target, tets=ids)]
 
 
-def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray) -> _Tissue:
+def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, rule: terms.StrainRule) -> _Tissue:
     """Soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`."""
     wrap = head.skin_wrap
     kept = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
 
-    def add(tets: Ints, layers: int, stiffness, limit, volume, target):
+    def add(tets: Ints, layers: int, stiffness, limit, volume, target, rule: terms.StrainRule = "clamp"):
         def at(value):
             return np.tile(value, layers) if np.ndim(value) else value
 
-        tissue.add(tets, np.tile(kept, layers), at(stiffness), at(limit), at(volume), at(target))
+        tissue.add(tets, np.tile(kept, layers), at(stiffness), at(limit), at(volume), at(target), rule)
 
     def value(name: str):
         return on_tets(name, getattr(p, name), wrap)
@@ -113,7 +115,7 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray) 
     tissue = _Tissue()
     strain = value("soft_stiffness")
     volume = value("volume_ratio") * strain
-    add(stack.soft, stack.counts[0], strain, value("strain_limit"), volume, value("soft_volume"))
+    add(stack.soft, stack.counts[0], strain, value("strain_limit"), volume, value("soft_volume"), rule)
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
         add(stack.muscle, stack.counts[1], strain, 1.0, volume, value("muscle_volume"))
@@ -232,8 +234,10 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     for strain, volume in zip(strains, volumes, strict=True):
         if not np.array_equal(scene.tets_of(strain), scene.tets_of(volume)):
             raise SceneError("neo_hookean_scene: each Strain term needs a Volume term on the same tets")
-        if np.any(strain.limit != 1.0) or np.any(volume.target != 1.0):
-            raise SceneError("neo_hookean_scene: a strain limit or target volume other than 1 has no counterpart")
+        if np.any(strain.limit != 1.0) or np.any(volume.target != 1.0) or strain.rule != "clamp":
+            raise SceneError(
+                "neo_hookean_scene: a strain limit or target volume other than 1, or the indicator, has no counterpart"
+            )
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
             raise SceneError("neo_hookean_scene: stiffnesses that vary within a term are not supported")
         law = NeoHookean(mu=float(np.max(strain.stiffness)) / 2, lmbda=float(np.max(volume.stiffness)) / 3)

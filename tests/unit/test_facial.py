@@ -186,6 +186,10 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
         facial_scene(head, Parameters(), head.skin.vertices, layers=(0, 1))
     with pytest.raises(SceneError, match="without"):
         facial_scene(head, Parameters(), head.skin.vertices, without="muscle")
+    literal = facial_scene(head, Parameters(strain_limit=1.05), head.skin.vertices, rule="indicator")
+    assert [strain.rule for strain in literal.of(terms.Strain)] == ["indicator", "clamp"]
+    with pytest.raises(SceneError, match="no counterpart"):
+        neo_hookean_scene(facial_scene(head, Parameters(), head.skin.vertices, rule="indicator"))
     with pytest.raises(SceneError, match="bones 'hard'"):
         facial_scene(head, Parameters(), head.skin.vertices, bones="hard")
 
