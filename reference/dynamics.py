@@ -69,7 +69,7 @@ def coefficients(frequency: float | Floats, damping: float | Floats, time_step: 
     _within("damping", zeta, 0.0, 1.0, "as a ratio to critical damping")
     omega = 2.0 * np.pi * f * time_step
     decay = np.exp(-zeta * omega)
-    alpha, beta = decay * np.cos(omega * np.sqrt(1.0 - zeta**2)), decay**2
+    alpha, beta = decay * np.cos(omega * np.sqrt(1.0 - zeta**2)), np.square(decay)
     return _recurrence(alpha, beta)
 
 

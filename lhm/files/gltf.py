@@ -6,6 +6,7 @@ import json
 import os
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,9 +81,9 @@ def write_gltf(
         for moved, turned in zip(found.targets, normals, strict=True)
     ]
     primitive = {"attributes": attributes, "indices": indices, "material": 0}
-    mesh = {"name": name, "primitives": [primitive | ({"targets": targets} if targets else {})]}
+    mesh: dict[str, Any] = {"name": name, "primitives": [primitive | ({"targets": targets} if targets else {})]}
     mesh["extras"] = {"greatest_error_mm": found.error, "morph_targets": len(targets)}
-    content = {
+    content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "softdeca"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
