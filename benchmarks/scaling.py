@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ..lhm import expressions
-from ..reference import Parameters, facial_scene, prepare
+from ..reference import Parameters, facial_scene, projective
 from .apart import apart, peak_megabytes
 from .costs import megabytes
 from .floor import factor_bytes
@@ -36,7 +36,7 @@ def measure_level(level: int, expression: str) -> dict:
     held = megabytes(make)
     peak = peak_megabytes()
     watch = Stopwatch()
-    prepared = prepare(make())
+    prepared = projective.prepare(make())
     prepare_seconds = watch.lap()[0]
     solution, trace = traced_to_itself(prepared, tolerance=REFERENCE)
     iterations = trace.settled(ACCURACY)

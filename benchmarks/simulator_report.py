@@ -127,7 +127,7 @@ def _cold_rows(speed: Mapping) -> list[Sequence]:
 
 
 def _warm_rows(warm: Mapping) -> list[Sequence]:
-    rows = []
+    rows: list[Sequence] = []
     for name, key in (
         ("wall time [s]", "seconds"),
         ("processor time [s]", "cpu_seconds"),
@@ -159,7 +159,7 @@ def _floor_rows(floor: Mapping, worker: Mapping) -> list[Sequence]:
 
 
 def _lead_rows(precision: Mapping) -> list[Sequence]:
-    rows = []
+    rows: list[Sequence] = []
     rivals = {(row["energy"], row["label"]) for row in precision["medians"]} - {(FACE, OURS), (ARAP, OURS)}
     for energy, rival in sorted(rivals):
         for key, what in (("total", "with preparation"), ("solve", "prepared")):

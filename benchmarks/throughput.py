@@ -14,7 +14,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.identities.space import LinearSpace
 from ..lhm.mesh import Floats
 from ..lhm.template import DEFAULT_LEVEL
-from ..reference import Parameters, Scene, facial_scene, prepare
+from ..reference import Parameters, Scene, facial_scene, prepare, projective
 from ..reference.sequence import TOLERANCE, Sequence
 from ..surrogate.plan import CorpusPlan
 from . import floor
@@ -116,7 +116,7 @@ def measure_warm(frames: int, tell: Callable[[str], None]) -> dict:
     checked = range(0, frames, CHECKED_EVERY)
     tell("a sequence: tight runs")
     prepared = prepare(facial_scene(head, Parameters(), targets[0]))
-    truths = {}
+    truths: dict[int, Floats] = {}
     for t in checked:
         start = None if t == 0 else truths[t - CHECKED_EVERY]
         truths[t] = prepared.solve(
@@ -164,7 +164,7 @@ def measure_floor(tell: Callable[[str], None]) -> dict:
     """What an iteration on the default head must read, at what bandwidth, and how long it takes beside that."""
     tell("the floor of an iteration")
     frame = cold_frames([0], [DEFAULT_P])[DEFAULT_P][0]
-    prepared = prepare(_scene(frame))
+    prepared = projective.prepare(_scene(frame))
     solution = prepared.solve(tolerance=1e-5)
     iteration = float(np.median(np.diff(solution.history.time)))
     factor, tets, bandwidth = floor.factor_bytes(prepared), floor.tet_bytes(prepared), floor.bandwidth()

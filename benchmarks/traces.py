@@ -10,6 +10,7 @@ import numpy as np
 
 from ..lhm.mesh import Floats
 from ..reference import Solution
+from ..reference.projective import ProjectivePrepared
 from ..reference.solve import Prepared
 
 TIGHT = 1e-10
@@ -69,7 +70,7 @@ def traced(
     return solution, _trace(solution, error)
 
 
-def traced_to_itself(prepared: Prepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
+def traced_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
     """A tight solve as seen from its own end, to 1e-5 mm: positions on the way are kept in float32."""
     visited: list[np.ndarray] = []
 
