@@ -25,6 +25,10 @@ from .scene import Scene
 from .stack import Stack
 
 PARTS = ("muscle", "skin")
+GAP = 0.1
+"""What contact leaves between surfaces [mm]: where it may be nothing, touching triangles still cross by rounding."""
+WIDER = 3
+"""Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
 
 def facial_scene(
@@ -78,7 +82,7 @@ def facial_scene(
     if np.any(parameters.added_gravity):
         parts.append(terms.Gravity(parameters.added_gravity, TISSUE_DENSITY))
     if contact:
-        parts.append(terms.Contact(_touching(head, contact)))
+        parts.append(terms.Contact(_touching(head, contact), thickness=GAP))
     return Scene(vertices, np.vstack(tissue.tets), (*parts, *bodies))
 
 
@@ -196,9 +200,12 @@ def _mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:
 
 
 def _touching(head: LayeredHead, names: Sequence[str]) -> Ints:
-    """The skin wrap's triangles within the union of some regions, shape (k, 3)."""
+    """The skin wrap's triangles within the union of some regions and WIDER edges around it, shape (k, 3)."""
     touching = np.any([_mask(head, name) for name in names], axis=0)
-    return head.skin_wrap.triangles[touching[head.skin_wrap.triangles].all(axis=1)]
+    triangles = head.skin_wrap.triangles
+    for _ in range(WIDER):
+        touching[triangles[touching[triangles].any(axis=1)]] = True
+    return triangles[touching[triangles].all(axis=1)]
 
 
 def _checked_targets(head: LayeredHead, targets) -> Floats:
