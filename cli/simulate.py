@@ -31,7 +31,9 @@ FEW = 5
 @click.option("--fps", type=float, help="frames per second; default: the take's own")
 @click.option("--frames", "chosen", metavar="A:B", help="only these frames, B left out, counted at --fps")
 @click.option("--dynamic", is_flag=True, help="with inertia (Eq. 9) by p's frequency and damping")
-@click.option("--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="how the jaw moves")
+@click.option(
+    "--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="how a jaw moves"
+)
 @click.option("--contact", multiple=True, help="a region of the skin kept from crossing itself, as lips; repeat")
 @click.option("--tolerance", type=float, help="gradient norm over that of skin 1 mm off its targets  [5e-05]")
 @click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")

@@ -44,7 +44,7 @@ class Sequence:
 
     In statics a frame depends on its expression alone, the last frame is only where to begin. With `dynamic` the skin
     has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping; bones that are prescribed stay so.
-    `tolerance` is the gradient norm relative to that of skin that is everywhere 1 mm off its target: unlike one
+    `tolerance` is the gradient norm relative to that of springs of statics each 1 mm long: unlike one
     relative to a frame's own start it asks the same of every frame.
     `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
     time step at which the frequency cannot be followed.
@@ -108,13 +108,15 @@ class Sequence:
 
     def _solved(self, targets: Floats, *, dynamic: bool) -> tuple[Solution, Scene]:
         scene = facial_scene(self.head, self.parameters, targets, **self._choices)
+        # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
+        springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
+        asked = self._tolerance * float(np.linalg.norm(springs))
         if dynamic and self.recurrence is not None and self.state is not None:
             scene = _with_inertia(scene, self.recurrence, self.state)
         if dynamic not in self._prepared:
             self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
-        prepared, target = self._prepared[dynamic], _target(scene)
-        asked = self._tolerance * float(np.linalg.norm(np.broadcast_to(target.stiffness, target.vertices.shape)))
-        start = self._start(scene, target)
+        prepared = self._prepared[dynamic]
+        start = self._start(scene, _target(scene))
         norm = prepared.solve(scene, start=start, on_iteration=lambda *_: True).history.gradient_norm[0]
         tolerance = asked / norm if asked < LOOSEST * norm else LOOSEST
         return prepared.solve(scene, start=start, tolerance=tolerance, max_iterations=self._limit), scene
