@@ -128,12 +128,14 @@ class ProjectivePrepared:
         max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
         warm: Solution | None = None,
+        remember: bool = False,
     ) -> ProjectiveSolution:
         """Minimise the energy of the prepared scene, or of one that differs only in the fields of `VARYING`.
 
         start [mm], shape (n, 3), default rest; `warm` is the solution of the frame before, which gives the default
-        start and the pairs of steps and changes that L-BFGS begins with. What is Fixed is put where it is held, and a
-        RigidBody where it fits best, before the first iteration.
+        start and, if it was to `remember` them (16 numbers per unknown), the pairs of steps and changes that L-BFGS
+        begins with. What is Fixed is put where it is held, and a RigidBody where it fits best, before the first
+        iteration.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
         scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
         Raises SceneError if `scene` needs a new preparation, if start or tolerance are out of range, or if loads push
@@ -170,7 +172,7 @@ class ProjectivePrepared:
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
             detail=work.counts() | outcome,
-            memory=memory,
+            memory=memory if remember else None,
         )
 
     def _remembered(self, warm: Solution | None) -> Memory | None:

@@ -94,8 +94,9 @@ def test_anderson_finds_the_same_minimum_in_far_fewer_steps_than_plain(sphere_he
 def test_a_warm_start_saves_steps_and_hides_no_state(sphere_head):
     scenes = [scene_of(sphere_head, shift=shift) for shift in (8.0, 8.5, 9.0)]
     prepared = prepare(scenes[0])
-    first = prepared.solve(scenes[0])
-    second = prepared.solve(scenes[1], warm=first)
+    first = prepared.solve(scenes[0], remember=True)
+    second = prepared.solve(scenes[1], warm=first, remember=True)
+    assert prepared.solve(scenes[1], warm=first).memory is None and len(second.memory) > 0
     third = prepared.solve(scenes[2], warm=second)
     again = prepared.solve(scenes[1], warm=first)
     np.testing.assert_array_equal(again.positions, second.positions)
