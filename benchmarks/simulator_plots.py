@@ -60,6 +60,8 @@ def scaling(found: Mapping) -> str:
                 slope = found["exponents"].get(key)
                 axis.plot(tets, values, "o-", label=label if slope is None else f"{label}: tets^{slope:.2f}")
         axis.set(xscale="log", yscale="log", xlabel="tets", ylabel=unit)
+        axis.set_xticks(tets, [f"{count:,}" for count in tets])
+        axis.set_xticks([], minor=True)
         axis.grid(alpha=0.25, which="both")
         axis.legend(frameon=False, fontsize=9)
     figure.tight_layout()

@@ -258,6 +258,20 @@ def test_a_wrong_configuration_is_refused(wrong):
         SimulatorConfig(**wrong)
 
 
+def test_the_command_tells_gates_and_ends_by_them(results, command, monkeypatch, tmp_path):
+    from softdeca.benchmarks import simulator
+
+    monkeypatch.setattr(simulator, "measure_scaling", lambda *_: results["scaling"])
+    ended = command("bench", "simulator", "--parts", "scaling", "--out", tmp_path)
+    assert ended.status == 0 and "ok   levels of the template at which the solve did not converge: 0" in ended.out
+    results["scaling"]["rows"][0]["iterations"] = None
+    ended = command("bench", "simulator", "--parts", "scaling", "--out", tmp_path)
+    assert ended.status == 1 and "MISS levels" in ended.out
+    ended = command("bench", "simulator", "--parts", "speed", "--out", tmp_path)
+    assert ended.status != 0 and len(ended.errors) == 1 and "speed" in ended.errors[0]
+    assert "there are throughput, precision, minimal, scaling" in ended.errors[0]
+
+
 def test_newton_ends_where_we_do(sphere_head, targets):
     pytest.importorskip("dolfinx")
     scene = facial_scene(sphere_head, Parameters(), targets)
