@@ -251,3 +251,15 @@ def test_tets_that_hold_a_point_as_by_brute_force():
     np.testing.assert_allclose(
         np.einsum("kj,kjc->kc", weights, moved[tets[pairs[:, 1]]]), points[pairs[:, 0]], atol=1e-9
     )
+
+
+def test_parts_that_overlap_at_rest_are_refused_and_touching_ones_are_not():
+    for gap, apart in ((-1.2, False), (0.0, True)):
+        X, tets, _ = stacked(bar((2, 4, 2), (4, 8, 4), (0, 0, 0)), bar((2, 4, 2), (4, 8, 4), (0.3, 8 + gap, 0.2)))
+        ends = np.flatnonzero((X[:, 1] == 0.0) | (X[:, 1] == X[:, 1].max()))
+        scene = Scene(X, tets, [terms.Strain(5.0), terms.Fixed(ends), terms.Contact(outside(tets))])
+        if apart:
+            assert solve(scene).converged
+        else:
+            with pytest.raises(SceneError, match=r"vertex \d+ lies inside another tet at rest"):
+                prepare(scene)

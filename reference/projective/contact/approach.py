@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from ....lhm.mesh import Floats
+from ....lhm.mesh import Floats, Ints
 from ..coordinates import Place
 from .compliance import Elasticity
 from .detection import Detection
@@ -23,7 +23,10 @@ STEP = 1.0
 """The way [mm] that no vertex of the surface goes further than between two looks for contact."""
 LOOKS = 3
 """Rounds of looking and pushing at one place at most."""
+NEARLY = 0.1
+"""The depth [mm] with which the way goes on."""
 SWEEPS = 200
+"""Gauss-Seidel sweeps at most; the descent that follows makes up for what they leave."""
 
 
 @njit(cache=True)
@@ -43,26 +46,26 @@ def _dual(matrix, gaps, forces):
 
 
 def approached(
-    elasticity: Elasticity, detect: Callable[[Floats, Rows | None], Detection], rest: Floats, end: Place, vertices
+    elasticity: Elasticity, detect: Callable[[Floats, Rows | None], Detection], rest: Floats, end: Place, vertices: Ints
 ) -> tuple[Place, Detection]:
     """A place like `end` that is not overlapped as deeply, and the contact there, with its forces for multipliers.
 
     rest [mm], shape (n, 3); vertices (k,) are those of the surfaces.
     """
     moved = end.u[vertices]
-    steps = int(np.ceil(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max() / STEP))
+    steps = max(1, int(np.ceil(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max() / STEP)))
     coordinates = elasticity.system.coordinates
-    place, found = coordinates.start(0.0 * end.u), None
-    force_free = place
+    place = force_free = coordinates.start(0.0 * end.u)
+    found = detect(rest + place.u, None)
     for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
         ahead = coordinates.start(share * end.u)
         # Where contact pushed so far is a better place to look than where nothing did.
         place = coordinates.start(place.u + ahead.u - force_free.u)
         force_free = ahead
         for _ in range(LOOKS):
-            found = detect(rest + place.u, None if found is None else found.rows)
+            found = detect(rest + place.u, found.rows)
             place, found = _pushed(elasticity, rest, force_free, found)
-            if found.depth <= 0.1:
+            if found.depth <= NEARLY:
                 break
     return place, found
 

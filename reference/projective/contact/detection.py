@@ -96,13 +96,20 @@ def _overlapping(contact: ContactSurface, x: Floats) -> tuple[Ints, Ints, Floats
     return vertex, triangle[order][first], at[order][first]
 
 
-def _turned(contact: ContactSurface, points, normals, faces, found, facing) -> tuple[Ints, Floats]:
+def _turned(
+    contact: ContactSurface,
+    points: Floats,
+    normals: Floats,
+    faces: Floats,
+    found: tuple[Ints, Ints, Floats],
+    facing: tuple[Ints, Floats],
+) -> tuple[Ints, Floats]:
     """Triangle and weights of vertices in the flesh, taken from the triangle that faces them where theirs does not.
 
     At the rim of a part the surface nearest at rest may be one that a vertex slides along.
     """
     vertices, triangles, at = found
-    other, on = (values[vertices] for values in facing)
+    other, on = facing[0][vertices], facing[1][vertices]
     aside = np.einsum("kc,kc->k", normals[vertices], faces[triangles]) > TURNED
     depth = np.einsum("kc,kc->k", points[contact.triangles[other, 0]] - points[vertices], faces[other])
     aside &= (other >= 0) & (depth >= 0) & ~_is_near(contact, vertices, other)
@@ -113,7 +120,9 @@ def _is_near(contact: ContactSurface, vertices: Ints, triangles: Ints) -> np.nda
     return contact.are_near(vertices[:, None], contact.triangles[triangles]).any(axis=1)
 
 
-def _watched(contact: ContactSurface, points, faces, facing, distance, inner) -> Ints:
+def _watched(
+    contact: ContactSurface, points: Floats, faces: Floats, facing: Ints, distance: Floats, inner: Ints
+) -> Ints:
     """Vertices outside and within reach in front of the surface that faces them."""
     edge = np.sqrt(contact.areas.mean())
     outer = distance <= contact.term.thickness + MARGIN * edge

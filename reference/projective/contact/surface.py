@@ -16,6 +16,8 @@ from ...terms import Contact
 
 REACH = 15.0
 """How far behind the surface [mm] flesh is looked through for vertices that went in: the deepest overlap seen."""
+ON_A_FACE = 1e-6
+"""A vertex with a lesser barycentric weight in a tet touches it only."""
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 """A tet's faces, each seen counter-clockwise from outside."""
 
@@ -38,7 +40,11 @@ class ContactSurface:
 
     @classmethod
     def of(cls, scene: Scene, term: Contact) -> ContactSurface:
-        """Raise SceneError for a triangle that is no face of the tets' surface, or is seen from inside."""
+        """The surface of a term and what lies behind it.
+
+        Raises SceneError for a triangle that is no face of the tets' surface or is seen from inside, and for a vertex
+        that lies in the flesh at rest, where nothing tells which way it came in.
+        """
         _check_faces(scene, term)
         ids, local = np.unique(term.triangles, return_inverse=True)
         triangles = local.reshape(-1, 3)
@@ -46,7 +52,12 @@ class ContactSurface:
         rest = TriangleTree(surface.vertices, triangles)
         centres = scene.vertices[scene.tets].mean(axis=1)
         behind = scene.tets[rest.closest(centres)[2] < REACH]
-        return cls(term, ids, triangles, surface.vertex_areas, _near(triangles), rest, TetTree(scene.vertices, behind))
+        flesh = TetTree(scene.vertices, behind)
+        held, weights = flesh.containing(surface.vertices, ids)
+        inside = held[weights.min(axis=1) > ON_A_FACE, 0]
+        if inside.size:
+            raise SceneError(f"Contact: vertex {ids[inside[0]]} lies inside another tet at rest: parts overlap there")
+        return cls(term, ids, triangles, surface.vertex_areas, _near(triangles), rest, flesh)
 
     def are_near(self, first: Ints, second: Ints) -> np.ndarray:
         """Whether pairs of the surface's vertices lie within two edges of one another."""
