@@ -71,6 +71,8 @@ class Balance:
         """Follow the load path to its end."""
         point, reason = self._path.run()
         positions = self._positions(point)
+        m = self._equations.displacements
+        self.end = point.state.u, point.z[m:] if len(point.z) > m else None
         if reason is Reason.CONVERGED:
             positions[self._held] = self._values[self._held]
         detail: dict[str, float] = {

@@ -148,6 +148,13 @@ def quadrature_rule(degree: int, cell: str = "tetrahedron") -> tuple[Floats, Flo
     return points, weights
 
 
+def shapes(degree: int, points: Floats) -> tuple[Floats, Floats]:
+    """Lagrange's shape functions on the reference tet at points (q, 3): values (q, k) and derivatives (q, k, 3)."""
+    family, variant = basix.ElementFamily.P, basix.LagrangeVariant.gll_warped
+    table = basix.create_element(family, basix.CellType.tetrahedron, degree, variant).tabulate(1, points)
+    return table[0, :, :, 0], np.moveaxis(table[1:, :, :, 0], 0, -1)
+
+
 def compile_form(form: ufl.Form):
     """Compile a form, or take it from dolfinx's cache on disk."""
     with _quiet():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import cast
 
 import numpy as np
@@ -28,6 +29,7 @@ from ..terms import (
 from .balance import Balance
 from .bodies import Pose, RigidProblem
 from .densities import DENSITIES
+from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS
 from .mixed_densities import check_mixed
 from .newton import AnyState, Newton, Work
@@ -68,6 +70,7 @@ MAX_ITERATIONS = 100
 SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
 LOAD_STEP_TOLERANCE = 1e-2
 STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
+FORCE_DEGREE = 6
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 
 
@@ -117,6 +120,8 @@ class PreparedFenicsx:
             self._rigid = RigidProblem(scene, self._numbering, self._problem)
             self._rigid_linear = LINEAR_SOLVERS[linear](self._rigid.matrix)
             self._rigid_direct = LINEAR_SOLVERS["mumps"](self._rigid.matrix)
+        self._force: Floats | None = None
+        self._end: _Solve | Balance | None = None
         self._balances = element == "P2P1" or bool(scene.of(Pressure))
         # A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable.
         self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in (Strain, Volume, RigidBody))
@@ -144,21 +149,40 @@ class PreparedFenicsx:
         if limit < 0:
             raise SceneError(f"max_iterations must be at least 0, got {limit}")
         self._problem.set(scene)
+        if self._force is not None:
+            self._problem.loads = self._problem.loads + self._force
         check_restrained(scene, loads=None if self._balances else scene.loads())
         balance = Balance(scene, self._numbering, self._problem, begin, tolerance, max_iterations, on_iteration)
         if self._balances:
+            self._end = balance
             return balance.run()
         poses: list[Pose] = []
         if self._rigid is not None:
             self._rigid.set(scene)
             poses = self._rigid.rest() if start is None else self._rigid.nearest(self._numbering.to_dofs(begin))
         solve = _Solve(self, scene, begin, poses, tolerance, limit, on_iteration)
+        self._end = solve
         solution = solve.run()
         doubtful = self._may_snap and solution.converged
-        if doubtful and solution.iterations <= STRAIGHT_ITERATIONS and balance.stable(solve.end):
+        if doubtful and solution.iterations <= STRAIGHT_ITERATIONS and balance.stable(solve.end[0]):
             return solution
-        given_up = solution.reason in GIVEN_UP and self._rigid is None
-        return balance.run() if doubtful or given_up else solution
+        if not doubtful and (solution.reason not in GIVEN_UP or self._rigid is not None):
+            return solution
+        self._end = balance
+        return balance.run()
+
+    def set_body_force(self, density: Callable[[Floats], Floats]):
+        """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""
+        sampling = Sampling(self._numbering, FORCE_DEGREE)
+        self._force = sampling.load(density(sampling.X))
+
+    def fields(self, degree: int) -> Fields:
+        """The last solve's finite-element functions at the points of a quadrature rule; SceneError before a solve."""
+        if self._end is None:
+            raise SceneError("fields: nothing is solved yet")
+        u, pressure = self._end.end
+        at_cells = None if pressure is None else pressure[self._problem.pressure_dofs]
+        return Sampling(self._numbering, degree).fields(u, at_cells)
 
 
 def _checked_start(scene: Scene, start: Floats | None) -> Floats:
@@ -261,7 +285,7 @@ class _Solve:
         return None, 0.0, 0.0
 
     def _solution(self, state: AnyState, reason: Reason, iterations: int) -> Solution:
-        self.end = state.u
+        self.end = state.u, None
         positions = self._positions(state.u)
         held, values = self._scene.dirichlet()
         if reason is Reason.CONVERGED:

@@ -20,7 +20,7 @@ def box(cells: tuple[int, int, int], lengths: tuple[float, float, float] = (1.0,
         walk = np.concatenate([[0], np.cumsum(strides[list(order)])])
         tets.append(first[:, None] + walk)
     X = grid * (np.array(lengths) / np.array(cells))
-    return X, _positive(X, np.stack(tets, axis=1).reshape(-1, 4))
+    return X, positive(X, np.stack(tets, axis=1).reshape(-1, 4))
 
 
 def block(cells: int, size: float = 1.0) -> tuple[Floats, Ints]:
@@ -54,7 +54,8 @@ def vertices_at(X: Floats, axis: int, position: float) -> Ints:
     return np.flatnonzero(np.isclose(X[:, axis], position))
 
 
-def _positive(X: Floats, tets: Ints) -> Ints:
+def positive(X: Floats, tets: Ints) -> Ints:
+    """Tets (m, 4) with two corners exchanged where that makes the volume positive; changes them in place."""
     inverted = tet_volumes(X, tets) < 0
     tets[inverted] = tets[inverted][:, [0, 1, 3, 2]]
     return tets

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..scene import Scene
-from ..solution import Solution
+from ..solution import Reason, Solution
 from ..solve import solve
 
 TOLERANCE = 1e-11
@@ -21,7 +21,8 @@ class Problem:
     """A scene, a quantity of its solution, and the value that it must have.
 
     `bounds` gives, for each solver that models the scene, the largest error that passes: relative to the reference,
-    or absolute where that is 0. `start` gives positions [mm] to start from, default rest.
+    or absolute where that is 0. `start` gives positions [mm] to start from, default rest; `options`
+    are the solver's, such as its element; `reason` is why the solver should stop.
     """
 
     name: str
@@ -31,6 +32,9 @@ class Problem:
     reference: float
     bounds: Mapping[str, float]
     start: Callable[[Scene], Floats] | None = None
+    options: Mapping[str, str] = field(default_factory=dict)
+    tolerance: float = TOLERANCE
+    reason: Reason = Reason.CONVERGED
 
     @property
     def solvers(self) -> tuple[str, ...]:
@@ -70,7 +74,7 @@ def run(problem: Problem, solver: str) -> Outcome:
     scene = problem.scene()
     start = None if problem.start is None else problem.start(scene)
     begin = time.perf_counter()
-    solution = solve(scene, solver=solver, start=start, tolerance=TOLERANCE)
+    solution = solve(scene, solver=solver, start=start, tolerance=problem.tolerance, **problem.options)
     seconds = time.perf_counter() - begin
     value = float(problem.quantity(scene, solution))
     error = abs(value - problem.reference) / (abs(problem.reference) or 1.0)
@@ -83,7 +87,7 @@ def run(problem: Problem, solver: str) -> Outcome:
         problem.reference,
         error,
         bound,
-        solution.converged and error <= bound,
+        solution.reason is problem.reason and error <= bound,
         solution.reason.name,
         seconds,
         solution.iterations,
