@@ -23,6 +23,7 @@ from .materials import NeoHookean
 from .parameters import TISSUE_DENSITY, Parameters
 from .scene import Scene
 from .stack import Stack
+from .terms import StrainRule
 
 PARTS = ("muscle", "skin")
 GAP = 0.1
@@ -42,7 +43,7 @@ def facial_scene(
     region: str | np.ndarray | None = None,
     contact: Sequence[str] = (),
     attached: Sequence[Attached] = (),
-    rule: terms.StrainRule = "clamp",
+    rule: StrainRule = "clamp",
 ) -> Scene:
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
@@ -93,7 +94,7 @@ class _Tissue:
     tets: list[Ints] = field(default_factory=list)
     terms: list[terms.Term] = field(default_factory=list)
 
-    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target, rule: terms.StrainRule = "clamp"):
+    def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target, rule: StrainRule = "clamp"):
         """Strain and Volume on those tets (k, 4) that are `kept` (k,); the values are one, or one per tet."""
         first = sum(map(len, self.tets))
         ids = first + np.arange(np.count_nonzero(kept))
@@ -102,12 +103,12 @@ class _Tissue:
         self.terms += [terms.Strain(strain, limit, tets=ids, rule=rule), terms.Volume(volume, target, tets=ids)]
 
 
-def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, rule: terms.StrainRule) -> _Tissue:
+def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, rule: StrainRule) -> _Tissue:
     """Soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`."""
     wrap = head.skin_wrap
     kept = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
 
-    def add(tets: Ints, layers: int, stiffness, limit, volume, target, rule: terms.StrainRule = "clamp"):
+    def add(tets: Ints, layers: int, stiffness, limit, volume, target, rule: StrainRule = "clamp"):
         def at(value):
             return np.tile(value, layers) if np.ndim(value) else value
 
@@ -133,7 +134,7 @@ def _skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Te
 
     def at(name: str):
         value = on_triangles(name, getattr(p, name), wrap)
-        return value[kept] if np.ndim(value) else value
+        return np.asarray(value)[kept] if np.ndim(value) else value
 
     triangles = wrap.triangles[kept]
     parts: list[terms.Term] = [terms.SurfaceStrain(triangles, at("skin_stiffness"), at("skin_growth"))]

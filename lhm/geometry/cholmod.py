@@ -81,7 +81,7 @@ class Factor:
     """A numeric factor, float64; calling it solves. Raises LinAlgError for a matrix that is not positive definite."""
 
     def __init__(self, matrix: csc_matrix, like: Factor | None = None):
-        self.analysis = like.analysis if like is not None and like.analysis.fits(matrix) else Analysis(matrix)
+        self.analysis: Analysis = like.analysis if like is not None and like.analysis.fits(matrix) else Analysis(matrix)
         calls, common = self.analysis.library, self.analysis.common
         self._factor = c_void_p(calls.cholmod_copy_factor(self.analysis.symbolic, common))
         if not self._factor:

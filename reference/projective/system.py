@@ -119,9 +119,10 @@ class System:
 
 def _joined(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
     """The matrix with entries between the vertices of each body, to tell what hangs together."""
-    first = np.concatenate([np.repeat(body.vertices[0], len(body.vertices)) for body in bodies] or [[]])
-    other = np.concatenate([body.vertices for body in bodies] or [[]])
-    links = coo_matrix((np.ones(len(other)), (first.astype(int), other.astype(int))), shape=matrix.shape)
+    none = np.empty(0, dtype=np.int64)
+    first = np.concatenate([none, *(np.repeat(body.vertices[0], len(body.vertices)) for body in bodies)])
+    other = np.concatenate([none, *(body.vertices for body in bodies)])
+    links = coo_matrix((np.ones(len(other)), (first, other)), shape=matrix.shape)
     joined = abs(matrix) + links.tocsr()
     joined.eliminate_zeros()
     return joined

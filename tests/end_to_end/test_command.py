@@ -10,7 +10,9 @@ import pytest
 from softdeca.lhm.files.head_file import load_head, save_head
 
 
-@pytest.mark.parametrize("words", [(), ("study",), ("simulate",), ("head", "fit"), ("head", "check"), ("bench", "verification")])
+@pytest.mark.parametrize(
+    "words", [(), ("study",), ("simulate",), ("head", "fit"), ("head", "check"), ("bench", "verification")]
+)
 def test_help_says_what_there_is(command, words):
     ended = command(*words, "--help")
     assert ended.status == 0 and ended.errors == []
