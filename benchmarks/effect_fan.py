@@ -9,12 +9,21 @@ import numpy as np
 
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
-from ..reference import Parameters, Prepared, facial_scene, prepare
+from ..reference import Parameters, Prepared, facial_scene, prepare, terms
 from .differences import distances
 from .effect_run import TIGHT
 
 JITTERS = (1.0, 2.0, 10.0)
-"""Standard deviations [mm] of the starts' vertices about rest, one after the other."""
+"""How far [mm] the starts' vertices are moved, root mean square of each component, one after the other."""
+KINDS = "vertices", "waves"
+"""What moves: three starts vertex by vertex, then three where targets moved by waves have taken the face.
+
+The first invert tets; the solver untangles them first, which leaves little of where they began. The second invert few.
+"""
+WAVES, SHORTEST = 8, 30.0
+"""How many plane waves are added, and the shortest [mm]."""
+ROUGH = 1e-3
+"""Gradient norm relative to its start at which a face has followed its waves far enough."""
 ONE_MINIMUM = 1e-3
 """Answers that differ by at most so much [mm] are one."""
 SUSPECTS: dict[str, tuple[dict[str, float], tuple[str, ...]]] = {
@@ -48,6 +57,7 @@ def fan(
         rows.append(
             {
                 "seed": seed,
+                "moved": _kind(seed),
                 "jitter_mm": _jitter(seed),
                 "iterations": solution.iterations,
                 "converged": solution.converged,
@@ -69,9 +79,26 @@ def _jitter(seed: int) -> float:
     return JITTERS[seed % len(JITTERS)]
 
 
+def _kind(seed: int) -> str:
+    return KINDS[seed // len(JITTERS) % len(KINDS)]
+
+
 def _start(prepared: Prepared, seed: int) -> Floats:
-    rest = prepared.scene.vertices
-    return rest + _jitter(seed) * np.random.default_rng(seed).standard_normal(rest.shape)
+    random, scene = np.random.default_rng(seed), prepared.scene
+    if _kind(seed) == "vertices":
+        return scene.vertices + _jitter(seed) * random.standard_normal(scene.vertices.shape)
+    (target,) = scene.of(terms.Target)
+    moved = scene.vertices[target.vertices] + _jitter(seed) * _waves(random, scene.vertices[target.vertices])
+    return prepared.solve(scene.with_targets(moved), tolerance=ROUGH).positions
+
+
+def _waves(random: np.random.Generator, points: Floats) -> Floats:
+    """A sum of plane waves of random directions, lengths and phases at points (k, 3), components of mean square 1."""
+    direction = random.standard_normal((WAVES, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    length = SHORTEST * (1.0 + random.exponential(size=(WAVES, 1)))
+    phase = points @ (2.0 * np.pi * direction / length).T + random.uniform(0.0, 2.0 * np.pi, WAVES)
+    return np.sin(phase) @ random.standard_normal((WAVES, 3)) * np.sqrt(2.0 / WAVES)
 
 
 def _suspects(

@@ -113,11 +113,9 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
     plain_scene = facial_scene(head, effect.without(head), expression, bones="rigid")
     plain = solved(plain_scene, expression, plain_scene.vertices)
     answer = ended.solution.positions
-    other = solved(ended.scene, ended.targets, displaced_start(head, ended), tolerance=TIGHT).solution
+    other = solved(ended.scene, ended.targets, displaced(head, ended.targets), tolerance=TIGHT).solution
     near = solved(ended.scene, ended.targets, answer, tolerance=TIGHT / TOLERANCE).solution
-    against = None
-    if reference is not None:
-        against = solved(ended.scene, ended.targets, ended.start, solver=reference, tolerance=TIGHT)
+    compared = None if reference is None else _compared(ended, reference)
     skins = [head.skin_after(run.targets, run.solution.positions[:n]) for run in (plain, ended)]
     settled_skin = head.skin.vertices + (
         0.0 if at_rest is None else _skin_displacement(head, at_rest.solution.positions)
@@ -135,16 +133,16 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
         "to_own_limit_mm": float(distances(answer, near.positions).max()),
         "to_other_start_mm": float(distances(answer, other.positions).max()),
         "other_start": {"iterations": other.iterations, "converged": other.converged, "energy": other.energy},
-        "reference": None if against is None else _compared(ended, against, reference),
+        "reference": compared,
         "change_mm": {"mean": float(change.mean()), "max": float(change.max())},
         "neutral_change_mm": float(distances(settled_skin, head.skin.vertices).max()),
     }
     return EffectResult(record, settled_skin, *skins)
 
 
-def displaced_start(head: LayeredHead, run: Solved) -> Floats:
-    """Another start: every wrap moved by the skin wrap's way to its targets, whatever lies below."""
-    return run.scene.vertices + np.tile(head.wrap_targets(run.targets) - head.skin_wrap.vertices, (3, 1))
+def displaced(head: LayeredHead, targets: Floats) -> Floats:
+    """Another start [mm], shape (3 n, 3): every wrap moved by the skin wrap's way to its targets, bone or not."""
+    return head.vertices + np.tile(head.wrap_targets(targets) - head.skin_wrap.vertices, (3, 1))
 
 
 def _figures(head: LayeredHead, run: Solved) -> dict:
@@ -170,7 +168,9 @@ def _figures(head: LayeredHead, run: Solved) -> dict:
     }
 
 
-def _compared(ended: Solved, against: Solved, reference: str) -> dict:
+def _compared(ended: Solved, reference: str) -> dict:
+    """The distance to another solver's answer from the same start, and what that took."""
+    against = solved(ended.scene, ended.targets, ended.start, solver=reference, tolerance=TIGHT)
     return {
         "solver": reference,
         "mm": float(distances(ended.solution.positions, against.solution.positions).max()),

@@ -19,7 +19,7 @@ from ..lhm.progress import OnProgress
 from ..reference import SOLVERS, Parameters
 from . import machine
 from .alone import alone_in
-from .effect_cases import SMILE, Effect, named_effects
+from .effect_cases import BROAD_SMILE, Effect, named_effects
 from .effect_fan import ONE_MINIMUM, fan
 from .effect_run import TOLERANCE, EffectResult, run_effect
 from .effects_pictures import effect_pictures
@@ -34,7 +34,7 @@ ACCURACY = 0.01
 class EffectsConfig:
     """Which effects (names between commas, all if empty) on the head of a seed, and what they are compared with.
 
-    `fan` random starts of a plain smile are solved too; `reference` is another solver's name, none if empty.
+    `fan` random starts of a broad smile without an effect are solved too; `reference` is another solver, none if empty.
     Raises InputError for an unknown effect or solver, or a value outside its range.
     """
 
@@ -67,7 +67,7 @@ def run_effects(config: EffectsConfig, progress: OnProgress) -> dict:
         head = fit_head(template, skin)
         asked = named_effects(config.effects)
         weights = [expressions.weights_of(dict(effect.expression)) for effect in asked]
-        shapes = expressions.blend(space, code, np.array([*weights, expressions.weights_of(SMILE)]))
+        shapes = expressions.blend(space, code, np.array([*weights, expressions.weights_of(BROAD_SMILE)]))
         begin = time.perf_counter()
         done = _solve(head, asked, shapes, config.reference, progress)
         found = _fan(head, shapes[-1], config.fan, progress)

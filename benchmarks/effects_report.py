@@ -38,7 +38,7 @@ _RUN = (
     "smallest_volume_ratio",
     "soft_volume_percent",
 )
-_FAN = ("seed", "jitter_mm", "iterations", "converged", "energy", "inverted_tets", "to_lowest_mm")
+_FAN = ("seed", "moved", "jitter_mm", "iterations", "converged", "energy", "inverted_tets", "to_lowest_mm")
 
 
 def _effect_row(record: Mapping) -> tuple:

@@ -165,7 +165,7 @@ def depth(
 @click.option("--identities", default="anny", help="whose head: 'anny' (the default head), ict:FILE or flame:FILE")
 @click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
 @click.option("--reference", default="", help="compare with fenicsx or skfem too")
-@click.option("--fan", default=0, type=click.IntRange(min=0), help="random starts of a smile without an effect")
+@click.option("--fan", default=0, type=click.IntRange(min=0), help="random starts of a broad smile without an effect")
 @click.option("--out", default="out/effects", type=AFile, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def effects(names: str, identities: str, seed: int, reference: str, fan: int, out: Path, as_json: bool) -> int:

@@ -150,9 +150,10 @@ def test_palsy_is_measured(head):
 
 def test_random_starts_end_in_one_minimum(head):
     counted = []
-    found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 3, tell=counted.append)
-    assert counted == [1, 2, 3]
-    assert [row["jitter_mm"] for row in found["starts"]] == [1.0, 2.0, 10.0]
+    found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 4, tell=counted.append)
+    assert counted == [1, 2, 3, 4]
+    assert [row["jitter_mm"] for row in found["starts"]] == [1.0, 2.0, 10.0, 1.0]
+    assert [row["moved"] for row in found["starts"]] == ["vertices"] * 3 + ["waves"]
     assert found["spread_mm"] < 1e-3 and found["suspects"] == {}
 
 
@@ -195,7 +196,15 @@ def test_gates_miss_what_is_missed(record):
 
 
 def test_the_page_shows_what_was_measured(record):
-    start = {"seed": 0, "jitter_mm": 1.0, "iterations": 7, "converged": True, "energy": 1.5, "inverted_tets": 0}
+    start = {
+        "seed": 0,
+        "moved": "waves",
+        "jitter_mm": 1.0,
+        "iterations": 7,
+        "converged": True,
+        "energy": 1.5,
+        "inverted_tets": 0,
+    }
     results = {
         "title": "effects",
         "tets": 12,
