@@ -80,6 +80,6 @@ def sequence(warm: Mapping) -> str:
     right = axis.twinx()
     right.plot(frames, [row["iterations"] for row in rows], color="#999999", lw=0.9)
     right.set(ylabel="iterations (grey)", ylim=(0, None))
-    axis.legend(frameon=False, fontsize=9, loc="lower right")
+    axis.legend(frameon=False, fontsize=9, loc="upper right")
     figure.tight_layout()
     return svg(plt, figure)

@@ -96,8 +96,8 @@ def _sufficient(traces: list[Trace]) -> float:
 
 
 def _rounded_down(value: float) -> float:
-    digit = 10.0 ** math.floor(math.log10(value))
-    return math.floor(value / digit) * digit
+    power = math.floor(math.log10(value))
+    return float(f"{math.floor(value / 10.0**power)}e{power}")
 
 
 def _cold_row(frame: ColdFrame, truth: Floats, tolerance: float) -> dict:
@@ -142,7 +142,8 @@ def _sequence_rows(
         watch = Stopwatch()
         solution = running.frame(targets[t])
         wall, cpu = watch.lap()
-        rows.append({"seconds": wall, "cpu_seconds": cpu, "iterations": solution.iterations})
+        inverted = int(np.count_nonzero(solution.volume_ratio <= 0.0))
+        rows.append({"seconds": wall, "cpu_seconds": cpu, "iterations": solution.iterations, "inverted_tets": inverted})
         if t in truths:
             errors.append(farthest(solution.positions, truths[t]))
     return rows, errors
