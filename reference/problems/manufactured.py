@@ -1,12 +1,17 @@
-"""A manufactured solution: the body force that gives a field of one's choice, and the rates at which elements find it.
+"""Manufactured solutions: the body force that gives a field of one's choice, and the rates at which elements find it.
 
-u = .05 sin(πx) sin(πy) sin(πz) (1, -.5, .25) on the unit cube, of the neo-Hookean law of Young's modulus 1 kPa; the
-force is -Div P. Lagrange elements of degree k converge in L2 with order k + 1 and in H1 with k (Brenner and Scott 2008,
+On the unit cube, of the neo-Hookean law of Young's modulus 1 kPa; the force is -Div P. The first field,
+u = .05 sin(πx) sin(πy) sin(πz) (1, -.5, .25), changes volume, so its pressure lmbda ln J grows with lmbda, and with it
+the error of any element whose displacement is not independent of the pressure, Taylor-Hood's included. The second, a
+vortex that turns circles about the middle axis, keeps every volume: what is left is how an element bears lmbda itself.
+ Lagrange elements of degree k converge in L2 with order k + 1 and in H1 with k (Brenner and Scott 2008,
 "The Mathematical Theory of Finite Element Methods", Chapter 5), Taylor-Hood's pressure in L2 with order 2.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +22,18 @@ from ..scene import Scene
 from ..solve import prepare
 from ..terms import Fixed, Hyperelastic
 from .meshes import block, boundary_triangles
+from .problem import Outcome
 
 SOURCE = "method of manufactured solutions; theory: Brenner and Scott 2008"
+TURN = 0.6
 AMPLITUDE = 0.05 * np.array([1.0, -0.5, 0.25])
 ORDERS = {"P1": {"L2": 2.0, "H1": 1.0}, "P2": {"L2": 3.0, "H1": 2.0}, "P2P1": {"L2": 3.0, "H1": 2.0, "pressure": 2.0}}
 """Theory's orders by element and norm."""
 ERROR_DEGREE = 6
+
+
+Field = Callable[[Floats], tuple[Floats, Floats, Floats]]
+"""u (q, 3), its gradient (q, 3, 3) and second derivatives (q, 3, 3, 3) at places X (q, 3)."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +50,7 @@ class Errors:
     iterations: int
 
 
-def displacement(X: Floats) -> tuple[Floats, Floats, Floats]:
+def waves(X: Floats) -> tuple[Floats, Floats, Floats]:
     """U (q, 3), its gradient (q, 3, 3) and second derivatives (q, 3, 3, 3) at places X (q, 3)."""
     s, c = np.sin(np.pi * X), np.cos(np.pi * X)
     value = s.prod(axis=1)
@@ -52,12 +63,50 @@ def displacement(X: Floats) -> tuple[Floats, Floats, Floats]:
             twice = np.array(factors)
             twice[:, j] = np.pi * c[:, j] if i != j else -(np.pi**2) * s[:, j]
             second[:, i, j] = twice.prod(axis=1)
-    return tuple(np.einsum("c,q...->qc...", AMPLITUDE, derivative) for derivative in (value, first, second))
+    u, gradient, twice = (np.einsum("c,q...->qc...", AMPLITUDE, derivative) for derivative in (value, first, second))
+    return u, gradient, twice
 
 
-def body_force(law: NeoHookean, X: Floats) -> Floats:
-    """-Div P [mN/mm³] of the field at places X (q, 3): P's derivative by F, times the field's second derivatives."""
-    _, gradient, second = displacement(X)
+def vortex(X: Floats) -> tuple[Floats, Floats, Floats]:
+    """The same of a turn by TURN (1 - 4 r²)⁴ sin²(πz) about the axis x = y = 1/2, within r < 1/2; J is 1."""
+    d = (X - 0.5) * [1.0, 1.0, 0.0]
+    near = np.maximum(1.0 - 4.0 * np.sum(d**2, axis=1), 0.0)
+    # The angle is radial times axial, with their derivatives by r² and by z.
+    radial, by_square, by_squares = near**4, -16.0 * near**3, 192.0 * near**2
+    axial = np.sin(np.pi * X[:, 2]) ** 2
+    by_z, by_zz = np.pi * np.sin(2 * np.pi * X[:, 2]), 2 * np.pi**2 * np.cos(2 * np.pi * X[:, 2])
+    plane, up = np.diag([1.0, 1.0, 0.0]), np.eye(3)[2]
+    angle = TURN * radial * axial
+    first = TURN * ((2 * by_square * axial)[:, None] * d + (radial * by_z)[:, None] * up)
+    outer = d[:, :, None] * d[:, None, :]
+    mixed = d[:, :, None] * up
+    second = TURN * (
+        (4 * by_squares * axial)[:, None, None] * outer
+        + (2 * by_square * axial)[:, None, None] * plane
+        + (2 * by_square * by_z)[:, None, None] * (mixed + mixed.transpose(0, 2, 1))
+        + (radial * by_zz)[:, None, None] * np.outer(up, up)
+    )
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros(len(X))
+    R = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero]]).transpose(2, 0, 1)
+    dR = np.array([[-s, -c, zero], [c, -s, zero], [zero, zero, zero]]).transpose(2, 0, 1)
+    turned, ahead = np.einsum("qij,qj->qi", R, d), np.einsum("qij,qj->qi", dR, d)
+    gradient = np.einsum("qc,qi->qci", ahead, first) + R - plane
+    along = np.einsum("qci,qj->qcij", dR @ plane, first)
+    twice = (
+        np.einsum("qc,qij->qcij", ahead, second)
+        - np.einsum("qc,qi,qj->qcij", turned, first, first)
+        + along
+        + along.transpose(0, 1, 3, 2)
+    )
+    return turned - d, gradient, twice
+
+
+FIELDS: dict[str, Field] = {"waves": waves, "vortex": vortex}
+
+
+def body_force(field: Field, law: NeoHookean, X: Floats) -> Floats:
+    """-Div P [mN/mm³] of a field at places X (q, 3): P's derivative by F, times the field's second derivatives."""
+    _, gradient, second = field(X)
     F = np.eye(3) + gradient
     inverse = np.linalg.inv(F)
     log_J = np.log(np.linalg.det(F))
@@ -72,16 +121,16 @@ def body_force(law: NeoHookean, X: Floats) -> Floats:
     return force
 
 
-def errors(element: str, poisson: float, cells: int, tolerance: float = 1e-9) -> Errors:
+def errors(field: Field, element: str, poisson: float, cells: int) -> Errors:
     """Solve on a mesh of cells³ cells and measure."""
     law = NeoHookean.from_young(1.0, poisson)
     X, tets = block(cells)
     scene = Scene(X, tets, [Hyperelastic(law), Fixed(np.unique(boundary_triangles(tets)))])
     prepared = prepare(scene, solver="fenicsx", element=element)
-    prepared.set_body_force(lambda places: body_force(law, places))
-    solution = prepared.solve(tolerance=tolerance)
+    prepared.set_body_force(lambda places: body_force(field, law, places))
+    solution = prepared.solve(tolerance=1e-9)
     found = prepared.fields(ERROR_DEGREE)
-    u, gradient, _ = displacement(found.X)
+    u, gradient, _ = field(found.X)
 
     def norm(difference: Floats) -> float:
         return float(np.sqrt(found.weights @ np.sum(difference.reshape(len(difference), -1) ** 2, axis=1)))
@@ -104,3 +153,36 @@ def errors(element: str, poisson: float, cells: int, tolerance: float = 1e-9) ->
 def order(coarse: Errors, fine: Errors, norm: str) -> float:
     """The order of convergence between two meshes, in the norm "L2", "H1" or "pressure"."""
     return float(np.log(getattr(coarse, norm) / getattr(fine, norm)) / np.log(fine.cells / coarse.cells))
+
+
+LEVELS = {"P1": (12, 16), "P2": (6, 8), "P2P1": (6, 8)}
+SPREAD = 0.1
+"""How far an order may be off theory's."""
+
+
+def rates(element: str, poisson: float = 0.3) -> list[Outcome]:
+    """The order of each norm of an element between its two finest meshes; the error is absolute."""
+    begin = time.perf_counter()
+    coarse, fine = (errors(waves, element, poisson, cells) for cells in LEVELS[element])
+    seconds = time.perf_counter() - begin
+    outcomes = []
+    for norm, theory in ORDERS[element].items():
+        value = order(coarse, fine, norm)
+        off = abs(value - theory)
+        solved = coarse.converged and fine.converged
+        outcomes.append(
+            Outcome(
+                f"manufactured waves, {element}, {coarse.cells} to {fine.cells} cells: order in {norm}",
+                SOURCE,
+                "fenicsx",
+                value,
+                theory,
+                off,
+                SPREAD,
+                solved and off <= SPREAD,
+                "CONVERGED" if solved else "not converged",
+                seconds,
+                coarse.iterations + fine.iterations,
+            )
+        )
+    return outcomes
