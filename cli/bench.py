@@ -21,14 +21,15 @@ def bench() -> None:
 
 @bench.command()
 @click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
+@click.option("--fine", is_flag=True, help="also finer meshes, orders of convergence and locking by FEniCSx: minutes")
 @click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def verification(solvers: tuple[str, ...], as_json: bool) -> int:
+def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
     """Closed forms and published values through every solver, with error and bound; exit status 1 outside one."""
     from ..benchmarks.verification import verify
 
     asked = solvers or SOLVERS
     with shown() as progress:
-        rows = verify(progress, solvers=asked)
+        rows = verify(progress, solvers=asked, fine=fine)
     for solver in set(asked) - {row["solver"] for row in rows}:
         click.echo(f"softdeca: {solver} is not installed: left out", err=True)
     if as_json:
