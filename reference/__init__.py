@@ -3,11 +3,13 @@
 from ..lhm.errors import MissingDependencyError, SceneError
 from . import materials, terms
 from .facial import facial_scene, neo_hookean_scene
+from .march import march
 from .parameters import ParameterInfo, Parameters
 from .scene import Scene
 from .sequence import Sequence
 from .solution import History, Reason, Solution
 from .solve import SOLVERS, Prepared, prepare, solve
+from .trajectory import Trajectory
 
 __all__ = [
     "SOLVERS",
@@ -21,7 +23,9 @@ __all__ = [
     "SceneError",
     "Sequence",
     "Solution",
+    "Trajectory",
     "facial_scene",
+    "march",
     "materials",
     "neo_hookean_scene",
     "prepare",

@@ -19,9 +19,10 @@ from ..solution import Reason
 from .bodies import RigidProblem, RigidState
 from .dolfinx_version import PETSc
 from .linear import LinearSolver, hold
+from .moving import MovingProblem, MovingState
 from .problem import Problem, State
 
-AnyState = State | RigidState
+AnyState = State | RigidState | MovingState
 
 EXACT_BELOW = 0.1  # of the first gradient norm
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
@@ -50,7 +51,7 @@ class Newton:
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
 
-    problem: Problem | RigidProblem
+    problem: Problem | RigidProblem | MovingProblem
     held: Ints
     linear: LinearSolver
     fallback: LinearSolver
@@ -65,7 +66,7 @@ class Newton:
         gradient[self.held] = 0.0
         return gradient
 
-    def extension(self, state: State, jump: Floats) -> tuple[Floats, float]:
+    def extension(self, state: State | MovingState, jump: Floats) -> tuple[Floats, float]:
         """How a jump of the held dofs [mm], shape (n, 3), spreads by the projected Hessian, and the norm of its forces.
 
         The displacement (n, 3) equals the jump at held dofs. A direct lift would crush the elements next to them.

@@ -1,0 +1,185 @@
+"""march: a scene through time, by finite elements; the solver's package is imported when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import TypeAlias
+
+import numpy as np
+
+from ..lhm.errors import SceneError
+from ..lhm.mesh import Floats, Ints
+from .scene import Scene
+from .schemes import Scheme, scheme
+from .terms import Inertia
+from .trajectory import OnStep, Trajectory
+
+SOLVERS = ("fenicsx",)
+MASSES = ("lumped", "consistent")
+
+Course: TypeAlias = Callable[[float], Floats] | Floats
+"""A function of time [s], or its values at the steps' ends, first axis (steps,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A march as solvers take it, checked: see `march` for what the fields are."""
+
+    scene: Scene
+    scheme: Scheme
+    time_step: float
+    steps: int
+    density: Floats
+    skin: Ints
+    skin_density: Floats
+    mass: str
+    damping: tuple[float, float]
+    targets: Course | None
+    fixed: Course | None
+    acceleration: Course | None
+    positions: Floats
+    velocities: Floats
+    vertices: Ints
+    tolerance: float
+    on_step: OnStep | None = field(default=None, repr=False)
+
+    def scene_at(self, step: int) -> Scene:
+        """The scene at the end of a step, from 1, or at the start, 0: the given one where values are per step."""
+        scene = self.scene
+        if (targets := self._at(self.targets, step)) is not None:
+            scene = scene.with_targets(targets)
+        if (fixed := self._at(self.fixed, step)) is not None:
+            scene = scene.with_fixed(fixed)
+        return scene
+
+    def acceleration_at(self, step: int) -> Floats:
+        """The frame's acceleration [mm/s²], shape (3,); of values per step, that at the start is the first step's."""
+        value = self._at(self.acceleration, step if callable(self.acceleration) else max(step, 1))
+        vector = np.zeros(3) if value is None else np.asarray(value, dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise SceneError(f"acceleration: expected three finite numbers, got {value!r}")
+        return vector
+
+    def _at(self, course: Course | None, step: int) -> Floats | None:
+        if course is None:
+            return None
+        if callable(course):
+            return course(step * self.time_step)
+        return course[step - 1] if step else None
+
+
+def march(
+    scene: Scene,
+    *,
+    time_step: float,
+    steps: int,
+    solver: str = "fenicsx",
+    scheme: str | Scheme = "implicit Euler",
+    spectral_radius: float = 0.8,
+    density: float | Floats = 0.0,
+    skin: Ints | None = None,
+    skin_density: float | Floats = 0.0,
+    mass: str = "lumped",
+    damping: tuple[float, float] = (0.0, 0.0),
+    targets: Course | None = None,
+    fixed: Course | None = None,
+    acceleration: Course | None = None,
+    positions: Floats | None = None,
+    velocities: Floats | None = None,
+    keep: Ints | None = None,
+    tolerance: float = 1e-8,
+    on_step: OnStep | None = None,
+    **options,
+) -> Trajectory:
+    """March a scene through `steps` of `time_step` [s]: M a + C v + f(u) = 0 by an implicit scheme.
+
+    scheme is a name of `schemes.SCHEMES` or a Scheme. Mass is `density` [kg/mm³] of the tets, one or one per tet, and
+    `skin_density` [kg/mm²] of triangles `skin` (k, 3), one or one per triangle; "lumped" on nodes or "consistent" with
+    the shape functions. damping (a [1/s], b [s]) is Rayleigh's C = a M + b K, K the tangent at rest, springs included.
+    `targets` and `fixed` [mm] move the one Target and the one Fixed term, `acceleration` [mm/s²] is that of the frame
+    that positions are measured in (a shaken head): functions of time, or arrays of one value per step.
+    positions [mm] and velocities [mm/s] are those at the start, shape (n, 3), default rest; keep (kept,) vertices are
+    recorded, default all. tolerance: of the forces that act if nothing moves on in a step, the largest so far.
+    Options of fenicsx: `element`, "P1" or "P2".
+
+    Raises SceneError for what is out of range, a scene with Inertia (mass is given here) or no mass at all, and what
+    the solver cannot model; MissingDependencyError if its packages are not installed.
+    """
+    if solver not in SOLVERS:
+        raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
+    motion = _checked(
+        scene, time_step, steps, _scheme(scheme, spectral_radius), density, skin, skin_density, mass, damping,
+        targets, fixed, acceleration, positions, velocities, keep, tolerance, on_step,
+    )  # fmt: skip
+    for option in options:
+        if option != "element":
+            raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has element")
+    return import_module(f".{solver}.dynamics", __package__).march(motion, **options)
+
+
+def _scheme(given: str | Scheme, spectral_radius: float) -> Scheme:
+    return given if isinstance(given, Scheme) else scheme(given, spectral_radius=spectral_radius)
+
+
+def _checked(
+    scene, time_step, steps, rule, density, skin, skin_density, mass, damping, targets, fixed, acceleration, positions,
+    velocities, keep, tolerance, on_step,
+) -> Motion:  # fmt: skip
+    if not isinstance(scene, Scene):
+        raise SceneError(f"march: expected a Scene, got {type(scene).__name__}")
+    if scene.of(Inertia):
+        raise SceneError("march: the scene has an Inertia term; mass is given by density and skin_density")
+    step = np.asarray(time_step, dtype=np.float64)
+    if step.shape != () or not (np.isfinite(step) and step > 0.0):
+        raise SceneError(f"time_step: must be finite and above 0 s, got {time_step!r}")
+    if not isinstance(steps, (int, np.integer)) or steps < 1:
+        raise SceneError(f"steps: must be a whole number of at least 1, got {steps!r}")
+    if mass not in MASSES:
+        raise SceneError(f"mass {mass!r}: there are {', '.join(MASSES)}")
+    triangles = np.empty((0, 3), dtype=np.int64) if skin is None else np.asarray(skin)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or not np.issubdtype(triangles.dtype, np.integer):
+        raise SceneError(f"skin: expected triangles of shape (k, 3), got {triangles.shape} of {triangles.dtype}")
+    if triangles.size and not (triangles.min() >= 0 and triangles.max() < len(scene.vertices)):
+        raise SceneError(f"skin: a vertex is outside 0..{len(scene.vertices) - 1}")
+    volume = _amounts("density", density, len(scene.tets))
+    area = _amounts("skin_density", skin_density, len(triangles))
+    if not (volume.any() or area.any()):
+        raise SceneError("march: nothing has mass; give density, or skin and skin_density")
+    rayleigh = np.asarray(damping, dtype=np.float64)
+    if rayleigh.shape != (2,) or not (np.isfinite(rayleigh).all() and (rayleigh >= 0.0).all()):
+        raise SceneError(f"damping: expected two finite numbers of at least 0, got {damping!r}")
+    if not 0.0 < tolerance < 1.0:
+        raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
+    for name, course in (("targets", targets), ("fixed", fixed), ("acceleration", acceleration)):
+        if course is not None and not callable(course) and len(course) < steps:
+            raise SceneError(f"{name}: {len(course)} values for {steps} steps")
+    vertices = np.arange(len(scene.vertices)) if keep is None else np.asarray(keep)
+    if vertices.ndim != 1 or not np.issubdtype(vertices.dtype, np.integer):
+        raise SceneError(f"keep: expected vertices of shape (k,), got shape {vertices.shape} of {vertices.dtype}")
+    if vertices.size and not (vertices.min() >= 0 and vertices.max() < len(scene.vertices)):
+        raise SceneError(f"keep: a vertex is outside 0..{len(scene.vertices) - 1}")
+    return Motion(
+        scene, rule, float(step), int(steps), volume, triangles.astype(np.int64), area, mass,
+        (float(rayleigh[0]), float(rayleigh[1])), targets, fixed, acceleration,
+        _points("positions", positions, scene.vertices), _points("velocities", velocities, 0.0 * scene.vertices),
+        vertices, tolerance, on_step,
+    )  # fmt: skip
+
+
+def _amounts(name: str, values, count: int) -> Floats:
+    """One number of at least 0 per element, shape (count,)."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape not in ((), (count,)):
+        raise SceneError(f"{name}: expected one number or shape ({count},), got shape {array.shape}")
+    if not (np.isfinite(array).all() and (array >= 0.0).all()):
+        raise SceneError(f"{name}: must be finite and at least 0")
+    return np.broadcast_to(array, (count,))
+
+
+def _points(name: str, values, default: Floats) -> Floats:
+    points = np.array(default) if values is None else np.array(values, dtype=np.float64)
+    if points.shape != default.shape or not np.isfinite(points).all():
+        raise SceneError(f"{name}: expected finite values of shape {default.shape}, got shape {points.shape}")
+    return points

@@ -1,0 +1,347 @@
+"""Marches of FEniCSx through time against closed forms, themselves in another frame, and projective dynamics' steps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+pytest.importorskip("dolfinx")
+
+from softdeca.reference import Reason, Scene, SceneError, prepare, solve, terms
+from softdeca.reference.march import march
+from softdeca.reference.materials import NeoHookean
+from softdeca.reference.problems.meshes import box, vertices_at
+from softdeca.reference.schemes import scheme
+
+H, DENSITY = 1 / 60, 1e-6
+TISSUE = (terms.Strain(5.0), terms.Volume(67.5))
+X, TETS = box((2, 2, 4), (10.0, 10.0, 20.0))
+MASSES = Scene(X, TETS, (terms.Inertia(DENSITY, H),)).inertia()[0] * H**2
+OMEGA = 2 * np.pi * 4
+DOWN = np.array([0.0, 0.0, -9810.0])
+
+
+def swinging(target=None):
+    """A block on springs of ω² times each vertex' mass, so that it swings as one."""
+    return Scene(
+        X, TETS, (*TISSUE, terms.Target(np.arange(len(X)), X if target is None else target, OMEGA**2 * MASSES))
+    )
+
+
+def standing(*more):
+    return Scene(X, TETS, (*TISSUE, terms.Fixed(vertices_at(X, 2, 0.0)), *more))
+
+
+def poles(x):
+    """Modulus and angle per step of the swing that x (k,) is: x_n+1 = 2 r cos(a) x_n - r² x_n-1."""
+    (last, before), *_ = np.linalg.lstsq(np.column_stack([x[2:-1], x[1:-2]]), x[3:], rcond=None)
+    return np.sqrt(-before), np.arccos(last / (2 * np.sqrt(-before)))
+
+
+def angle_of(x, about):
+    """The angle per step of the swing that fits x (k,) best, near one."""
+    n = np.arange(len(x))
+
+    def miss(angle):
+        waves = np.column_stack([np.cos(angle * n), np.sin(angle * n)])
+        return np.linalg.lstsq(waves, x, rcond=None)[1][0]
+
+    return minimize_scalar(miss, bounds=(0.95 * about, 1.05 * about), method="bounded", options={"xatol": 1e-9}).x
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_free_fall_of_implicit_euler(element, mass):
+    """z_n = -g h² n (n + 1)/2, whether weight or the frame's acceleration pulls."""
+    scene = Scene(X, TETS, TISSUE)
+    n = np.arange(11)
+    fallen = march(
+        scene, time_step=H, steps=10, density=DENSITY, mass=mass, element=element, acceleration=lambda t: -DOWN
+    )
+    depth = 9810.0 * H**2 * n * (n + 1) / 2
+    assert fallen.converged
+    assert np.abs(fallen.positions - X + depth[:, None, None] * [0, 0, 1]).max() < 1e-9 * depth[-1]
+    if mass == "consistent":
+        scene = replace(scene, terms=(*TISSUE, terms.Gravity(DOWN, DENSITY)))
+        weight = march(scene, time_step=H, steps=10, density=DENSITY, mass=mass, element=element)
+        assert np.abs(weight.positions - fallen.positions).max() < 1e-9 * depth[-1]
+
+
+def test_amplitude_and_angle_of_an_oscillator():
+    """Implicit Euler: 1/√(1 + (ωh)²), atan(ωh); Newmark: no loss, 2 atan(ωh/2), which is late by (ωh)²/12."""
+    kick = np.tile([100.0, 0.0, 0.0], (len(X), 1))
+    found = {}
+    for name in ("implicit Euler", "Newmark"):
+        run = march(swinging(), time_step=H, steps=40, density=DENSITY, scheme=name, velocities=kick, tolerance=1e-11)
+        found[name] = poles((run.positions - X).mean(axis=1)[:, 0])
+    angle = OMEGA * H
+    assert found["implicit Euler"] == (
+        pytest.approx(1 / np.sqrt(1 + angle**2), rel=1e-9),
+        pytest.approx(np.arctan(angle), rel=1e-9),
+    )
+    assert found["Newmark"] == (pytest.approx(1, abs=1e-9), pytest.approx(2 * np.arctan(angle / 2), rel=1e-9))
+    assert found["Newmark"][1] / angle == pytest.approx(1 - angle**2 / 12, abs=angle**4 / 60)
+
+
+def test_generalised_alpha_damps_what_it_does_not_resolve_by_its_radius():
+    """At ωh -> ∞ the poles' modulus is the radius; a step is (ωh)² = 4e6 here."""
+    stiff = replace(swinging(), terms=(*TISSUE, terms.Target(np.arange(len(X)), X, (2e3 / H) ** 2 * MASSES)))
+    kick = np.tile([100.0, 0.0, 0.0], (len(X), 1))
+    for radius in (0.5, 0.8):
+        run = march(
+            stiff, time_step=H, steps=16, density=DENSITY, scheme="generalised-alpha", spectral_radius=radius,
+            velocities=kick, tolerance=1e-12,
+        )  # fmt: skip
+        v = np.abs(run.velocities.mean(axis=1)[:, 0])
+        # A double pole: n radius^n; the ratio of successive values tends to the radius like 1/n.
+        assert (v[16] / 16) / (v[12] / 12) == pytest.approx(radius**4, rel=0.12)
+
+
+@pytest.mark.parametrize(("name", "order"), [("implicit Euler", 1), ("Newmark", 2), ("generalised-alpha", 2)])
+def test_order_on_springs_whose_ends_move(name, order):
+    """Ends that move by A sin(Ωt) swing the block by A ω²/(ω² - Ω²) (sin Ωt - Ω/ω sin ωt) from rest."""
+    amplitude, pace, end = 2.0, 0.6 * OMEGA, 0.2
+    exact = amplitude * OMEGA**2 / (OMEGA**2 - pace**2) * (np.sin(pace * end) - pace / OMEGA * np.sin(OMEGA * end))
+
+    def ends(t):
+        return X + amplitude * np.sin(pace * t) * np.array([1.0, 0, 0])
+
+    errors = []
+    for steps in (32, 64, 128):
+        run = march(
+            swinging(), time_step=end / steps, steps=steps, density=DENSITY, scheme=name, targets=ends, keep=[0]
+        )
+        errors.append(abs(run.positions[-1, 0, 0] - X[0, 0] - exact))
+    assert np.log2(np.divide(errors[:-1], errors[1:])) == pytest.approx(order, abs=0.2)
+
+
+def test_targets_as_arrays_are_those_as_a_function():
+    def ends(t):
+        return X + np.sin(OMEGA * t)
+
+    whole = march(swinging(), time_step=H, steps=5, density=DENSITY, targets=ends)
+    array = march(swinging(), time_step=H, steps=5, density=DENSITY, targets=[ends(H * k) for k in range(1, 6)])
+    assert np.abs(whole.positions - array.positions).max() < 1e-12 < np.abs(whole.positions - X).max()
+
+
+def bar(stiffness=8.0):
+    """Strain alone is a bar without lateral contraction: Young's modulus is its stiffness, and waves run at √(E/ρ)."""
+    vertices, tets = box((1, 1, 10), (4.0, 4.0, 40.0))
+    return Scene(vertices, tets, (terms.Strain(stiffness), terms.Fixed(vertices_at(vertices, 2, 0.0))))
+
+
+def ringing(**choices):
+    """The bar's first mode, its period by theory [s] and the part of its motion that the mode's shape has."""
+    scene = bar()
+    period = 4 * 40.0 / np.sqrt(8.0 / DENSITY)
+    shape = np.sin(np.pi * scene.vertices[:, 2] / 80.0)
+    start = scene.vertices + 1e-3 * shape[:, None] * [0, 0, 1]
+    run = march(scene, time_step=period / 80, steps=160, scheme="Newmark", density=DENSITY, positions=start, **choices)
+    assert run.converged and run.factorisations.sum() <= 2
+    return (run.positions - scene.vertices)[:, :, 2] @ shape, 2 * np.pi / 80
+
+
+def test_frequency_of_a_bar():
+    """Ten linear elements per quarter wave err by about (π/20)²/24 = 0.1 %: above consistently, below lumped."""
+    ratio = {}
+    for element, mass in (("P1", "lumped"), ("P1", "consistent"), ("P2", "consistent")):
+        x, angle = ringing(element=element, mass=mass)
+        ratio[element, mass] = angle_of(x, angle) / (2 * np.arctan(angle / 2))
+    assert ratio["P1", "lumped"] == pytest.approx(1 - 1.03e-3, abs=3e-4)
+    assert ratio["P1", "consistent"] == pytest.approx(1 + 1.03e-3, abs=3e-4)
+    assert ratio["P2", "consistent"] == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize(("by_mass", "by_stiffness"), [(1.0, 0.0), (0.0, 1.0), (0.5, 0.5)])
+def test_rayleigh_damping_ratio_by_logarithmic_decrement(by_mass, by_stiffness):
+    """ζ = a/(2ω) + bω/2, here 0.05 in shares, of the bar's first mode."""
+    omega = 2 * np.pi * np.sqrt(8.0 / DENSITY) / 160.0
+    x, _ = ringing(damping=(by_mass * 0.1 * omega, by_stiffness * 0.1 / omega))
+    modulus, angle = poles(x)
+    assert -np.log(modulus) / np.hypot(np.log(modulus), angle) == pytest.approx(0.05, rel=5e-3)
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+@pytest.mark.parametrize("name", ["implicit Euler", "Newmark", "generalised-alpha"])
+def test_a_free_body_keeps_its_momentum(name, mass):
+    """Linear momentum in every step, whatever the body does within; masses by vertex are those of either matrix."""
+    v = np.random.default_rng(0).normal(size=X.shape) * 50.0 + [30.0, -20.0, 10.0]
+    scene = Scene(X, TETS, (terms.Hyperelastic(NeoHookean(mu=2.5, lmbda=20.0)),))
+    run = march(
+        scene, time_step=1 / 240, steps=12, density=DENSITY, mass=mass, scheme=name, velocities=v, tolerance=1e-11
+    )
+    assert run.converged
+    weights = MASSES[:, None]
+    if mass == "consistent":
+        own = np.einsum("m,ab->mab", Scene(X, TETS, ()).volumes * DENSITY / 20, np.ones((4, 4)) + np.eye(4))
+        matrix = np.zeros((len(X), len(X)))
+        np.add.at(matrix, (TETS[:, :, None], TETS[:, None, :]), own)
+        weights = matrix.sum(axis=1)[:, None]
+    momentum = (weights * run.velocities).sum(axis=1)
+    assert np.abs(run.positions - X).max() > 1.0
+    assert np.abs(momentum - momentum[0]).max() < 1e-9 * np.abs(momentum[0]).max()
+
+
+@pytest.mark.parametrize("name", ["implicit Euler", "generalised-alpha"])
+def test_energy_does_not_grow_without_input(name):
+    """A bent column that is let go; implicit Euler loses in every step, generalised-alpha over the motion."""
+    bent = solve(standing(terms.Gravity([9810.0, 0, 0], DENSITY)), solver="fenicsx").positions
+    run = march(standing(), time_step=1 / 240, steps=60, density=DENSITY, scheme=name, positions=bent)
+    energies = run.energies
+    assert run.converged and energies.kinetic.max() > 0.2 * energies.potential[0]
+    assert energies.balance.max() < 1e-3 * energies.potential[0]
+    assert energies.balance[-1] < 0
+    if name == "implicit Euler":
+        assert np.diff(energies.balance).max() < 1e-9 * energies.potential[0]
+
+
+def test_newmark_loses_nothing_of_what_goes_in_and_what_dampers_take():
+    """Of energies that are quadratic the balance is exact: springs with moving ends, an accelerated frame, a damper."""
+    springs = swinging()
+
+    def ends(t):
+        return X + 3.0 * np.sin(10 * t) * np.array([1.0, 0.0, 0.5])
+
+    run = march(
+        springs, time_step=H, steps=40, density=DENSITY, scheme="Newmark", targets=ends, damping=(3.0, 0.01),
+        acceleration=lambda t: np.array([0.0, 500.0 * np.cos(8 * t), 0.0]), tolerance=1e-11,
+    )  # fmt: skip
+    assert run.energies.dissipated[-1] > 0.1 * run.energies.potential.max()
+    assert np.abs(run.energies.balance).max() < 1e-8 * run.energies.input.max()
+
+
+def test_a_shaken_head_is_the_same_seen_from_outside():
+    """Held vertices moved by s_n are those of a frame of acceleration (s_n+1 - 2 s_n + s_n-1)/h², for Euler exactly."""
+    s = 4.0 * np.sin(20 * H * np.arange(-1, 9))[:, None] * [1.0, 0.3, 0.0]
+    scene = standing()
+    (held,) = scene.of(terms.Fixed)
+    places = X[held.vertices]
+    rest = {"positions": X + s[1], "velocities": np.tile((s[1] - s[0]) / H, (len(X), 1))}
+    outside = march(
+        scene,
+        time_step=H,
+        steps=8,
+        density=DENSITY,
+        fixed=lambda t: places + s[1 + round(t / H)],
+        tolerance=1e-11,
+        **rest,
+    )
+    shaking = (s[2:] - 2 * s[1:-1] + s[:-2]) / H**2
+    inside = march(scene, time_step=H, steps=8, density=DENSITY, acceleration=shaking, tolerance=1e-11)
+    assert np.abs(inside.positions - X).max() > 0.02
+    assert np.abs(outside.positions - s[1:, None] - inside.positions).max() < 1e-8
+
+
+def test_implicit_euler_is_projective_dynamics_with_inertia():
+    scene = standing(terms.Gravity([6000.0, 0, -9810.0], DENSITY))
+    run = march(scene, time_step=H, steps=5, density=DENSITY, tolerance=1e-11)
+    inertia = terms.Inertia(DENSITY, H)
+    prepared = prepare(replace(scene, terms=(*scene.terms, inertia)))
+    x, v = X, np.zeros_like(X)
+    for found in run.positions[1:]:
+        step = replace(prepared.scene, terms=(*scene.terms, replace(inertia, positions=x, velocities=v)))
+        after = prepared.solve(step, start=x, tolerance=1e-11).positions
+        x, v = after, (after - x) / H
+        assert np.abs(x - found).max() < 1e-8 * np.abs(x - X).max()
+
+
+def test_mass_of_the_skin_alone_is_springs_of_projective_dynamics(sphere_head):
+    """Massless tissue follows in balance: springs m/h² at the skin, as SoftDECA's Eq. 9 has them."""
+    from softdeca.reference import Parameters
+    from softdeca.reference.facial import facial_scene
+
+    S = sphere_head.skin.vertices
+    scene = facial_scene(sphere_head, Parameters(), S, bones="prescribed")
+    wrap, n, areal = sphere_head.skin_wrap, len(S), 4e-6
+    pulled = S + 4.0 * np.exp(-np.sum((S - S[5]) ** 2, axis=1) / 2e3)[:, None] * [1.0, 0, 0]
+    start = solve(scene.with_targets(pulled), solver="fenicsx", tolerance=1e-10).positions
+    run = march(scene, time_step=H, steps=4, skin=wrap.triangles, skin_density=areal, positions=start, tolerance=1e-10)
+    springs = terms.Target(np.arange(n), S, areal * wrap.vertex_areas / H**2)
+    prepared = prepare(replace(scene, terms=(*scene.terms, springs)))
+    x, v = start, np.zeros_like(start)
+    for found in run.positions[1:]:
+        step = replace(springs, positions=(x + H * v)[:n])
+        after = prepared.solve(replace(scene, terms=(*scene.terms, step)), start=x, tolerance=1e-10).positions
+        x, v = after, (after - x) / H
+        assert np.abs(x - found).max() < 1e-6 * np.abs(start - scene.vertices).max()
+
+
+def test_a_long_step_is_statics():
+    scene = standing(terms.Gravity(DOWN, DENSITY))
+    static = solve(scene, solver="fenicsx", tolerance=1e-10).positions
+    run = march(scene, time_step=1e3, steps=2, density=DENSITY)
+    assert np.abs(run.positions[1:] - static).max() < 1e-6 * np.abs(static - X).max()
+
+
+def test_held_vertices_that_leap_take_the_others_along():
+    """One step of a quarter of the column's height would invert the tets next to it."""
+    scene = replace(standing(), terms=(terms.Hyperelastic(NeoHookean(2.5, 20.0)), *standing().terms[2:]))
+    base = X[scene.of(terms.Fixed)[0].vertices]
+    run = march(scene, time_step=1.0, steps=2, density=DENSITY, fixed=[base + [0, 0, 6.0]] * 2)
+    assert run.converged
+    assert np.abs(run.positions[-1] - X - [0, 0, 6.0]).max() < 1e-2
+
+
+def test_kept_vertices_and_an_end_by_the_callback():
+    seen = []
+
+    def stop(step, time, positions):
+        seen.append((step, time, positions.shape))
+        return step == 3
+
+    run = march(swinging(X + 1.0), time_step=H, steps=9, density=DENSITY, keep=[4, 2], on_step=stop)
+    assert run.reason is Reason.INTERRUPTED and not run.converged
+    assert seen == [(k, pytest.approx(k * H), X.shape) for k in (1, 2, 3)]
+    assert run.positions.shape == run.velocities.shape == (4, 2, 3) and len(run.iterations) == 3
+    assert run.positions[0] == pytest.approx(X[[4, 2]])
+
+
+def body():
+    return terms.RigidBody(vertices_at(X, 2, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("choices", "why"),
+    [
+        ({"time_step": 0.0}, "time_step: must be finite and above 0 s"),
+        ({"steps": 0}, "steps: must be a whole number of at least 1"),
+        ({"scheme": "Heun"}, "unknown scheme 'Heun'; there are implicit Euler, Newmark, generalised-alpha"),
+        ({"scheme": "generalised-alpha", "spectral_radius": 1.2}, "spectral_radius: must lie in"),
+        ({"density": 0.0}, "nothing has mass"),
+        ({"density": [1.0, 2.0]}, "density: expected one number or shape"),
+        ({"density": -1.0}, "density: must be finite and at least 0"),
+        ({"mass": "heavy"}, "mass 'heavy': there are lumped, consistent"),
+        ({"skin": np.array([[0, 1, 99]]), "skin_density": 1.0}, "skin: a vertex is outside"),
+        ({"skin": np.array([[0, 1, 44]]), "skin_density": 1.0, "mass": "consistent"}, "no face of a tet"),
+        ({"damping": (0.1, -1.0)}, "damping: expected two finite numbers"),
+        ({"velocities": np.zeros((2, 3))}, "velocities: expected finite values of shape"),
+        ({"positions": np.full(X.shape, np.nan)}, "positions: expected finite values"),
+        ({"targets": [X] * 2}, "targets: 2 values for 3 steps"),
+        ({"targets": lambda t: X[:4]}, "Target.positions: expected 45 rows, got 4"),
+        ({"fixed": lambda t: X}, "0 Fixed terms"),
+        ({"acceleration": lambda t: 9.81}, "acceleration: expected three finite numbers"),
+        ({"keep": [99]}, "keep: a vertex is outside"),
+        ({"tolerance": 0.0}, "tolerance must lie between"),
+        ({"solver": "skfem"}, "unknown solver 'skfem'; there are fenicsx"),
+        ({"element": "P2P1"}, "unknown element 'P2P1'; there are P1, P2"),
+        ({"elements": "P2"}, "no option 'elements'"),
+        ({"scene": replace(swinging(), terms=(*TISSUE, terms.Inertia(1.0, H)))}, "has an Inertia term"),
+        ({"scene": replace(swinging(), terms=(*TISSUE, body()))}, "cannot model RigidBody"),
+        ({"scene": replace(swinging(), terms=(*TISSUE, terms.Pressure(TETS[:1, :3], 1.0)))}, "cannot model Pressure"),
+    ],
+)
+def test_bad_input_is_named(choices, why):
+    given = {"scene": swinging(), "time_step": H, "steps": 3, "density": DENSITY} | choices
+    with pytest.raises(SceneError, match=why) as error:
+        march(given.pop("scene"), **given)
+    assert "\n" not in str(error.value)
+
+
+def test_coefficients_by_the_spectral_radius():
+    """Newmark's are those of generalised-alpha that average nothing; at radius 1 the latter has γ = β·2 = 1/2."""
+    plain, half, one = scheme("Newmark"), *(scheme("generalised-alpha", spectral_radius=r) for r in (0.5, 1.0))
+    assert (plain.by_acceleration, plain.to_velocity) == ((0.25, 0.25), (0.5, 0.5))
+    assert (half.alpha_m, half.alpha_f) == (0.0, pytest.approx(1 / 3))
+    assert half.to_velocity[1] == pytest.approx(5 / 6) and half.by_acceleration[1] == pytest.approx(4 / 9)
+    assert (one.alpha_m, one.alpha_f, one.to_velocity[1], one.by_acceleration[1]) == (0.5, 0.5, 0.5, 0.25)
