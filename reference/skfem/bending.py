@@ -18,8 +18,9 @@ from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, kron
 from ...lhm.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
+from .discretisation import Discretisation
 from .membrane import rest_gradients
-from .parts import Discretisation, Treatment
+from .parts import Treatment
 
 GAP = 1e-9  # of the largest eigenvalue: below it a ring does not determine its rotation
 
@@ -67,7 +68,7 @@ class Bends:
         rows = 4 * ring[:, None] + np.arange(4)
         edge = coo_matrix((coefficients.ravel(), (rows.ravel(), np.repeat(j, 4))), (4 * len(inner), n))
         edge -= coo_matrix((coefficients.ravel(), (rows.ravel(), np.repeat(i, 4))), (4 * len(inner), n))
-        place = coo_matrix((np.ones(3 * n), (np.arange(3 * n), at.dofs.ravel())), (3 * n, at.size))
+        place = coo_matrix((np.ones(3 * n), (np.arange(3 * n), at.vertex_dofs.ravel())), (3 * n, at.size))
         self._variables: csr_matrix = (kron(edge, np.eye(3)) @ place).tocsr()
 
     def _at(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:

@@ -9,8 +9,9 @@ from ...lhm.mesh import Floats
 from .. import terms
 from ..scene import Scene
 from .bending import Bends
+from .discretisation import Discretisation
 from .laws import project_spd
-from .parts import DeadLoads, Discretisation, Membranes, Part, Springs, Tets, Treatment
+from .parts import DeadLoads, Membranes, Part, Springs, Tets, Treatment
 
 
 class Energy:
@@ -38,7 +39,7 @@ class Energy:
         return self._hessian(x, _as_it_is)
 
     def projected_hessian(self, x: Floats) -> csc_matrix:
-        """The Hessian [mN/mm] with each element's tangent made positive semi-definite."""
+        """The Hessian [mN/mm] with the tangent at each point made positive semi-definite."""
         return self._hessian(x, project_spd)
 
     def _hessian(self, x: Floats, treat: Treatment) -> csc_matrix:

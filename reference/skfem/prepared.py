@@ -12,9 +12,10 @@ from .. import terms
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from .carry import carry
+from .discretisation import DEGREES, Discretisation
 from .energy import Energy
 from .newton import Scales, minimise
-from .parts import MATERIALS, Discretisation
+from .parts import MATERIALS
 from .unknowns import Body, Unknowns
 
 KNOWN = (
@@ -44,7 +45,7 @@ MAX_ITERATIONS = 200
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A scene's mesh as scikit-fem's basis of linear tets, ready to be solved; see reference.solve.Prepared."""
+    """A scene's mesh as scikit-fem's basis, ready to be solved; see reference.solve.Prepared."""
 
     scene: Scene
     discretisation: Discretisation
@@ -73,7 +74,8 @@ class Prepared:
         energy, scales = Energy(scene, at), _scales(scene)
         held, positions = scene.dirichlet()
         begin = _start(scene, start)
-        goal, free = at.flat(np.where(held, positions, begin)), ~at.flat(held)
+        free = ~at.held(held)
+        goal = np.where(free, at.flat(begin), at.flat(positions))
         bodies = Body.all_of(scene, at)
         for body in bodies:
             free[body.dofs] = False
@@ -81,7 +83,7 @@ class Prepared:
         x, forces = _begin(energy, at.flat(begin), goal, np.flatnonzero(free), scales)
 
         def on_step(x: Floats, value: float, norm: float) -> bool:
-            return recorder.record(x[at.dofs], value, norm)
+            return recorder.record(x[at.vertex_dofs], value, norm)
 
         if np.isfinite(energy.value(x)):
             x, reason, iterations = minimise(
@@ -97,21 +99,25 @@ class Prepared:
             on_step(x, np.inf, np.inf)
             reason, iterations = Reason.NOT_FINITE, 0
         history = recorder.history()
-        answer = x[at.dofs]
+        answer = x[at.vertex_dofs]
         return Solution(answer, reason, iterations, float(history.energy[-1]), history, volume_ratio(scene, answer))
 
 
 def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
-    """Prepare a scene on linear tets ("P1").
+    """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
+
+    Quadratic tets have nodes on their edges too. Their start is the mean of the ends'; a node is held, or part of a
+    body, where all of a boundary face is; loads and membranes are those of quadratic faces. Targets, bending and
+    inertia act on vertices alone.
 
     Raises SceneError for a term or an element that this solver does not model.
     """
     refuse_unknown(scene, "skfem", KNOWN, tuple(MATERIALS))
-    if element != "P1":
-        raise SceneError(f"solver 'skfem': unknown element {element!r}; there is P1")
+    if element not in DEGREES:
+        raise SceneError(f"solver 'skfem': unknown element {element!r}; there are {', '.join(DEGREES)}")
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
-    return Prepared(scene, Discretisation(scene))
+    return Prepared(scene, Discretisation(scene, element))
 
 
 def _begin(energy: Energy, start: Floats, goal: Floats, free: Ints, scales: Scales) -> tuple[Floats, float]:

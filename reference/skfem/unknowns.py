@@ -17,25 +17,38 @@ from scipy.spatial.transform import Rotation
 from ...lhm.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
-from .parts import Discretisation
+from .discretisation import Discretisation
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body by its degrees of freedom (k, 3) and its shape [mm], (k, 3), in place of the rest."""
+    """A rigid body by its degrees of freedom (k, 3) and its shape [mm], (k, 3), in place of the rest.
+
+    The first `vertices` nodes are at its vertices, whose mean and RMS distance from it are the body's; others on edges.
+    """
 
     dofs: Ints
     rest: Floats
+    vertices: int
 
     @classmethod
     def all_of(cls, scene: Scene, at: Discretisation) -> list[Body]:
         """A scene's bodies."""
-        return [cls(at.dofs[term.vertices], scene.body_rest(term)) for term in scene.of(terms.RigidBody)]
+        bodies = []
+        for term in scene.of(terms.RigidBody):
+            places, member = np.array(scene.vertices), np.zeros(scene.vertices.shape, dtype=bool)
+            places[term.vertices], member[term.vertices] = scene.body_rest(term), True
+            held = at.held(member)[at.dofs[:, 0]]
+            held[: len(places)] = False
+            dofs = np.concatenate([at.dofs[term.vertices], at.dofs[held]])
+            bodies.append(cls(dofs, at.flat(places)[dofs], len(term.vertices)))
+        return bodies
 
     @property
     def radius(self) -> float:
-        """The RMS distance [mm] from the mean."""
-        return float(np.sqrt(np.sum((self.rest - self.rest.mean(axis=0)) ** 2) / len(self.rest)))
+        """The RMS distance [mm] of vertices from their mean."""
+        shape = self.rest[: self.vertices]
+        return float(np.sqrt(np.sum((shape - shape.mean(axis=0)) ** 2) / len(shape)))
 
     def nearest(self, x: Floats) -> Floats:
         """The shape moved rigidly to fit positions by degree of freedom best, shape (k, 3)."""
@@ -44,8 +57,8 @@ class Body:
         return goal + turn.apply(self.rest - centre)
 
     def levers(self, x: Floats) -> Floats:
-        """Places about the mean [mm], shape (k, 3)."""
-        return x[self.dofs] - x[self.dofs].mean(axis=0)
+        """Places about the vertices' mean [mm], shape (k, 3)."""
+        return x[self.dofs] - x[self.dofs[: self.vertices]].mean(axis=0)
 
 
 class Unknowns:

@@ -10,9 +10,9 @@ from softdeca.reference import Scene, solve, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.skfem import prepare
 from softdeca.reference.skfem.bending import Bends
+from softdeca.reference.skfem.discretisation import Discretisation
 from softdeca.reference.skfem.energy import Energy
 from softdeca.reference.skfem.laws import project_spd
-from softdeca.reference.skfem.parts import Discretisation
 from softdeca.reference.skfem.unknowns import Body, Unknowns
 
 
@@ -35,7 +35,7 @@ def turned(sphere_head):
     scene = jaw_scene(sphere_head)
     at = Discretisation(scene)
     bodies = Body.all_of(scene, at)
-    free = ~at.flat(scene.dirichlet()[0])
+    free = ~at.held(scene.dirichlet()[0])
     free[bodies[0].dofs] = False
     unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
     step = np.random.default_rng(3).normal(0.0, 1.0, unknowns.count)
