@@ -6,6 +6,7 @@ libigl (PyPI `libigl`) is under the MPL-2; its parts under the GPL (`igl.copylef
 from __future__ import annotations
 
 import importlib.util
+import os
 import time
 from dataclasses import dataclass
 
@@ -52,8 +53,10 @@ class Handles:
 def solved_by_igl(scene: Scene, handles: Handles, truth: Floats) -> tuple[Floats, float, Trace, Floats]:
     """The answer of libigl [mm], its preparation [s], its errors to the truth [mm], and those to its own answer.
 
-    One local and global step per call; what a call costs beside that (copies of the arrays) is counted, and small.
+    One local and global step per call, on one thread; what a call costs beside that (copies of the arrays) is counted,
+    and small.
     """
+    os.environ.setdefault("IGL_NUM_THREADS", "1")
     import igl
 
     data = igl.ARAPData()

@@ -85,6 +85,7 @@ def measure_precision(names: Sequence[str], tell: Callable[[str], None]) -> dict
             agreement[f"{IGL}, {name}, {ARAP}"] = farthest(answer, truth)
     return {"accuracies_mm": list(ACCURACIES), "curves": curves, "agreement_mm": agreement, "skipped": skipped} | {
         "handles": len(handles.vertices),
+        "most_of_igl": arap.MAX_ITERATIONS,
         "medians": medians(curves),
     }
 
