@@ -24,7 +24,7 @@ from ..materials import (
     StVenantKirchhoff,
     Volumetric,
 )
-from .densities import ISOCHORIC, isochoric_neo_hookean
+from .densities import ISOCHORIC, Density, isochoric_neo_hookean
 
 MixedDensity = Callable[[Any, Any, Any], Any]
 """The density from F, the pressure p and the law's parameters."""
@@ -76,7 +76,7 @@ def isochoric_kirchhoff(F, law):
 
 
 # The part of a law that Incompressible keeps.
-SHAPE = {
+SHAPE: dict[type[Material], Density] = {
     **ISOCHORIC,
     NeoHookean: isochoric_neo_hookean,
     StableNeoHookean: isochoric_stable,

@@ -45,10 +45,13 @@ class MixedForms(HyperelasticForms):
         dP_dF = evaluated_when_asked(psi, F, degree, domain)
         return cls(
             cells,
-            *(seam.compile_form(form) for form in (energy, gradient, tangent)),
+            seam.compile_form(energy),
+            seam.compile_form(gradient),
+            seam.compile_form(tangent),
             dP_dF,
             seam.compile_form(by_pressure),
-            *(_with_matrix(form) for form in (coupling, compliance)),
+            _with_matrix(coupling),
+            _with_matrix(compliance),
         )
 
     def add_by_pressure(self, into: Floats):

@@ -50,7 +50,9 @@ class Problem:
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
         self.pressure = seam.function(seam.pressure_space(numbering.space.mesh)) if mixed else None
-        self.pressure_dofs = seam.cell_dofs(self.pressure.function_space, 4) if self.pressure is not None else None
+        self.pressure_dofs: Ints = np.empty((0, 4), dtype=np.int64)
+        if self.pressure is not None:
+            self.pressure_dofs = seam.cell_dofs(self.pressure.function_space, 4)
         solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
         empty = np.empty(0, dtype=np.int64)
         cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))

@@ -30,7 +30,7 @@ def check_restrained(scene: Scene, *, loads: Floats | None):
         free = _null_space(motions[held[part]])
         if loads is not None and free.shape[1]:
             work = np.einsum("vck,vc->k", motions @ free, loads[part])
-            if np.abs(work).max() <= WORK * max(np.linalg.norm(loads[part]), 1e-300):
+            if np.abs(work).max() <= WORK * max(float(np.linalg.norm(loads[part])), 1e-300):
                 continue
         if free.shape[1]:
             names = ", ".join(_names(free))

@@ -31,11 +31,11 @@ def beam(cells: tuple[int, int, int]) -> Scene:
     return Scene(
         X,
         tets,
-        [
+        (
             Hyperelastic(Incompressible(Guccione(2.0, 8.0, 2.0, 4.0, fibres))),
             Fixed(vertices_at(X, 0, 0.0)),
             Pressure(triangles_at(X, tets, 2, 0.0), 0.004),
-        ],
+        ),
     )
 
 

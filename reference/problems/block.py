@@ -39,12 +39,12 @@ def pressed(load: float, cells: int) -> Scene:
     return Scene(
         X,
         tets,
-        [
+        (
             Hyperelastic(law(80.194, 0.4999, Volumetric.LOGARITHMIC)),
             *(Fixed(vertices_at(X, axis, 0.0), components=(axis,)) for axis in range(3)),
             Fixed(vertices_at(X, 1, 1.0), components=(0, 2)),
             Traction(loaded, np.array([0.0, -4.0 * load, 0.0])),
-        ],
+        ),
     )
 
 

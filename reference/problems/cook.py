@@ -46,12 +46,12 @@ def cook(material: IsochoricNeoHookean, traction: float, cells: int) -> Scene:
     return Scene(
         X,
         tets,
-        [
+        (
             Hyperelastic(material),
             Fixed(vertices_at(X, 0, 0.0), components=(0, 1)),
             Fixed(np.arange(len(X)), components=(2,)),
             Traction(triangles_at(X, tets, 0, WIDTH), np.array([0.0, traction, 0.0])),
-        ],
+        ),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..materials import Volumetric
 from ..scene import Scene
@@ -60,7 +61,7 @@ def sweep(poisson: float, cells: int, finer: int) -> list[Locking]:
     ]
     rows: list[Locking] = []
     for name, posed, n, element in cases:
-        options = {"linear_solver": "mumps"} if element == "P1" else {}
+        options: dict[str, Any] = {"linear_solver": "mumps"} if element == "P1" else {}
         begin = time.perf_counter()
         solution = solve(posed, solver="fenicsx", element=element, tolerance=TOLERANCE, **options)
         value = rise(MIDDLE, posed, solution)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -125,8 +126,8 @@ def errors(field: Field, element: str, poisson: float, cells: int) -> Errors:
     """Solve on a mesh of cells³ cells and measure."""
     law = NeoHookean.from_young(1.0, poisson)
     X, tets = block(cells)
-    scene = Scene(X, tets, [Hyperelastic(law), Fixed(np.unique(boundary_triangles(tets)))])
-    prepared = prepare(scene, solver="fenicsx", element=element)
+    scene = Scene(X, tets, (Hyperelastic(law), Fixed(np.unique(boundary_triangles(tets)))))
+    prepared: Any = prepare(scene, solver="fenicsx", element=element)
     prepared.set_body_force(lambda places: body_force(field, law, places))
     solution = prepared.solve(tolerance=1e-9)
     found = prepared.fields(ERROR_DEGREE)

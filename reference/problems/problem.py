@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
@@ -32,7 +33,7 @@ class Problem:
     reference: float
     bounds: Mapping[str, float]
     start: Callable[[Scene], Floats] | None = None
-    options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
     tolerance: float = TOLERANCE
     reason: Reason = Reason.CONVERGED
 

@@ -56,11 +56,11 @@ def sphere(pressure: float, cells: int, layers: int) -> Scene:
     return Scene(
         X,
         tets,
-        [
+        (
             Hyperelastic(Incompressible(NeoHookean(1.0, 1.0))),
             *(Fixed(vertices_at(X, axis, 0.0), components=(axis,)) for axis in range(3)),
             Pressure(inner, pressure),
-        ],
+        ),
     )
 
 
