@@ -13,6 +13,7 @@ from .follower import FollowerPressure
 from .load_path import LoadPath
 from .numbering import Numbering
 from .problem import Problem
+from .restraint import drifts
 
 MAX_ITERATIONS = 1000
 
@@ -50,6 +51,7 @@ class Balance:
             lambda first: stop_threshold(scene, first, tolerance),
             self._report,
             MAX_ITERATIONS if max_iterations is None else max_iterations,
+            drifts=drifts(scene),
         )
 
     def _unknowns(self, u: Floats) -> Floats:

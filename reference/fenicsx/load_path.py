@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse import diags
 
 from ...lhm.mesh import Floats
 from ..solution import Reason
@@ -25,6 +26,7 @@ FIRST_SHARE = 1 / 4
 SMALLEST_SHARE = 1 / 1024
 EASY = 5  # iterations, within which the next load step may be longer
 PATH_TOLERANCE = 1e-6
+DRIFT = 1e-9  # of the tangent's largest entry
 STEEP = 4.0  # times the first rate of displacement by load, that tells a limit point
 
 
@@ -45,7 +47,10 @@ class Equilibrated:
 
 @dataclass(eq=False)
 class LoadPath:
-    """Equations, where held unknowns go (3n + n_p,), and who is told of each iteration and may stop."""
+    """Equations, where held unknowns go (3n + n_p,), and who is told of each iteration and may stop.
+
+    A body that `drifts` has rigid motions left; a trace of stiffness keeps its tangent regular.
+    """
 
     equations: Equilibrium
     start: Floats
@@ -53,6 +58,7 @@ class LoadPath:
     threshold: Callable[[float], float]
     report: Callable[[Point, float], bool]
     max_iterations: int
+    drifts: bool = False
     factors: Factorisation = field(default_factory=Factorisation)
     factored: int = 0
     iterations: int = 0
@@ -131,7 +137,10 @@ class LoadPath:
     def _factor(self, derivative) -> bool:
         free = self.equations.free
         self.factored += 1
-        return self.factors.factor(derivative[free][:, free], symmetric=self.equations.symmetric)
+        matrix = derivative[free][:, free]
+        if self.drifts:
+            matrix = matrix + diags(DRIFT * abs(matrix).max() * (free < self.equations.displacements))
+        return self.factors.factor(matrix.tocsr(), symmetric=self.equations.symmetric)
 
     @property
     def _stable(self) -> bool:

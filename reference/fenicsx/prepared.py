@@ -71,6 +71,8 @@ SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load st
 LOAD_STEP_TOLERANCE = 1e-2
 STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
 FORCE_DEGREE = 6
+# Terms whose energy may lose stiffness in directions that cost nothing, and those that the load path has no room for.
+INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 
 
@@ -124,7 +126,7 @@ class PreparedFenicsx:
         self._end: _Solve | Balance | None = None
         self._balances = element == "P2P1" or bool(scene.of(Pressure))
         # A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable.
-        self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in (Strain, Volume, RigidBody))
+        self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in INDEFINITE)
 
     def solve(
         self,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -21,13 +23,7 @@ def check_restrained(scene: Scene, *, loads: Floats | None):
     With dead loads [mN], shape (scene vertices, 3), only one on which they do work counts: without it there is an
     equilibrium all the same, though its place is not determined.
     """
-    held = scene.dirichlet()[0]
-    held[scene.inertia()[0] > 0] = True
-    for term in scene.of(Target):
-        held[term.vertices[np.broadcast_to(term.stiffness, len(term.vertices)) > 0]] = True
-    for part in _parts(scene):
-        motions = _motions(scene.vertices[part])
-        free = _null_space(motions[held[part]])
+    for part, motions, free in _free_motions(scene):
         if loads is not None and free.shape[1]:
             work = np.einsum("vck,vc->k", motions @ free, loads[part])
             if np.abs(work).max() <= WORK * max(float(np.linalg.norm(loads[part])), 1e-300):
@@ -38,6 +34,22 @@ def check_restrained(scene: Scene, *, loads: Floats | None):
                 f"the scene is under-constrained: nothing holds {names} of the part with vertex {part[0]}; "
                 "hold it by Fixed or Target"
             )
+
+
+def drifts(scene: Scene) -> bool:
+    """Whether a rigid motion of any part is free."""
+    return any(free.shape[1] for _, _, free in _free_motions(scene))
+
+
+def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
+    """Per part its vertices (v,), its rigid motions (v, 3, 6), and the combinations (6, r) that nothing holds."""
+    held = scene.dirichlet()[0]
+    held[scene.inertia()[0] > 0] = True
+    for term in scene.of(Target):
+        held[term.vertices[np.broadcast_to(term.stiffness, len(term.vertices)) > 0]] = True
+    for part in _parts(scene):
+        motions = _motions(scene.vertices[part])
+        yield part, motions, _null_space(motions[held[part]])
 
 
 def _parts(scene: Scene) -> list[Ints]:

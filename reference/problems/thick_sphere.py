@@ -76,7 +76,9 @@ def load_reached(scene: Scene, solution: Solution) -> float:
     return float(pressure.value) * solution.detail["load_share"]
 
 
-def _problems(sizes: tuple[tuple[int, int], ...], bounds: tuple[float, ...]) -> tuple[Problem, ...]:
+def _problems(
+    sizes: tuple[tuple[int, int], ...], bounds: tuple[float, ...], limited: tuple[int, int]
+) -> tuple[Problem, ...]:
     inflated = [
         Problem(
             f"thick sphere, P/mu=.755, P2P1, {n}x{layers} cells: inner stretch",
@@ -91,9 +93,9 @@ def _problems(sizes: tuple[tuple[int, int], ...], bounds: tuple[float, ...]) -> 
         for (n, layers), bound in zip(sizes, bounds, strict=True)
     ]
     beyond = Problem(
-        f"thick sphere, P/mu=.83, P2P1, {sizes[0][0]}x{sizes[0][1]} cells: limit point",
+        f"thick sphere, P/mu=.83, P2P1, {limited[0]}x{limited[1]} cells: limit point",
         SOURCE,
-        partial(sphere, 0.83, *sizes[0]),
+        partial(sphere, 0.83, *limited),
         load_reached,
         LIMIT_PRESSURE,
         {"fenicsx": 1e-2},
@@ -105,5 +107,5 @@ def _problems(sizes: tuple[tuple[int, int], ...], bounds: tuple[float, ...]) -> 
 
 
 # The flat faces' error of the radius is of second order in the cells.
-PROBLEMS = _problems(((4, 3), (6, 4)), (0.02, 0.01))
-FINE = _problems(((10, 6),), (0.004,))
+PROBLEMS = _problems(((4, 3), (6, 4)), (0.02, 0.01), (4, 3))
+FINE = _problems(((10, 6),), (0.004,), (6, 4))

@@ -166,6 +166,24 @@ def test_a_rivlin_cube_says_limit_point(element):
     assert str(above.reason).startswith("limit point")
 
 
+def test_a_free_rivlin_cube_says_limit_point():
+    """As above, pulled on all six faces and held nowhere."""
+    X, tets = meshes.block(2)
+    pulls = [
+        terms.Traction(meshes.triangles_at(X, tets, c, end), (2.0 * end - 1.0) * np.eye(3)[c])
+        for c in range(3)
+        for end in (0.0, 1.0)
+    ]
+
+    def scene(load):
+        loaded = [terms.Traction(pull.triangles, load * pull.vector) for pull in pulls]
+        return Scene(X, tets, [terms.Hyperelastic(materials.IsochoricNeoHookean(1.0, 200.0)), *loaded])
+
+    below, above = (solve(scene(load), solver="fenicsx", element="P1", tolerance=1e-8) for load in (1.8, 2.2))
+    assert below.converged, below.reason
+    assert above.reason is Reason.LIMIT_POINT
+
+
 def test_a_motion_too_far_for_one_step_is_taken_in_several():
     """An incompressible block twisted by 120 degrees at once ends where it does by way of 60 degrees."""
     X, tets = meshes.box((3, 2, 2))
