@@ -50,7 +50,8 @@ def fan(
     lowest are solved again with one term changed at a time: {"suspects": {change: distance between both}}.
     """
     prepared = prepare(facial_scene(head, parameters, expression, bones="rigid"))
-    answers, rows = [], []
+    answers: list[Floats] = []
+    rows: list[dict] = []
     for seed in range(count):
         solution = prepared.solve(start=_start(prepared, seed), tolerance=TIGHT)
         answers.append(solution.positions)
