@@ -152,8 +152,8 @@ EFFECTS = (
 """Weights of expressions and sizes of effects that the paper does not give are this project's.
 
 A broad smile folds the skin beside the mouth's corners, and under 3 g with two minima, 1 mm apart, which no skin, a
-skin of 5 mN/mm or a bending of 20 mN mm makes one: hence the smile of 0.6. Grown skin has one minimum only where it bends, hence the zombie's bending; cheeks whose targets
-are as stiff as everywhere cannot wrinkle, hence the loose ones.
+skin of 5 mN/mm or a bending of 20 mN mm makes one: hence the smile of 0.6. Grown skin has one minimum only where it
+bends, hence the zombie's bending; cheeks whose targets are as stiff as everywhere cannot wrinkle, hence the loose ones.
 """
 
 
