@@ -49,12 +49,12 @@ def expression(head, jaw_degrees):
     return X + cheek[:, None] * [3.0, 8.0, -2.0] + share[:, None] * (turned - X)
 
 
-def largest_difference(scene, solver, other, tolerance, at_least=1.0):
-    """Of two solvers, relative to the largest displacement."""
+def largest_difference(scene, solver, other, tolerance, at_least=1.0, **options):
+    """Of two solvers, with the same options, relative to the largest displacement."""
     answers = []
     for name in (solver, other):
         try:
-            answers.append(solve(scene, solver=name, tolerance=tolerance, max_iterations=3000))
+            answers.append(solve(scene, solver=name, tolerance=tolerance, max_iterations=3000, **options))
         except MissingDependencyError as missing:
             pytest.skip(str(missing))
     assert all(answer.converged for answer in answers), [str(answer.reason) for answer in answers]
@@ -113,36 +113,42 @@ def test_inertia_and_bending_agree(sphere_head, other):
     assert largest_difference(moving_jaw(sphere_head), "skfem", other, 1e-11, at_least=10.0) < 1e-8
 
 
-def test_energy_gradient_and_hessian_agree_far_from_rest(sphere_head):
+@pytest.mark.parametrize(("element", "subdivisions"), [("P1", 2), ("P2", 1)])
+def test_energy_gradient_and_hessian_agree_far_from_rest(spheres, element, subdivisions):
     """At one disturbed state; every Hessian by its products with the same changes of the unknowns."""
     pytest.importorskip("dolfinx")
     from softdeca.reference.fenicsx.bodies import RigidProblem
     from softdeca.reference.fenicsx.numbering import Numbering
+    from softdeca.reference.fenicsx.prepared import DEGREE_OF
     from softdeca.reference.fenicsx.problem import Problem
     from softdeca.reference.skfem.discretisation import Discretisation
     from softdeca.reference.skfem.energy import Energy
     from softdeca.reference.skfem.unknowns import Body, Unknowns
 
-    scene = moving_jaw(sphere_head)
-    mandible = scene.of(terms.RigidBody)[0]
-    loose = np.setdiff1d(np.arange(len(scene.vertices)), mandible.vertices)
-    rng = np.random.default_rng(4)
-    x = scene.vertices + rng.normal(0.0, 0.5, scene.vertices.shape)
-    pose = Rotation.from_rotvec([0.4, -0.2, 0.1])
-    x[mandible.vertices] = pose.apply(scene.body_rest(mandible)) + [1.0, -6.0, 2.0]
-
-    order = Numbering(scene)
-    problem = RigidProblem(scene, order, Problem(scene, order))
-    state = problem.at(order.to_dofs(x) - order.X, problem.nearest(order.to_dofs(x)))
-    at = Discretisation(scene)
+    scene = moving_jaw(spheres(subdivisions))
+    at = Discretisation(scene, element)
     energy, bodies = Energy(scene, at), Body.all_of(scene, at)
+    rng = np.random.default_rng(4)
+    flat = at.flat(scene.vertices) + rng.normal(0.0, 0.5, at.size)
+    pose = Rotation.from_rotvec([0.4, -0.2, 0.1])
+    flat[bodies[0].dofs] = pose.apply(bodies[0].rest) + [1.0, -6.0, 2.0]
+    loose = np.flatnonzero(~np.isin(at.dofs[:, 0], bodies[0].dofs))
     unknowns = Unknowns(at.dofs[loose].ravel(), at.size, bodies)
-    flat = at.flat(x)
     forces = energy.gradient(flat)
+
+    order = Numbering(scene, DEGREE_OF[element])
+    theirs, ours = (np.lexsort(ends.T) for ends in (order.ends, at.ends))
+    assert np.array_equal(order.ends[theirs], at.ends[ours])
+    node = np.empty_like(theirs)  # FEniCSx' by scikit-fem's
+    node[ours] = theirs
+    x = np.empty_like(order.X)
+    x[node] = flat[at.dofs]
+    problem = RigidProblem(scene, order, Problem(scene, order))
+    state = problem.at(x - order.X, problem.nearest(x))
     assert state.energy == pytest.approx(energy.value(flat), rel=1e-12)
 
-    # FEniCSx' unknowns by block of three in the order of scikit-fem's here: loose vertices, translation, turn.
-    block = np.concatenate([np.searchsorted(problem.free, order.dof[loose]), len(loose) + np.arange(2)])
+    # FEniCSx' unknowns by block of three in the order of scikit-fem's here: loose nodes, translation, turn.
+    block = np.concatenate([np.searchsorted(problem.free, node[loose]), len(loose) + np.arange(2)])
     expected = unknowns.gradient(flat, forces).reshape(-1, 3)
     np.testing.assert_allclose(state.gradient()[block], expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
     hessian = unknowns.hessian(flat, forces, energy.exact_hessian(flat))
@@ -154,6 +160,26 @@ def test_energy_gradient_and_hessian_agree_far_from_rest(sphere_head):
     expected = (hessian @ changes.reshape(-1, 4)).reshape(changes.shape)
     found = found.reshape(changes.shape)[block]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+
+
+QUADRATIC = {
+    "limited strain": lambda head: facial_scene(head, CASES["limited strain"][0], expression(head, 5.0)),
+    "neo-Hookean": lambda head: neo_hookean_scene(facial_scene(head, Parameters(gravity=2.0), expression(head, 15.0))),
+    "moving jaw": moving_jaw,
+}
+
+
+@pytest.mark.parametrize("name", QUADRATIC)
+def test_quadratic_elements_agree(spheres, name):
+    """With laws at fourteen points of a tet and skin at six of a triangle, by each solver's own tables."""
+    scene = QUADRATIC[name](spheres(1))
+    assert largest_difference(scene, "skfem", "fenicsx", 1e-11, element="P2") < 1e-8
+
+
+@pytest.mark.parametrize("name", ["corotated", "Mooney-Rivlin"])
+def test_laws_agree_on_quadratic_elements(name):
+    scene = sheared_block(LAWS[name])
+    assert largest_difference(scene, "skfem", "fenicsx", 1e-11, at_least=0.5, element="P2") < 1e-8
 
 
 @pytest.mark.parametrize("jaw", [0.0, 15.0])
