@@ -25,7 +25,8 @@ class LayeredHead:
     `wrap_from_skin` (n, skin vertices) and `skin_from_wrap` (skin vertices, n) are sparse weights, rows summing to one,
     that carry displacements from one surface to the other. `regions` are named masks over the wrap's vertices.
     `muscles` and `skull`: the surfaces under the inner wraps, where the template has them.
-    Raises MeshError for wraps of different triangles, and for inverted tets by index.
+    `volume`: `soft` and `muscle` where they are no prisms; their first 3 n vertices are the stacked wraps'.
+    Raises MeshError for wraps of different triangles, inverted tets by index, and a volume over other vertices.
     """
 
     skin: Surface
@@ -38,6 +39,7 @@ class LayeredHead:
     regions: Mapping[str, np.ndarray] = field(default_factory=dict)
     muscles: Surface | None = field(default=None, repr=False)
     skull: Surface | None = field(default=None, repr=False)
+    volume: tuple[TetMesh, TetMesh] | None = field(default=None, repr=False)
     soft: TetMesh = field(init=False, repr=False)
     muscle: TetMesh = field(init=False, repr=False)
 
@@ -56,11 +58,17 @@ class LayeredHead:
             if getattr(self, name).shape != shape:
                 raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
         try:
-            soft, muscle = self.sub_layers(1, 1)
+            soft, muscle = self.sub_layers(1, 1) if self.volume is None else self._checked(*self.volume)
         except MeshError as error:
             raise MeshError(f"layers {error}") from None
         object.__setattr__(self, "soft", soft)
         object.__setattr__(self, "muscle", muscle)
+
+    def _checked(self, soft: TetMesh, muscle: TetMesh) -> tuple[TetMesh, TetMesh]:
+        stack = np.vstack([self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices])
+        if not np.array_equal(soft.vertices, muscle.vertices) or not np.array_equal(soft.vertices[: len(stack)], stack):
+            raise MeshError(f"volume: its first {len(stack)} vertices, shared by both meshes, must be the wraps'")
+        return soft, muscle
 
     def sub_layers(self, soft: int, muscle: int) -> tuple[TetMesh, TetMesh]:
         """Soft tissue and muscle with their prisms split into so many layers, over shared vertices; see `layers`."""
@@ -70,12 +78,12 @@ class LayeredHead:
 
     @property
     def vertices(self) -> Floats:
-        """The stacked wrap vertices [mm], shape (3 n, 3)."""
+        """The stacked wrap vertices [mm], shape (3 n, 3); after them those of a `volume` between."""
         return self.soft.vertices
 
     @property
     def tets(self) -> Ints:
-        """Soft tissue's tets, then muscle's, shape (6 m, 4)."""
+        """Soft tissue's tets, then muscle's, shape (k, 4); six for each triangle where they are prisms."""
         return np.vstack([self.soft.tets, self.muscle.tets])
 
     def wrap_targets(self, expression: Floats) -> Floats:

@@ -42,8 +42,9 @@ def refined_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
 def refined_head(head: LayeredHead) -> LayeredHead:
     """The head with every triangle of its wraps split into four at its edges' middles: the same surfaces, finer.
 
-    Old wrap vertices come first. The skin stays, tied to the old vertices. A new vertex belongs to a bone if both ends
-    of its edge do, and to a region likewise.
+    Its tets, a `volume`, are the head's split into eight (prisms between the finer wraps could be inverted where the
+    head's are twisted), so a layer of tets becomes two. Old vertices of a wrap come first. The skin stays, tied to
+    them. A new vertex belongs to a bone if both ends of its edge do, and to a region likewise.
     """
     triangles, n = head.skin_wrap.triangles, len(head.bone)
     finer, ends = split_triangles(triangles, n)
@@ -66,7 +67,26 @@ def refined_head(head: LayeredHead) -> LayeredHead:
         regions={name: np.concatenate([mask, mask[ends].all(axis=1)]) for name, mask in head.regions.items()},
         muscles=head.muscles,
         skull=head.skull,
+        volume=_refined_volume(head, ends),
     )
+
+
+def _refined_volume(head: LayeredHead, ends: Ints) -> tuple[TetMesh, TetMesh]:
+    """Soft tissue and muscle split into eight, the finer wraps' vertices first; `ends` (e, 2) of a wrap's edges."""
+    old, n = len(head.vertices), len(head.bone)
+    finer, parent = refined_tets(TetMesh(head.vertices, head.tets))
+    edges, _ = midpoints(head.tets, EDGES, old)
+    keys = edges[:, 0] * old + edges[:, 1]
+    wraps = []
+    for first in (0, n, 2 * n):
+        a, b = (ends + first).T
+        wraps += [first + np.arange(n), old + np.searchsorted(keys, a * old + b)]
+    first_ones = np.concatenate(wraps)
+    order = np.concatenate([first_ones, np.setdiff1d(np.arange(len(finer.vertices)), first_ones)])
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    vertices, tets, soft = finer.vertices[order], place[finer.tets], parent < len(head.soft.tets)
+    return TetMesh(vertices, tets[soft]), TetMesh(vertices, tets[~soft])
 
 
 def _carried(carry: csr_matrix, vertices: Floats) -> Floats:

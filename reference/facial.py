@@ -26,6 +26,15 @@ from .stack import Stack
 from .terms import StrainRule
 
 PARTS = ("muscle", "skin")
+OF_TETS = (
+    "soft_stiffness",
+    "volume_ratio",
+    "strain_limit",
+    "soft_volume",
+    "muscle_strain_ratio",
+    "muscle_volume_ratio",
+    "muscle_volume",
+)
 GAP = 0.1
 """What contact leaves between surfaces [mm]: where it may be nothing, touching triangles still cross by rounding."""
 WIDER = 3
@@ -47,12 +56,13 @@ def facial_scene(
 ) -> Scene:
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
-    Vertices are the head's stacked wraps, the skin's first, then the points of `attached`. Only what p and these
+    Vertices are the head's, the skin wrap's first, then the points of `attached`. Only what p and these
     choices ask for is built. `bones` are "rigid" (cranium held, mandible a free rigid body), "prescribed" (the mandible
     put where the skin over it goes) or "soft" (the paper's stiff surfaces). `layers` of tets divide soft tissue and
     muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to skull, no muscle wrap) and "skin"
     (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices, or at a named one, and holds the
-    others where the expression carries them. `contact` names regions whose triangles are kept apart. `attached` things
+    others where the expression carries them; a head's own volume mesh is taken whole, with one number per parameter of
+    its tets. `contact` names regions whose triangles are kept apart. `attached` things
     are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is the soft tissue's beyond
     its strain limit: see `terms.Strain`.
     Raises SceneError for targets of another shape or that are not finite, and for unknown or contradicting choices.
@@ -107,12 +117,16 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
     """Soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`."""
     wrap = head.skin_wrap
     kept = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
+    counts = stack.counts or (1, 1)
+    if stack.counts is None:
+        _check_uniform(p, inside)
 
     def add(tets: Ints, layers: int, stiffness, limit, volume, target, rule: StrainRule = "clamp"):
         def at(value):
             return np.tile(value, layers) if np.ndim(value) else value
 
-        tissue.add(tets, np.tile(kept, layers), at(stiffness), at(limit), at(volume), at(target), rule)
+        of = np.ones(len(tets), dtype=bool) if stack.counts is None else np.tile(kept, layers)
+        tissue.add(tets, of, at(stiffness), at(limit), at(volume), at(target), rule)
 
     def value(name: str):
         return on_tets(name, getattr(p, name), wrap)
@@ -120,11 +134,22 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
     tissue = _Tissue()
     strain = value("soft_stiffness")
     volume = value("volume_ratio") * strain
-    add(stack.soft, stack.counts[0], strain, value("strain_limit"), volume, value("soft_volume"), rule)
+    add(stack.soft, counts[0], strain, value("strain_limit"), volume, value("soft_volume"), rule)
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
-        add(stack.muscle, stack.counts[1], strain, 1.0, volume, value("muscle_volume"))
+        add(stack.muscle, counts[1], strain, 1.0, volume, value("muscle_volume"))
     return tissue
+
+
+def _check_uniform(p: Parameters, inside: np.ndarray) -> None:
+    """SceneError for what is told per triangle of the wraps where no tet belongs to one."""
+    if not inside.all():
+        raise SceneError("region: a head whose tets are a volume mesh is simulated as a whole")
+    for name in OF_TETS:
+        if np.ndim(getattr(p, name)):
+            raise SceneError(
+                f"parameter {name}: expected one number where a head's tets are a volume mesh, got an array"
+            )
 
 
 def _skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Term]:
@@ -181,7 +206,9 @@ def _body(
 
 def _idle(head: LayeredHead, stack: Stack, inside: np.ndarray) -> Ints:
     """Stacked vertices outside the region that no bone holds."""
-    out = np.tile(~inside, sum(stack.counts) + 1)
+    if inside.all():
+        return np.empty(0, dtype=np.int64)
+    out = np.tile(~inside, len(stack.vertices) // len(inside))
     out[stack.first_of_skull :] &= head.bone == FREE
     return np.flatnonzero(out)
 

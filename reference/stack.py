@@ -1,4 +1,4 @@
-"""The tets of a facial scene: how many layers of a head's prisms, and where its vertices stand in the stack."""
+"""The tets of a facial scene: layers of a head's prisms or its own volume mesh, and where its vertices stand."""
 
 from __future__ import annotations
 
@@ -6,44 +6,72 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from ..lhm.errors import SceneError
 from ..lhm.head import LayeredHead
 from ..lhm.layers import stacked, sub_layers
 from ..lhm.mesh import Floats, Ints
 
+NEIGHBOURS = 8
+"""Vertices of the wraps with which one between them is carried along."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Rest vertices [mm] from skin wrap (first n) to skull wrap (last n), and each tissue's tets.
+    """Rest vertices [mm] in which the skin wrap comes first and the skull wrap at `first_of_skull`; each tissue's tets.
 
-    `muscle` is None where soft tissue goes down to the skull; `counts` are the layers of each tissue's prisms.
+    `muscle` is None where soft tissue goes down to the skull; `counts` are the layers of each tissue's prisms, None
+    where the tets are a head's own volume mesh; `inner` (k, wraps' vertices) then has the weights with which vertices
+    between the wraps are carried along with them.
     """
 
     vertices: Floats
     soft: Ints
     muscle: Ints | None
-    counts: tuple[int, ...]
+    first_of_skull: int
+    counts: tuple[int, ...] | None
+    inner: csr_matrix | None = None
 
     @classmethod
     def of(cls, head: LayeredHead, layers: tuple[int, int], without: Collection[str]) -> Stack:
-        """A head's stack with so many layers of soft tissue and of muscle; SceneError for fewer than one."""
+        """A head's stack with so many layers of soft tissue and of muscle.
+
+        Raises SceneError for fewer than one, and for layers of a head whose tets are a volume mesh.
+        """
         if len(layers) != 2 or min(layers) < 1 or not all(isinstance(count, (int, np.integer)) for count in layers):
             raise SceneError(f"layers: expected two counts of at least 1 (soft tissue, muscle), got {layers!r}")
+        n = len(head.bone)
+        if head.volume is not None:
+            if tuple(layers) != (1, 1):
+                raise SceneError(f"layers {layers!r}: the head's tets are a volume mesh, not layers of prisms")
+            inner = _carrying(head.vertices, 3 * n)
+            if "muscle" in without:
+                return cls(head.vertices, head.tets, None, 2 * n, None, inner)
+            return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, None, inner)
         if "muscle" in without:
             wraps = (head.skin_wrap.vertices, head.skull_wrap.vertices)
             (soft,) = sub_layers(wraps, head.skin_wrap.triangles, layers[:1])
-            return cls(soft.vertices, soft.tets, None, layers[:1])
+            return cls(soft.vertices, soft.tets, None, layers[0] * n, layers[:1])
         if layers == (1, 1):
-            return cls(head.vertices, head.soft.tets, head.muscle.tets, layers)
+            return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, layers)
         soft, muscle = head.sub_layers(*layers)
-        return cls(soft.vertices, soft.tets, muscle.tets, layers)
-
-    @property
-    def first_of_skull(self) -> int:
-        """Index of the skull wrap's first vertex."""
-        return len(self.vertices) // (sum(self.counts) + 1) * sum(self.counts)
+        return cls(soft.vertices, soft.tets, muscle.tets, sum(layers) * n, layers)
 
     def between(self, skin: Floats, muscle: Floats, skull: Floats) -> Floats:
         """Positions [mm] of the whole stack for those of the wraps, each of shape (n, 3)."""
-        return stacked((skin, skull) if self.muscle is None else (skin, muscle, skull), self.counts)
+        if self.counts is not None:
+            return stacked((skin, skull) if self.muscle is None else (skin, muscle, skull), self.counts)
+        wraps = np.vstack([skin, muscle, skull])
+        moved = wraps - self.vertices[: len(wraps)]
+        return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])
+
+
+def _carrying(vertices: Floats, wraps: int) -> csr_matrix:
+    """Weights by the inverse distance of the vertices after the wraps' to the nearest of the wraps'."""
+    distance, near = cKDTree(vertices[:wraps]).query(vertices[wraps:], k=NEIGHBOURS)
+    weight = 1.0 / np.maximum(distance, 1e-9)
+    weight /= weight.sum(axis=1, keepdims=True)
+    rows = np.arange(0, weight.size + 1, NEIGHBOURS)
+    return csr_matrix((weight.ravel(), near.ravel(), rows), shape=(len(near), wraps))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 from ..check import HeadReport, check_layers
 from ..errors import InputError, MeshError
 from ..head import LayeredHead
-from ..mesh import Surface
+from ..mesh import Surface, TetMesh
 from .atomic import replaced
 from .npz import read_arrays, write_arrays
 
@@ -35,6 +35,9 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
     for name in _INSIDE:
         arrays |= arrays_of_surface(name, getattr(head, name))
+    if head.volume is not None:
+        arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
+        arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
     write_arrays(path, arrays)
 
 
@@ -65,8 +68,24 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
         inside = {name: surface_in(arrays, name) for name in _INSIDE}
         skin_wrap, muscle_wrap, skull_wrap = wraps
         return LayeredHead(
-            skin, skin_wrap, muscle_wrap, skull_wrap, bone, wrap_from_skin, skin_from_wrap, regions, **inside
+            skin,
+            skin_wrap,
+            muscle_wrap,
+            skull_wrap,
+            bone,
+            wrap_from_skin,
+            skin_from_wrap,
+            regions,
+            volume=_volume(arrays, wraps),
+            **inside,
         )
+
+
+def _volume(arrays: Mapping[str, np.ndarray], wraps: Sequence[Surface]) -> tuple[TetMesh, TetMesh] | None:
+    if "volume_vertices" not in arrays:
+        return None
+    vertices = np.vstack([*(wrap.vertices for wrap in wraps), arrays["volume_vertices"]])
+    return TetMesh(vertices, arrays["volume_soft"]), TetMesh(vertices, arrays["volume_muscle"])
 
 
 def check_file(path: str | os.PathLike[str]) -> HeadReport:

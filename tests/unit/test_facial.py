@@ -1,14 +1,18 @@
 """The facial scene: parameters, bone motion, and the terms of Eq. 15."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface
 from softdeca.lhm.geometry.rigid import rigid_motion
+from softdeca.lhm.refine import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
 from softdeca.reference.bones import carried, target_stiffness
 from softdeca.reference.connecting import Attached, bone_points, connecting_tets, eyeballs
+from softdeca.reference.stack import Stack
 
 
 def test_parameters_name_what_is_out_of_range():
@@ -224,3 +228,41 @@ def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
         eyeballs(head)
     with pytest.raises(SceneError, match="bone 7"):
         Attached(np.zeros((4, 3)), 7)
+
+
+def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
+    # Its own prisms, told as a volume.
+    head = replace(sphere_head, volume=(sphere_head.soft, sphere_head.muscle))
+    targets = head.skin.vertices * 1.05
+    own, told = (facial_scene(h, Parameters(), targets, bones="prescribed") for h in (sphere_head, head))
+    assert np.array_equal(own.tets, told.tets) and np.array_equal(own.vertices, told.vertices)
+    for a, b in zip(own.terms, told.terms, strict=True):
+        assert type(a) is type(b)
+    assert np.array_equal(own.of(terms.Fixed)[0].vertices, told.of(terms.Fixed)[0].vertices)
+    assert np.array_equal(own.of(terms.Strain)[1].tets, told.of(terms.Strain)[1].tets)
+    merged = facial_scene(head, Parameters(), targets, without=("muscle",))
+    assert len(merged.of(terms.Strain)) == 1 and len(merged.tets) == len(own.tets)
+
+
+def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
+    head = refined_head(sphere_head)
+    rest = head.skin.vertices
+    with pytest.raises(SceneError, match="layers"):
+        facial_scene(head, Parameters(), rest, layers=(2, 1))
+    with pytest.raises(SceneError, match="region"):
+        facial_scene(head, Parameters(), rest, region=head.skin_wrap.vertices[:, 2] > 0)
+    many = np.full(len(head.skin_wrap.triangles), 5.0)
+    with pytest.raises(SceneError, match="soft_stiffness: expected one number"):
+        facial_scene(head, Parameters(soft_stiffness=many), rest)
+    # The membrane has its triangles still.
+    assert facial_scene(head, Parameters(skin_stiffness=many), rest).of(terms.SurfaceStrain)
+
+
+def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):
+    head = refined_head(sphere_head)
+    stack = Stack.of(head, (1, 1), ())
+    wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
+    assert stack.between(*wraps) == pytest.approx(head.vertices)
+    shift = np.array([1.0, -2.0, 3.0])
+    assert stack.between(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
+    assert stack.first_of_skull == 2 * len(head.bone)

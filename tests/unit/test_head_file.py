@@ -4,6 +4,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.lhm.files.head_file import export_vtk, load_head, save_head
+from softdeca.lhm.refine import refined_head
 
 
 def test_a_head_survives_the_file(tmp_path, sphere_head):
@@ -14,6 +15,15 @@ def test_a_head_survives_the_file(tmp_path, sphere_head):
     assert np.array_equal(again.bone, sphere_head.bone)
     assert (again.wrap_from_skin != sphere_head.wrap_from_skin).nnz == 0
     assert [p.name for p in tmp_path.iterdir()] == ["head.npz"]
+
+
+def test_a_volume_mesh_survives_the_file(tmp_path, spheres):
+    finer = refined_head(spheres(1))
+    save_head(tmp_path / "head.npz", finer)
+    again = load_head(tmp_path / "head.npz")
+    assert again.volume is not None and len(again.vertices) > 3 * len(again.bone)
+    assert np.array_equal(again.vertices, finer.vertices)
+    assert np.array_equal(again.soft.tets, finer.soft.tets) and np.array_equal(again.muscle.tets, finer.muscle.tets)
 
 
 def test_damaged_and_foreign_files_are_named(tmp_path, sphere_head):

@@ -1,9 +1,13 @@
 """Finer meshes of an unchanged domain."""
 
+from dataclasses import replace
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from softdeca.lhm import TetMesh
+from softdeca.lhm.errors import MeshError
 from softdeca.lhm.geometry.quality import smallest_dihedrals
 from softdeca.lhm.refine import refined_head, refined_tets
 
@@ -49,3 +53,32 @@ def test_a_refined_head_has_the_same_surfaces_and_ties(sphere_head):
     moved = head.wrap_targets(expression)
     assert moved[:n] == pytest.approx(sphere_head.wrap_targets(expression))
     assert head.skin_after(expression, moved) == pytest.approx(expression)
+
+
+def test_a_head_of_twisted_prisms_is_refined_all_the_same(spheres):
+    # A rough skull wrap: the coarse prisms' tets are upright, but between their edges' middles two would not be.
+    head = spheres(1, (100.0, 80.0, 60.0))
+    rough = 6.0 * np.random.default_rng(8).normal(size=head.skull_wrap.vertices.shape)
+    twisted = replace(head, skull_wrap=head.skull_wrap.with_vertices(head.skull_wrap.vertices + rough))
+    finer = refined_head(twisted)
+    with pytest.raises(MeshError, match="inverted"):
+        replace(finer, volume=None)
+    assert len(finer.tets) == 8 * len(twisted.tets)
+    for new, old in ((finer.soft, twisted.soft), (finer.muscle, twisted.muscle)):
+        assert new.volumes.min() >= 0.999 * old.volumes.min() / 8
+        assert new.volumes.sum() == pytest.approx(old.volumes.sum())
+    # Each wrap is all of one side of its tissue.
+    n, faces = len(finer.bone), set()
+    for tet in finer.soft.tets:
+        for face in combinations(sorted(tet), 3):
+            faces ^= {face}
+    wraps = np.sort(finer.skin_wrap.triangles, axis=1)
+    assert faces == set(map(tuple, np.vstack([wraps, wraps + n])))
+
+
+def test_a_volume_must_start_with_the_wraps(sphere_head):
+    soft, muscle = sphere_head.soft, sphere_head.muscle
+    moved = TetMesh(1.01 * soft.vertices, soft.tets)
+    with pytest.raises(MeshError, match="volume"):
+        replace(sphere_head, volume=(moved, muscle))
+    assert replace(sphere_head, volume=(soft, muscle)).soft is soft
