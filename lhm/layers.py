@@ -8,6 +8,10 @@ import numpy as np
 
 from .errors import InputError
 from .mesh import Floats, Ints, TetMesh
+from .untangle import untangled
+
+SMALLEST = 0.1
+"""Of a sub-layer's tet: its least volume over the even share of its prism's smallest tet."""
 
 
 def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
@@ -48,13 +52,29 @@ def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) 
 
     `wraps`: arrays (n, 3) [mm] from the outermost to the innermost over `triangles` (m, 3). The meshes share their
     vertices: the wraps and those between them, stacked from outside to inside. With counts of one they are a
-    head's `soft` and `muscle`. Raises InputError for counts below one, MeshError for a split that inverts a tet.
+    head's `soft` and `muscle`. Between twisted prisms' wraps, vertices are moved off their even places until all tets
+    are upright. Raises InputError for counts below one, MeshError for wraps whose prisms have an inverted tet, and
+    where no such places are found.
     """
     if len(counts) != len(wraps) - 1 or min(counts) < 1:
         raise InputError(f"sub-layers {tuple(counts)}: expected {len(wraps) - 1} counts of at least 1")
     n, vertices = len(wraps[0]), stacked(wraps, counts)
     firsts = np.concatenate([[0], np.cumsum(counts)])
+    if max(counts) > 1:
+        vertices = _upright(sub_layers(wraps, triangles, [1] * len(counts)), vertices, triangles, counts)
     return tuple(
         TetMesh(vertices, np.vstack([prism_tets(triangles, k * n, (k + 1) * n) for k in range(first, last)]))
         for first, last in zip(firsts[:-1], firsts[1:], strict=True)
     )
+
+
+def _upright(whole: Sequence[TetMesh], vertices: Floats, triangles: Ints, counts: Sequence[int]) -> Floats:
+    """The stacked vertices moved where a sub-layer would have an inverted or tiny tet; the wraps' stay."""
+    n = len(vertices) // (sum(counts) + 1)
+    tets = np.vstack([prism_tets(triangles, k * n, (k + 1) * n) for k in range(sum(counts))])
+    shares = [mesh.volumes.reshape(-1, 3).min(axis=1) / count for mesh, count in zip(whole, counts, strict=True)]
+    least = np.concatenate([np.tile(np.repeat(share, 3), count) for share, count in zip(shares, counts, strict=True)])
+    free = np.ones(len(vertices), dtype=bool)
+    for first in np.concatenate([[0], np.cumsum(counts)]):
+        free[first * n : (first + 1) * n] = False
+    return untangled(vertices, tets, free, SMALLEST * least)

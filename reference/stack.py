@@ -62,7 +62,11 @@ class Stack:
     def between(self, skin: Floats, muscle: Floats, skull: Floats) -> Floats:
         """Positions [mm] of the whole stack for those of the wraps, each of shape (n, 3)."""
         if self.counts is not None:
-            return stacked((skin, skull) if self.muscle is None else (skin, muscle, skull), self.counts)
+            # Vertices between twisted prisms' wraps are not evenly spaced, and stay as far off.
+            now, n = (skin, skull) if self.muscle is None else (skin, muscle, skull), len(skin)
+            firsts = n * np.cumsum([0, *self.counts])
+            rest = stacked([self.vertices[first : first + n] for first in firsts], self.counts)
+            return stacked(now, self.counts) + (self.vertices - rest)
         wraps = np.vstack([skin, muscle, skull])
         moved = wraps - self.vertices[: len(wraps)]
         return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])

@@ -1,9 +1,15 @@
 """Sub-layers of the prisms: they fill the same space and agree where they meet."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError
+from softdeca.lhm import InputError, MeshError
+from softdeca.lhm.layers import prism_tets, stacked
+from softdeca.lhm.mesh import tet_volumes
+from softdeca.lhm.untangle import untangled
+from softdeca.reference.stack import Stack
 
 
 def outer_faces(tets):
@@ -35,3 +41,32 @@ def test_sub_layers_fill_the_same_space(sphere_head, counts):
 def test_counts_below_one_are_refused(sphere_head, counts):
     with pytest.raises(InputError, match="at least 1"):
         sphere_head.sub_layers(*counts)
+
+
+def test_sub_layers_of_twisted_prisms_are_upright(spheres):
+    # A rough skull wrap: the prisms' tets are upright, but not those between vertices spaced evenly.
+    head = spheres(1, (100.0, 80.0, 60.0))
+    rough = 7.5 * np.random.default_rng(14).normal(size=head.skull_wrap.vertices.shape)
+    head = replace(head, skull_wrap=head.skull_wrap.with_vertices(head.skull_wrap.vertices + rough))
+    wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
+    n, triangles = len(head.bone), head.skin_wrap.triangles
+    even = stacked(wraps, (1, 4))
+    inverted = [tet_volumes(even, prism_tets(triangles, k * n, (k + 1) * n)).min() <= 0 for k in range(5)]
+    assert any(inverted)
+    soft, muscle = head.sub_layers(1, 4)
+    assert soft.volumes.sum() == pytest.approx(head.soft.volumes.sum())
+    assert muscle.volumes.sum() == pytest.approx(head.muscle.volumes.sum())
+    for k, wrap in ((0, 0), (1, 1), (5, 2)):
+        assert np.array_equal(soft.vertices[k * n : (k + 1) * n], wraps[wrap])
+    # A scene's start at rest is the rest of the mesh, not the even one.
+    assert Stack.of(head, (1, 4), ()).between(*wraps) == pytest.approx(soft.vertices)
+
+
+def test_a_tet_that_nothing_may_move_stays_and_is_told():
+    x, tet = np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 2, 1, 3]])
+    assert tet_volumes(x, tet) < 0
+    with pytest.raises(MeshError, match="1 stay inverted"):
+        untangled(x, tet, np.zeros(4, dtype=bool), np.array([0.1]))
+    # With one corner free the tet reaches the volume asked for, and the others stay.
+    moved = untangled(x, tet, np.arange(4) == 3, np.array([0.1]))
+    assert tet_volumes(moved, tet) == pytest.approx([0.1], rel=1e-3) and np.array_equal(moved[:3], x[:3])
