@@ -10,11 +10,12 @@ from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
 from .. import terms
 from ..scene import Scene, refuse_unknown
-from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..solution import OnIteration, Recorder, Solution, volume_ratio
 from .carry import carry
+from .descent import Descent
 from .discretisation import DEGREES, Discretisation
 from .energy import Energy
-from .newton import Scales, minimise
+from .newton import Scales
 from .parts import MATERIALS
 from .unknowns import Body, Unknowns
 
@@ -62,7 +63,8 @@ class Prepared:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
         Held components are carried to their places first, before the first iteration of the history, and rigid bodies
-        to their first ones: that of their shape, or the nearest to a given start.
+        to their first ones: that of their shape, or the nearest to a given start. From inverted tets a scene with
+        Volume goes down by Strain alone first; its iterations count, and may raise the energy.
         Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
         """
         scene = self.scene if scene is None else scene
@@ -81,23 +83,10 @@ class Prepared:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if start is None else body.nearest(goal)
         x, forces = _begin(energy, at.flat(begin), goal, np.flatnonzero(free), scales)
-
-        def on_step(x: Floats, value: float, norm: float) -> bool:
-            return recorder.record(x[at.vertex_dofs], value, norm)
-
-        if np.isfinite(energy.value(x)):
-            x, reason, iterations = minimise(
-                energy,
-                x,
-                Unknowns(np.flatnonzero(free), at.size, bodies),
-                scales=scales,
-                threshold=lambda first: stop_threshold(scene, max(first, forces), tolerance),
-                max_iterations=MAX_ITERATIONS if max_iterations is None else max_iterations,
-                on_step=on_step,
-            )
-        else:
-            on_step(x, np.inf, np.inf)
-            reason, iterations = Reason.NOT_FINITE, 0
+        unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
+        limit = MAX_ITERATIONS if max_iterations is None else max_iterations
+        descent = Descent(scene, at, energy, unknowns, scales, recorder)
+        x, reason, iterations = descent.run(x, forces=forces, tolerance=tolerance, limit=limit)
         history = recorder.history()
         answer = x[at.vertex_dofs]
         return Solution(answer, reason, iterations, float(history.energy[-1]), history, volume_ratio(scene, answer))

@@ -167,3 +167,39 @@ def test_solver_knows_definiteness():
     assert solve_definite(csc_matrix([[0.0, 1.0], [1.0, 0.0]]), right) is None
     semidefinite = csc_matrix([[1.0, 1.0], [1.0, 1.0]])
     assert np.allclose(semidefinite @ solve_semidefinite(semidefinite, np.ones(2), scale=1.0), 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("element", "cells"), [("P1", 3), ("P2", 2)])
+def test_a_block_comes_back_from_inverted_tets(element, cells):
+    """From vertices anywhere; the history shows the scene's own energy from the start on, each iteration once."""
+    X, tets = meshes.block(cells)
+    some = np.arange(0, len(tets), 2)
+    scene = Scene(X, tets, [Strain(2.0, np.linspace(1.0, 1.1, len(some)), tets=some), Strain(0.1), Volume(20.0)])
+    start = np.random.default_rng(0).uniform(-1.0, 1.0, X.shape)
+    seen = []
+    solution = solve(
+        scene,
+        solver="skfem",
+        element=element,
+        start=start,
+        tolerance=1e-10,
+        on_iteration=lambda i, x, energy, norm: seen.append(x),
+    )
+    assert solution.converged
+    assert solution.energy < 1e-12
+    assert solution.volume_ratio == pytest.approx(1.0, abs=1e-6)
+    assert len(solution.history.energy) == len(seen) == solution.iterations + 1
+    assert all(np.abs(a - b).max() > 0 for a, b in zip(seen[1:], seen[:-1], strict=True))
+    at = Discretisation(scene, element)
+    assert solution.history.energy[0] == pytest.approx(Energy(scene, at).value(at.flat(start)), rel=1e-12)
+
+
+def test_a_way_out_of_inverted_tets_may_be_interrupted_and_bounded():
+    X, tets = meshes.block(2)
+    scene = Scene(X, tets, [Strain(1.0), Volume(20.0)])
+    start = np.random.default_rng(0).uniform(-1.0, 1.0, X.shape)
+    stopped = solve(scene, solver="skfem", start=start, on_iteration=lambda i, x, energy, norm: i == 2)
+    assert (stopped.reason, stopped.iterations) == (Reason.INTERRUPTED, 2)
+    bounded = solve(scene, solver="skfem", start=start, max_iterations=3)
+    assert (bounded.reason, bounded.iterations) == (Reason.MAX_ITERATIONS, 3)
+    assert len(bounded.history.energy) == 4
