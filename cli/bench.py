@@ -185,6 +185,41 @@ def effects(names: str, identities: str, seed: int, reference: str, fan: int, ou
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
+@bench.command()
+@click.option("--identities", default="anny", help="whose head: 'anny' (the default head), ict:FILE or flame:FILE")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
+@click.option("--level", default=1, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
+@click.option("--frames", default=24, type=click.IntRange(min=8), help="at 60 per second")
+@click.option("--out", default="out/dynamics", type=AFile, help="folder of the report")
+@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
+def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_json: bool) -> int:
+    """Release a cheek and shake a head by Eq. 9, PD and FEM's time steps: OUT/index.html, OUT/results.json.
+
+    Exit status 1 if they disagree where they model the same, or a scheme has not its order.
+    """
+    from ..benchmarks.dynamics import DynamicsConfig, run_dynamics
+
+    with shown() as progress:
+        results = run_dynamics(DynamicsConfig(identities, seed, level, frames, out), progress)
+    click.echo((out / "results.json").read_text() if as_json else _dynamics_lines(results))
+    if not as_json:
+        click.echo(f"report: {out / 'index.html'}")
+    return 0 if all(gate["passed"] for gate in results["gates"]) else 1
+
+
+def _dynamics_lines(results: Mapping) -> str:
+    lines = [
+        f"{row['name']:<38} {row['steps_per_s']:4.0f} steps/s  "
+        f"{row['frequency']:6.3f} Hz  damping ratio {row['damping']:.4f}"
+        for row in results["release"]
+    ]
+    for asked in results["gates"]:
+        lines.append(
+            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
+        )
+    return "\n".join(lines)
+
+
 def _effect_lines(results: Mapping) -> str:
     lines = []
     for row in results["effects"]:

@@ -1,0 +1,129 @@
+"""A cheek that is drawn aside and let go, and a head that is shaken: by Eq. 9, by PD with mass on the skin, by FEM."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..lhm import LayeredHead
+from ..lhm.mesh import Floats
+from ..reference import Parameters, Scene, Sequence, Trajectory, facial_scene, march, prepare, solve, terms
+from ..reference.dynamics import Recurrence
+from ..reference.sequence import State
+
+DRAWN, REACH = 5.0, 25.0  # mm down at the cheek, and the standard deviation of what follows it
+FRAME = 1.0 / 60.0
+TIGHT, FINE = 1e-9, 1e-6  # tolerances where solvers are compared, and where time steps are
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A damped cosine fitted to a motion: frequency [Hz], damping ratio, and the misfit's RMS over the first value."""
+
+    frequency: float
+    damping: float
+    misfit: float
+
+
+def swing(times: Floats, motion: Floats) -> Swing:
+    """Fit e^(-ζωt) (A cos ω_d t + B sin ω_d t) to a motion (k,) at times [s]."""
+
+    def miss(rates: Floats) -> Floats:
+        omega, decay = rates
+        waves = np.exp(-decay * times)[:, None] * np.column_stack([np.cos(omega * times), np.sin(omega * times)])
+        return waves @ np.linalg.lstsq(waves, motion, rcond=None)[0] - motion
+
+    guesses = 2.0 * np.pi / times[-1] * np.array([0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
+    best = min((least_squares(miss, [guess, 0.1 * guess]) for guess in guesses), key=lambda found: found.cost)
+    omega, decay = abs(best.x[0]), best.x[1]
+    natural = float(np.hypot(omega, decay))
+    return Swing(natural / (2.0 * np.pi), decay / natural, float(np.sqrt(np.mean(best.fun**2)) / abs(motion[0])))
+
+
+@dataclass(frozen=True, eq=False)
+class Release:
+    """A head at rest in its neutral pose, bones held, and the same with the skin around vertex `at` drawn aside.
+
+    `areal` [kg/mm²] is the mass per skin area that makes Eq. 9 of p's springs swing at p's frequency.
+    """
+
+    head: LayeredHead = field(repr=False)
+    at: int
+    parameters: Parameters = field(default_factory=Parameters)
+    scene: Scene = field(init=False, repr=False)
+    start: Floats = field(init=False, repr=False)
+    sought: Floats = field(init=False, repr=False)
+    areal: float = field(init=False)
+
+    def __post_init__(self):
+        skin, wrap = self.head.skin.vertices, self.head.skin_wrap.vertices
+        near = np.exp(-np.sum((skin - wrap[self.at]) ** 2, axis=1) / (2.0 * REACH**2))
+        drawn = self.head.wrap_targets(skin + DRAWN * near[:, None] * [0.0, -1.0, 0.0])
+        scene = facial_scene(self.head, self.parameters, skin, bones="prescribed")
+        areal = float(np.mean(self.parameters.target_stiffness)) / (2.0 * np.pi * self.parameters.frequency) ** 2
+        start = solve(scene.with_targets(drawn), solver="fenicsx", tolerance=TIGHT).positions
+        for name, value in (("scene", scene), ("start", start), ("sought", drawn), ("areal", areal)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def passive(self) -> Scene:
+        """The scene without the springs of the expression: tissue on its bones."""
+        return replace(self.scene, terms=tuple(t for t in self.scene.terms if not isinstance(t, terms.Target)))
+
+    def motion(self, positions: Floats, start: Floats | None = None) -> Floats:
+        """How much of the skin wrap's displacement at the start is left, shape (k,), of positions (k, n, 3) [mm]."""
+        n = len(self.head.bone)
+        first = ((self.start if start is None else start) - self.scene.vertices)[:n]
+        return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
+
+    def by_recurrence(self, recurrence: Recurrence, frames: int) -> Floats:
+        """Frames of Eq. 9 through projective dynamics, the start first, shape (frames + 1, n, 3) [mm]."""
+        neutral = self.head.skin.vertices
+        sequence = Sequence(
+            self.head, self.parameters, time_step=FRAME, dynamic=True, bones="prescribed", tolerance=TIGHT
+        )
+        sequence.recurrence = recurrence
+        sequence.state = State(self.start, self.sought, self.start[: len(self.head.bone)])
+        return np.stack([self.start, *(sequence.frame(neutral).positions for _ in range(frames))])
+
+    def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Floats:
+        """Frames of implicit Euler with mass on the skin by PD, shape (frames + 1, n, 3) [mm]; see `by_elements`."""
+        wrap = self.head.skin_wrap
+        n = len(wrap.vertices)
+        springs = terms.Target(np.arange(n), wrap.vertices, self.areal * wrap.vertex_areas / FRAME**2)
+        prepared = prepare(replace(self.scene, terms=(*self.scene.terms, springs)))
+        x = self.start if shaken is None else np.array(self.scene.vertices)
+        v, places = np.zeros_like(x), [x]
+        for frame in range(1, frames + 1):
+            ahead = x + FRAME * v
+            if shaken is not None:
+                ahead = ahead - FRAME**2 * shaken(frame * FRAME)
+            step = replace(springs, positions=ahead[:n])
+            scene = replace(self.scene, terms=(*self.scene.terms, step))
+            after = prepared.solve(scene, start=x, tolerance=TIGHT).positions
+            v, x = (after - x) / FRAME, after
+            places.append(x)
+        return np.stack(places)
+
+    def by_elements(
+        self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
+    ) -> Trajectory:
+        """The same motion by finite elements, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
+
+        Let go from the start, or shaken from rest.
+        """
+        return march(
+            self.scene,
+            time_step=FRAME / per_frame,
+            steps=frames * per_frame,
+            scheme=scheme,
+            skin=self.head.skin_wrap.triangles,
+            skin_density=self.areal,
+            positions=self.start if shaken is None else None,
+            acceleration=shaken,
+            tolerance=tolerance,
+            keep=np.arange(len(self.head.bone)),
+        )

@@ -1,0 +1,59 @@
+"""softdeca bench dynamics: the study of a small sphere, its report, and what its configuration refuses."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dolfinx")
+
+from softdeca.benchmarks import machine
+from softdeca.benchmarks.dynamics import DynamicsConfig, page
+from softdeca.benchmarks.dynamics_study import study
+from softdeca.benchmarks.release import swing
+from softdeca.lhm import InputError
+
+
+def test_a_swing_is_found_by_its_frequency_and_damping():
+    t = np.arange(30) / 60
+    for frequency, damping in ((4.0, 0.3), (9.0, 0.05), (2.5, 0.0)):
+        omega = 2 * np.pi * frequency
+        wave = 3 * np.exp(-damping * omega * t) * np.cos(omega * np.sqrt(1 - damping**2) * t - 0.4)
+        found = swing(t, wave)
+        assert (found.frequency, found.damping) == (
+            pytest.approx(frequency, rel=1e-6),
+            pytest.approx(damping, abs=1e-6),
+        )
+        assert found.misfit < 1e-6
+
+
+def test_what_the_study_shows_on_a_small_sphere(spheres, tmp_path):
+    """4 Hz at 60 frames per second: implicit Euler damps by 0.200 and swings 0.97 times as fast, by the closed form."""
+    head = spheres(1)
+    at = int(np.argmax(head.skin.vertices[:, 2] - np.abs(head.skin.vertices[:, 1] + 30.0)))
+    results = study(head, at, 10, lambda *_: None)
+    assert [gate["what"] for gate in results["gates"] if not gate["passed"]] == []
+    found = {row["name"]: row for row in results["release"]}
+    # The springs' share of all stiffness is nearly one; the tissue's raises the frequency a little.
+    assert found["Eq. 9, p's frequency and damping"]["damping"] == pytest.approx(0.3, abs=0.01)
+    euler, exact = found["FEM, implicit Euler"], found["FEM, Newmark, 4 per frame"]
+    assert euler["damping"] == pytest.approx(0.2, abs=0.01)
+    assert euler["frequency"] / exact["frequency"] == pytest.approx(0.97, abs=0.01)
+    assert exact["frequency"] == pytest.approx(4.0, abs=0.2) and abs(exact["damping"]) < 5e-3
+    own = {row["name"]: row for row in results["own_mass"]}
+    damped = own["springs, all, Rayleigh damping"]
+    assert damped["to_a_tenth_s"] == pytest.approx(-np.log(0.1) * 0.055, abs=1.5 / 60)
+    html = page({"title": "dynamics", **results, "seconds": 1.0, "machine": machine.describe()})
+    assert "<svg" in html and all(f"<td>{name}</td>" in html.replace("&#39;", "'") for name in found)
+    json.dumps(results, allow_nan=False)
+
+
+@pytest.mark.parametrize(("choice", "why"), [({"level": 4}, "level: there are 1, 2"), ({"frames": 3}, "at least 8")])
+def test_a_configuration_outside_its_range_is_refused(choice, why):
+    with pytest.raises(InputError, match=why):
+        DynamicsConfig(**choice)
+
+
+def test_the_command_says_what_it_cannot_do(command):
+    ended = command("bench", "dynamics", "--identities", "nobody")
+    assert ended.status != 0 and len(ended.errors) == 1
