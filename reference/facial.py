@@ -126,6 +126,8 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
             return np.tile(value, layers) if np.ndim(value) else value
 
         of = np.ones(len(tets), dtype=bool) if stack.counts is None else np.tile(kept, layers)
+        if stack.sound is not None:
+            of &= stack.sound
         tissue.add(tets, of, at(stiffness), at(limit), at(volume), at(target), rule)
 
     def value(name: str):

@@ -11,9 +11,13 @@ from scipy.spatial import cKDTree
 
 from ..lhm.errors import SceneError
 from ..lhm.head import LayeredHead
-from ..lhm.layers import stacked, sub_layers
-from ..lhm.mesh import Floats, Ints
+from ..lhm.layers import prism_tets, stacked
+from ..lhm.mesh import Floats, Ints, tet_volumes
 
+MOST_FOLDED = 2e-3
+"""Share of the tets from skin to skull that may be left out because they are folded."""
+FLATTEST = 1e-4
+"""The least volume of such a tet, over the median."""
 NEIGHBOURS = 8
 """Vertices of the wraps with which one between them is carried along."""
 
@@ -24,7 +28,7 @@ class Stack:
 
     `muscle` is None where soft tissue goes down to the skull; `counts` are the layers of each tissue's prisms, None
     where the tets are a head's own volume mesh; `inner` (k, wraps' vertices) then has the weights with which vertices
-    between the wraps are carried along with them.
+    between the wraps are carried along with them. `sound` masks the soft tets that are used, None for all.
     """
 
     vertices: Floats
@@ -33,6 +37,7 @@ class Stack:
     first_of_skull: int
     counts: tuple[int, ...] | None
     inner: csr_matrix | None = None
+    sound: np.ndarray | None = None
 
     @classmethod
     def of(cls, head: LayeredHead, layers: tuple[int, int], without: Collection[str]) -> Stack:
@@ -51,13 +56,26 @@ class Stack:
                 return cls(head.vertices, head.tets, None, 2 * n, None, inner)
             return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, None, inner)
         if "muscle" in without:
-            wraps = (head.skin_wrap.vertices, head.skull_wrap.vertices)
-            (soft,) = sub_layers(wraps, head.skin_wrap.triangles, layers[:1])
-            return cls(soft.vertices, soft.tets, None, layers[0] * n, layers[:1])
+            return cls._merged(head, int(layers[0]))
         if layers == (1, 1):
             return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, layers)
         soft, muscle = head.sub_layers(*layers)
         return cls(soft.vertices, soft.tets, muscle.tets, sum(layers) * n, layers)
+
+    @classmethod
+    def _merged(cls, head: LayeredHead, layers: int) -> Stack:
+        """Prisms straight from skin to skull; where columns bend at the muscle wrap, a few tets fold and are left out."""
+        n = len(head.bone)
+        vertices = stacked((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
+        tets = np.vstack([prism_tets(head.skin_wrap.triangles, k * n, (k + 1) * n) for k in range(layers)])
+        volumes = tet_volumes(vertices, tets)
+        sound = volumes > FLATTEST * np.median(volumes)
+        if np.mean(~sound) > MOST_FOLDED:
+            raise SceneError(
+                f"without muscle {np.count_nonzero(~sound)} of {len(tets)} tets from skin to skull are folded; "
+                f"at most {MOST_FOLDED:.1%} may be left out"
+            )
+        return cls(vertices, tets, None, layers * n, (layers,), sound=sound)
 
     def between(self, skin: Floats, muscle: Floats, skull: Floats) -> Floats:
         """Positions [mm] of the whole stack for those of the wraps, each of shape (n, 3)."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm import InputError, Surface
+from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
 from softdeca.lhm.geometry.rigid import rigid_motion
 from softdeca.lhm.refine import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
@@ -266,3 +266,16 @@ def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):
     shift = np.array([1.0, -2.0, 3.0])
     assert stack.between(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
     assert stack.first_of_skull == 2 * len(head.bone)
+
+
+def test_prisms_that_fold_without_the_muscle_wrap_are_few_and_left_out():
+    head = fit_head(load_template(), identities.Anny().sample(np.random.default_rng(0))[1])
+    whole = 3 * len(head.skin_wrap.triangles)
+    scene = facial_scene(head, Parameters(), head.skin.vertices, without=("muscle",))
+    assert whole - 29 < len(scene.tets) < whole
+    assert np.array_equal(np.unique(scene.tets), np.arange(len(scene.vertices)))
+    crossed = replace(head, muscle_wrap=head.muscle_wrap)
+    twisted = np.array(head.skull_wrap.vertices)
+    object.__setattr__(crossed, "skull_wrap", head.skull_wrap.with_vertices(twisted[::-1]))
+    with pytest.raises(SceneError, match="without muscle .* tets from skin to skull are folded"):
+        facial_scene(crossed, Parameters(), head.skin.vertices, without=("muscle",))
