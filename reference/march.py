@@ -38,6 +38,7 @@ class Motion:
     damping: tuple[float, float]
     targets: Course | None
     fixed: Course | None
+    scenes: Callable[[float], Scene] | None
     acceleration: Course | None
     positions: Floats
     velocities: Floats
@@ -47,7 +48,7 @@ class Motion:
 
     def scene_at(self, step: int) -> Scene:
         """The scene at the end of a step, from 1, or at the start, 0: the given one where values are per step."""
-        scene = self.scene
+        scene = self.scene if self.scenes is None else self.scenes(step * self.time_step)
         if (targets := self._at(self.targets, step)) is not None:
             scene = scene.with_targets(targets)
         if (fixed := self._at(self.fixed, step)) is not None:
@@ -85,6 +86,7 @@ def march(
     damping: tuple[float, float] = (0.0, 0.0),
     targets: Course | None = None,
     fixed: Course | None = None,
+    scenes: Callable[[float], Scene] | None = None,
     acceleration: Course | None = None,
     positions: Floats | None = None,
     velocities: Floats | None = None,
@@ -99,7 +101,8 @@ def march(
     `skin_density` [kg/mm²] of triangles `skin` (k, 3), one or one per triangle; "lumped" on nodes or "consistent" with
     the shape functions. damping (a [1/s], b [s]) is Rayleigh's C = a M + b K, K the tangent at rest, springs included.
     `targets` and `fixed` [mm] move the one Target and the one Fixed term, `acceleration` [mm/s²] is that of the frame
-    that positions are measured in (a shaken head): functions of time, or arrays of one value per step.
+    that positions are measured in (a shaken head): functions of time, or arrays of one value per step. Else
+    `scenes` gives the scene by time: it may differ in targets, held positions, loads, limits and volumes sought.
     positions [mm] and velocities [mm/s] are those at the start, shape (n, 3), default rest; keep (kept,) vertices are
     recorded, default all. tolerance: of the forces that act if nothing moves on in a step, the largest so far.
     Options of fenicsx: `element`, "P1" or "P2".
@@ -111,7 +114,7 @@ def march(
         raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
     motion = _checked(
         scene, time_step, steps, _scheme(scheme, spectral_radius), density, skin, skin_density, mass, damping,
-        targets, fixed, acceleration, positions, velocities, keep, tolerance, on_step,
+        targets, fixed, scenes, acceleration, positions, velocities, keep, tolerance, on_step,
     )  # fmt: skip
     for option in options:
         if option != "element":
@@ -124,8 +127,8 @@ def _scheme(given: str | Scheme, spectral_radius: float) -> Scheme:
 
 
 def _checked(
-    scene, time_step, steps, rule, density, skin, skin_density, mass, damping, targets, fixed, acceleration, positions,
-    velocities, keep, tolerance, on_step,
+    scene, time_step, steps, rule, density, skin, skin_density, mass, damping, targets, fixed, scenes, acceleration,
+    positions, velocities, keep, tolerance, on_step,
 ) -> Motion:  # fmt: skip
     if not isinstance(scene, Scene):
         raise SceneError(f"march: expected a Scene, got {type(scene).__name__}")
@@ -155,6 +158,8 @@ def _checked(
     for name, course in (("targets", targets), ("fixed", fixed), ("acceleration", acceleration)):
         if course is not None and not callable(course) and len(course) < steps:
             raise SceneError(f"{name}: {len(course)} values for {steps} steps")
+    if scenes is not None and not (callable(scenes) and isinstance(scenes(0.0), Scene)):
+        raise SceneError("scenes: expected a function from time [s] to a Scene")
     vertices = np.arange(len(scene.vertices)) if keep is None else np.asarray(keep)
     if vertices.ndim != 1 or not np.issubdtype(vertices.dtype, np.integer):
         raise SceneError(f"keep: expected vertices of shape (k,), got shape {vertices.shape} of {vertices.dtype}")
@@ -162,7 +167,7 @@ def _checked(
         raise SceneError(f"keep: a vertex is outside 0..{len(scene.vertices) - 1}")
     return Motion(
         scene, rule, float(step), int(steps), volume, triangles.astype(np.int64), area, mass,
-        (float(rayleigh[0]), float(rayleigh[1])), targets, fixed, acceleration,
+        (float(rayleigh[0]), float(rayleigh[1])), targets, fixed, scenes, acceleration,
         _points("positions", positions, scene.vertices), _points("velocities", velocities, 0.0 * scene.vertices),
         vertices, tolerance, on_step,
     )  # fmt: skip

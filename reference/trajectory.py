@@ -13,7 +13,8 @@ from .solution import Reason
 class Energies:
     """Energies at each time [µJ], shape (k + 1,); the first two are states, the others sums since the start.
 
-    `dissipated` is the work of viscous damping, `input` that of moving targets, held vertices and an accelerated frame.
+    `dissipated` is the work of viscous damping, `input` that of moving targets, held vertices and an accelerated frame;
+    that of loads and sought volumes which change with time is not counted.
     kinetic + potential + dissipated - input stays as it is but for what the scheme loses (or gains).
     """
 

@@ -58,6 +58,7 @@ class _March:
         scene = self._scene_at(0)
         self.order = Numbering(scene, degree)
         self.problem = Problem(scene, self.order)
+        self.set_scene, self.dead_loads = scene, self.problem.loads
         self.mass = mass_matrix(motion, self.order)
         self.frame_mass = np.asarray(self.mass.sum(axis=1)).ravel()
         matrix = self.problem.matrix
@@ -94,9 +95,11 @@ class _March:
 
     def _set(self, scene: Scene, step: int) -> Floats:
         """Put the problem at a step's scene and forces of the frame; give the latter."""
-        self.problem.set(scene)
+        if scene is not self.set_scene:
+            self.problem.set(scene)
+            self.set_scene, self.dead_loads = scene, self.problem.loads
         forces = -self.frame_mass[:, None] * self.motion.acceleration_at(step)
-        self.problem.loads = self.problem.loads + forces
+        self.problem.loads = self.dead_loads + forces
         return forces
 
     def _damped(self, v: Floats) -> Floats:
@@ -109,7 +112,8 @@ class _March:
         frame_forces = self._set(scene, 0)
         held, places = scene.dirichlet()
         u = order.to_dofs(np.where(held, places, motion.positions)) - order.X
-        v = np.where(self.held & (motion.fixed is None), 0.0, order.to_dofs(motion.velocities))
+        moves = motion.fixed is not None or motion.scenes is not None
+        v = np.where(self.held & (not moves), 0.0, order.to_dofs(motion.velocities))
         state = self.problem.at(u)
         if not np.isfinite(state.energy):
             raise SceneError("march: the energy is not finite at the start; some tet is flat or inverted")

@@ -125,6 +125,24 @@ def test_targets_as_arrays_are_those_as_a_function():
     assert np.abs(whole.positions - array.positions).max() < 1e-12 < np.abs(whole.positions - X).max()
 
 
+def test_scenes_by_time_move_what_targets_and_fixed_move():
+    base = standing(terms.Target(np.arange(len(X)), X, OMEGA**2 * MASSES))
+    held = X[base.of(terms.Fixed)[0].vertices]
+
+    def ends(t):
+        return X + np.sin(OMEGA * t)
+
+    def places(t):
+        return held + [0.2 * np.sin(OMEGA * t), 0.0, 0.0]
+
+    common = {"time_step": H, "steps": 4, "density": DENSITY, "tolerance": 1e-11}
+    apart = march(base, targets=ends, fixed=places, **common)
+    whole = march(base, scenes=lambda t: base.with_targets(ends(t)).with_fixed(places(t)), **common)
+    assert np.abs(whole.positions - apart.positions).max() < 1e-10 < np.abs(whole.positions - X).max()
+    with pytest.raises(SceneError, match="Strain.stiffness differs"):
+        march(base, scenes=lambda t: replace(base, terms=(terms.Strain(5 + t), *base.terms[1:])), **common)
+
+
 def bar(stiffness=8.0):
     """Strain alone is a bar without lateral contraction: Young's modulus is its stiffness, and waves run at √(E/ρ)."""
     vertices, tets = box((1, 1, 10), (4.0, 4.0, 40.0))
@@ -321,6 +339,7 @@ def body():
         ({"targets": lambda t: X[:4]}, "Target.positions: expected 45 rows, got 4"),
         ({"fixed": lambda t: X}, "0 Fixed terms"),
         ({"acceleration": lambda t: 9.81}, "acceleration: expected three finite numbers"),
+        ({"scenes": [swinging()]}, "scenes: expected a function"),
         ({"keep": [99]}, "keep: a vertex is outside"),
         ({"tolerance": 0.0}, "tolerance must lie between"),
         ({"solver": "skfem"}, "unknown solver 'skfem'; there are fenicsx"),
