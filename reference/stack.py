@@ -64,7 +64,7 @@ class Stack:
 
     @classmethod
     def _merged(cls, head: LayeredHead, layers: int) -> Stack:
-        """Prisms straight from skin to skull; where columns bend at the muscle wrap, a few tets fold and are left out."""
+        """Prisms straight from skin to skull; a few tets fold where columns bend at the muscle, and are left out."""
         n = len(head.bone)
         vertices = stacked((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
         tets = np.vstack([prism_tets(head.skin_wrap.triangles, k * n, (k + 1) * n) for k in range(layers)])

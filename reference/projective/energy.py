@@ -29,9 +29,9 @@ class Energy:
     loads: Floats
 
     @classmethod
-    def of(cls, scene: Scene) -> Energy:
+    def of(cls, scene: Scene, threads: int = 1) -> Energy:
         """Build what depends on mesh and stiffnesses."""
-        return cls(TetBlocks.of(scene), Triangles.of(scene), Rings.of(scene), (), np.zeros(0)).for_scene(scene)
+        return cls(TetBlocks.of(scene, threads), Triangles.of(scene), Rings.of(scene), (), np.zeros(0)).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Energy:
         """The energy of a scene of the same terms with other targets, motion, loads, limits, growth and volumes."""

@@ -152,7 +152,7 @@ def _scatter(w, corners, gradient):
     return total
 
 
-@njit(**COMPILED)
+@njit(nogil=True, **COMPILED)
 def add_tets(parameters, corners, has_volume, u, gradient):
     """Add the tets' gradient [mN] at displacement u [mm], both (n, 3), in place; return their energy [µJ].
 

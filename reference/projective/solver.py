@@ -190,20 +190,23 @@ def prepare(
     method: Method = "lbfgs",
     linear_solver: LinearSolver | None = None,
     like: ProjectivePrepared | None = None,
+    threads: int = 1,
 ) -> ProjectivePrepared:
     """Factor the PD matrix of a scene.
 
     method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
     default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.geometry.factor`.
     With "cholmod", a scene prepared `like` another of the same topology, such as another identity, takes over its
-    symbolic factorisation. Terms: Strain, Volume, SurfaceStrain, Bending, Target, Fixed, RigidBody, Gravity, Traction,
-    Inertia, Contact. Raises SceneError for another term or method, InputError for another linear solver and
-    MissingDependencyError for one that is not installed.
+    symbolic factorisation. `threads` share the local step. Terms: Strain, Volume, SurfaceStrain, Bending, Target,
+    Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term, method or count, InputError
+    for another linear solver and MissingDependencyError for one that is not installed.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
-    energy = Energy.of(scene)
+    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+        raise SceneError(f"projective: threads must be at least 1, got {threads!r}")
+    energy = Energy.of(scene, threads)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
     known = None if like is None else like.system
     system = System.of(matrix, anchored, Coordinates.of(scene), linear_solver=linear_solver, like=known)

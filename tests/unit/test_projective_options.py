@@ -8,7 +8,7 @@ from scipy.sparse import csc_matrix, diags, random_array
 
 from softdeca.lhm.errors import InputError, MissingDependencyError
 from softdeca.lhm.geometry import cholmod, factor
-from softdeca.reference import Scene, prepare, solve, terms
+from softdeca.reference import Scene, SceneError, prepare, solve, terms
 
 cholmod_is_there = pytest.mark.skipif(cholmod.library() is None, reason="libcholmod.so.3 is not installed")
 SOLVERS = ["cholespy", "superlu", pytest.param("cholmod", marks=cholmod_is_there)]
@@ -112,3 +112,14 @@ def test_a_warm_start_saves_steps_and_hides_no_state(sphere_head):
     np.testing.assert_allclose(third.positions, solve(scenes[2], tolerance=1e-9).positions, atol=1e-4)
     other = prepare(replace(scenes[0], terms=scenes[0].terms[:3]))
     assert other.solve(warm=first).converged  # of other unknowns: only its positions are of use
+
+
+def test_threads_share_the_local_step_and_change_nothing(sphere_head):
+    scene = scene_of(sphere_head, shift=5.0)
+    alone = prepare(scene).solve(tolerance=1e-9)
+    shared = [prepare(scene, threads=threads).solve(tolerance=1e-9).positions for threads in (3, 3, 200)]
+    assert np.array_equal(shared[0], shared[1])
+    assert shared[0] == pytest.approx(alone.positions, abs=1e-7) == shared[2]
+    for wrong in (0, 1.5, True):
+        with pytest.raises(SceneError, match="threads must be at least 1"):
+            prepare(scene, threads=wrong)
