@@ -99,7 +99,9 @@ class Discretisation:
         by_reference = np.stack([np.broadcast_to(d.T, (len(weights), 2)) for _, d in both], axis=1)
         # The last two barycentric coordinates are scikit-fem's on the reference triangle.
         gradients = by_reference @ linear[:, None, 1:]
-        return Elements(self.size, self.dofs[nodes], np.outer(areas, 2 * weights), shapes, gradients)
+        return Elements(
+            self.flat(self._scene.vertices), self.dofs[nodes], np.outer(areas, 2 * weights), shapes, gradients
+        )
 
     def _tets(self) -> Elements:
         m, k = len(self._scene.tets), self.basis.Nbfun // 3
@@ -108,4 +110,4 @@ class Discretisation:
         points, _ = tet_rule(self._degree)
         shapes = [TETS[self._degree].lbasis(points, a)[0] + np.zeros(points.shape[1]) for a in range(k)]
         dofs = self.basis.element_dofs.T.reshape(m, k, 3).astype(np.int64)
-        return Elements(self.size, dofs, self.basis.dx, np.stack(shapes, axis=1), gradients)
+        return Elements(self.flat(self._scene.vertices), dofs, self.basis.dx, np.stack(shapes, axis=1), gradients)

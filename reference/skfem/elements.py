@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
@@ -12,13 +13,14 @@ from ...lhm.mesh import Floats, Ints
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """m elements of k nodes and q points in d dimensions, out of `size` degrees of freedom.
+    """m elements of k nodes and q points in d dimensions.
 
-    dofs (m, k, 3); weights (m, q) [mm^d], what each point stands for; shape functions (q, k) and their gradients
-    (m, q, k, d) [1/mm]. Points are counted element by element.
+    rest [mm], shape (size,), are all nodes' places by degree of freedom; dofs (m, k, 3); weights (m, q) [mm^d], what
+    each point stands for; shape functions (q, k) and their gradients (m, q, k, d) [1/mm]. Points are counted element by
+    element.
     """
 
-    size: int
+    rest: Floats
     dofs: Ints
     weights: Floats
     shapes: Floats
@@ -35,9 +37,16 @@ class Elements:
         return np.repeat(np.broadcast_to(values, (m,)).astype(np.float64), q)
 
     def deformation_gradients(self, x: Floats) -> Floats:
-        """F at the points, shape (m q, 3, d)."""
-        F = x[self.dofs].transpose(0, 2, 1)[:, None] @ self.gradients
-        return F.reshape(-1, 3, F.shape[-1])
+        """F at the points, shape (m q, 3, d); from displacements, whose rounding is less than that of places."""
+        return self._at_rest + self._gradient(x - self.rest)
+
+    @cached_property
+    def _at_rest(self) -> Floats:
+        return self._gradient(self.rest)
+
+    def _gradient(self, values: Floats) -> Floats:
+        gradient = values[self.dofs].transpose(0, 2, 1)[:, None] @ self.gradients
+        return gradient.reshape(-1, 3, gradient.shape[-1])
 
     def integral(self, psi: Floats) -> float:
         """Of a density at the points, shape (m q,)."""
@@ -48,7 +57,7 @@ class Elements:
         k, d = self.gradients.shape[2:]
         weighted = (self.weights.reshape(-1, 1, 1) * stress).reshape(len(self.dofs), -1, 3, d)
         forces = self._by_node() @ weighted.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, 3)
-        return np.bincount(self.dofs.ravel(), forces.reshape(-1, 3 * k).ravel(), minlength=self.size)
+        return np.bincount(self.dofs.ravel(), forces.reshape(-1, 3 * k).ravel(), minlength=len(self.rest))
 
     def stiffness(self, tangent: Floats) -> csr_matrix:
         """The integral of grad v : C : grad u, shape (size, size), from C at the points (m q, 3, d, 3, d)."""
@@ -61,14 +70,14 @@ class Elements:
         blocks = blocks.reshape(m, 3 * k, 3, k).transpose(0, 1, 3, 2)
         rows = np.broadcast_to(self.dofs.reshape(m, 3 * k, 1, 1), blocks.shape)
         columns = np.broadcast_to(self.dofs[:, None], blocks.shape)
-        shape = (self.size, self.size)
+        shape = (len(self.rest), len(self.rest))
         return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
 
     def loads(self, force: Floats) -> Floats:
         """Nodal forces [mN], shape (size,), of one force per weight and element, shape (m, 3)."""
         shares = self.weights @ self.shapes
         loads = shares[:, :, None] * force[:, None, :]
-        return np.bincount(self.dofs.ravel(), loads.ravel(), minlength=self.size)
+        return np.bincount(self.dofs.ravel(), loads.ravel(), minlength=len(self.rest))
 
     def _by_node(self) -> Floats:
         """Gradients, shape (m, k, q d)."""
