@@ -22,7 +22,7 @@ from .solve import Prepared, prepare
 from .stack import Stack
 from .terms import Target
 
-TOLERANCE = 5e-5
+TOLERANCE = 2.5e-5
 LOOSEST = 1.0 - 1e-6
 
 

@@ -198,8 +198,8 @@ def prepare(
     default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.geometry.factor`.
     With "cholmod", a scene prepared `like` another of the same topology, such as another identity, takes over its
     symbolic factorisation. `threads` share the local step. Terms: Strain, Volume, SurfaceStrain, Bending, Target,
-    Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term, method or count, InputError
-    for another linear solver and MissingDependencyError for one that is not installed.
+    Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term, method or count,
+    InputError for another linear solver and MissingDependencyError for one that is not installed.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
