@@ -1,0 +1,144 @@
+"""Tet meshes with tags, in and out, in the formats of other programs (gmsh, VTK, XDMF, Medit) through meshio."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import meshio
+import numpy as np
+
+from ..errors import InputError, MeshError
+from ..head import LayeredHead
+from ..mesh import Ints, TetMesh
+from .atomic import replaced
+from .surface_file import GREATEST_EXTENT, MILLIMETRES
+
+FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".xdmf": "xdmf", ".mesh": "medit"}
+TAG = {".msh": "gmsh:physical", ".vtu": "tag", ".xdmf": "tag", ".mesh": "medit:ref"}
+SOFT, MUSCLE = 1, 2
+NAMES = {"soft_tissue": (SOFT, 3), "muscle": (MUSCLE, 3), "skin": (11, 2), "muscle_wrap": (12, 2), "skull": (13, 2)}
+"""Name, and tag and dimension, of what a head's file holds."""
+LEAST_EXTENT = 1.0
+MOST_TETS = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class TaggedTets:
+    """A tet mesh [mm] and an integer per tet, shape (m,); `names` of tags where the file has them.
+
+    `surfaces`: triangles (k, 3) over the mesh's vertices, by their tag.
+    """
+
+    mesh: TetMesh
+    tags: Ints
+    names: Mapping[int, str] = field(default_factory=dict)
+    surfaces: Mapping[int, Ints] = field(default_factory=dict)
+
+
+def of_head(head: LayeredHead, layers: tuple[int, int] = (1, 1)) -> TaggedTets:
+    """A head's tets, with so many layers of soft tissue and of muscle or its own volume mesh, and its three wraps.
+
+    Raises MeshError for layers of a head whose tets are a volume mesh, InputError for counts below one.
+    """
+    if head.volume is not None and tuple(layers) != (1, 1):
+        raise MeshError(f"layers {tuple(layers)}: the head's tets are a volume mesh, not layers of prisms")
+    soft, muscle = (head.soft, head.muscle) if tuple(layers) == (1, 1) else head.sub_layers(*layers)
+    triangles, n = head.skin_wrap.triangles, len(head.bone)
+    firsts = (0, n, 2 * n) if head.volume is not None else (0, layers[0] * n, sum(layers) * n)
+    tags = [tag for tag, dimension in NAMES.values() if dimension == 2]
+    return TaggedTets(
+        TetMesh(soft.vertices, np.vstack([soft.tets, muscle.tets])),
+        np.repeat([SOFT, MUSCLE], [len(soft.tets), len(muscle.tets)]),
+        {tag: name for name, (tag, _) in NAMES.items()},
+        {tag: triangles + first for tag, first in zip(tags, firsts, strict=True)},
+    )
+
+
+def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
+    """Write a .msh (gmsh 2.2), .vtu, .xdmf or .mesh file [mm], whole or not at all; InputError for another suffix.
+
+    Surfaces are elements beside the tets. Names go with .msh alone: the other formats have numbers only.
+    """
+    path = Path(path)
+    kind = _kind(path)
+    blocks = [("tetra", tagged.mesh.tets), *(("triangle", t) for t in tagged.surfaces.values())]
+    numbers = [tagged.tags, *(np.full(len(t), tag) for tag, t in tagged.surfaces.items())]
+    data = {TAG[kind]: [np.asarray(values, dtype=np.int32) for values in numbers]}
+    more = {}
+    if kind == ".msh":
+        data["gmsh:geometrical"] = data[TAG[kind]]
+        flat = {*tagged.surfaces}
+        more = {"field_data": {name: np.array([tag, 2 if tag in flat else 3]) for tag, name in tagged.names.items()}}
+    mesh = meshio.Mesh(tagged.mesh.vertices, blocks, cell_data=data, **more)
+    settings = {".msh": {"file_format": "gmsh22"}, ".xdmf": {"data_format": "XML"}}.get(kind, {})
+    with replaced(path) as temporary, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        mesh.write(temporary, **{"file_format": FORMATS[kind], **settings})
+
+
+def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
+    """The tets of a file in any of the formats, with their tags (0 where it has none) and tagged triangles.
+
+    `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, damaged, has
+    no tets or too many, values that are not finite, inverted tets, or an extent [mm] that shows a wrong unit.
+    """
+    path = Path(path)
+    if unit not in MILLIMETRES:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
+    kind = _kind(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    mesh = _read(path, kind)
+    tets = np.vstack([np.empty((0, 4), dtype=np.int64), *(b.data for b in mesh.cells if b.type == "tetra")])
+    if not len(tets):
+        found = sorted({block.type for block in mesh.cells}) or ["nothing"]
+        raise InputError(f"{path}: no tets (four corners each); it has {', '.join(found)}")
+    if len(tets) > MOST_TETS:
+        raise InputError(f"{path}: {len(tets)} tets; expected at most {MOST_TETS}")
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.shape[1:] != (3,):
+        raise InputError(f"{path}: expected points of three coordinates, got shape {points.shape}")
+    try:
+        read = TetMesh(points * MILLIMETRES[unit], tets)
+    except MeshError as error:
+        raise InputError(f"{path}: {error}") from None
+    extent = float(np.ptp(read.vertices[np.unique(tets)], axis=0).max())
+    if not LEAST_EXTENT <= extent <= 10.0 * GREATEST_EXTENT:
+        raise InputError(f"{path}: its extent is {extent:.4g} mm in unit {unit!r}; is the unit wrong?")
+    numbers = _numbers(mesh, TAG[kind])
+    tags = np.concatenate([n for b, n in zip(mesh.cells, numbers, strict=True) if b.type == "tetra"])
+    surfaces: dict[int, list[Ints]] = {}
+    for block, values in zip(mesh.cells, numbers, strict=True):
+        if block.type == "triangle":
+            for tag in np.unique(values):
+                surfaces.setdefault(int(tag), []).append(np.asarray(block.data, dtype=np.int64)[values == tag])
+    names = {int(tag): name for name, (tag, _) in mesh.field_data.items()} if kind == ".msh" else {}
+    return TaggedTets(read, tags, names, {tag: np.vstack(parts) for tag, parts in surfaces.items()})
+
+
+def _kind(path: Path) -> str:
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"{path}: unknown kind of tet mesh; expected one of {', '.join(FORMATS)}")
+    return path.suffix.lower()
+
+
+def _read(path: Path, kind: str) -> meshio.Mesh:
+    # meshio prints warnings, and ends the process where it finds no reader for a content.
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            return meshio.read(path, file_format=FORMATS[kind])
+    except (Exception, SystemExit) as error:  # its readers raise whatever broken text makes them raise
+        said = str(error).strip().split("\n")[0][:80]
+        raise InputError(f"{path}: not a readable tet mesh ({type(error).__name__}{said and ': ' + said})") from None
+
+
+def _numbers(mesh: meshio.Mesh, name: str) -> list[Ints]:
+    """The tags of each block of elements, zeros where the file has none of that name."""
+    values = mesh.cell_data.get(name) or [np.zeros(len(block.data)) for block in mesh.cells]
+    return [
+        np.asarray(v).reshape(len(b.data), -1)[:, 0].astype(np.int64) for b, v in zip(mesh.cells, values, strict=True)
+    ]
