@@ -147,6 +147,52 @@ def show(file: Path, out: Path, expression: str | None, space_name: str, vtk: Pa
     return 0
 
 
+@head.command()
+@click.argument("file", type=AFile)
+@click.option("--layers", default="1,1", help="layers of soft tissue and of muscle")
+@click.option("--size", type=float, help="instead: free tets between the wraps, no larger than this inside [mm] (gmsh)")
+@click.option("--out", type=AFile, default="out/head.msh", help="the mesh to write: .msh, .vtu, .xdmf or .mesh")
+@as_json_option
+def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) -> int:
+    """Write the tets of the layered head in FILE (by `head fit`) with tags and surfaces, and report their shape.
+
+    Tags: 1 soft tissue, 2 muscle; surfaces 11 skin wrap, 12 muscle wrap, 13 skull wrap.
+    """
+    from ..lhm.files import tet_file
+    from ..lhm.geometry.quality import tet_quality
+    from ..lhm.remesh import remeshed
+
+    counts = _counts(layers)
+    if size is not None and counts != (1, 1):
+        raise click.UsageError("--layers and --size both say which tets; give one", click.get_current_context())
+    meshed = load_head(file)
+    if size is not None:
+        meshed = remeshed(meshed, size)
+    tagged = tet_file.of_head(meshed, counts)
+    tet_file.write_tets(out, tagged)
+    vertices, tets = tagged.mesh.vertices, tagged.mesh.tets
+    report = {
+        tagged.names[int(tag)]: {"tag": int(tag), **asdict(tet_quality(vertices, tets[tagged.tags == tag]))}
+        for tag in np.unique(tagged.tags)
+    }
+    if as_json:
+        click.echo(json.dumps({"file": str(out), "vertices": len(vertices), "tissues": report}, indent=1))
+        return 0
+    for name, figures in report.items():
+        for key, value in figures.items():
+            click.echo(f"{name.replace('_', ' ')}, {key.replace('_', ' ')}: {value:.6g}")
+    click.echo(f"{len(vertices)} vertices: {out}")
+    return 0
+
+
+def _counts(text: str) -> tuple[int, int]:
+    try:
+        soft, muscle = (int(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"layers {text!r}: expected two counts, as 2,2") from None
+    return soft, muscle
+
+
 def _check_skin(file: Path, surface: Surface, template: Template) -> None:
     same = len(surface.vertices) == len(template.skin.vertices)
     try:

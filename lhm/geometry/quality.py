@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..mesh import Floats, Ints, tet_volumes
@@ -31,3 +33,34 @@ def aspect_ratios(vertices: Floats, tets: Ints) -> Floats:
     # Height over a face = 3 volumes / area.
     height = 6.0 * np.abs(tet_volumes(vertices, tets)) / np.maximum(np.max(doubled, axis=0), 1e-30)
     return longest / np.maximum(height, 1e-30)
+
+
+@dataclass(frozen=True)
+class TetQuality:
+    """Shape of some tets: volumes [mm³], smallest angles between faces [degrees], aspect ratios (1.22 if regular)."""
+
+    tets: int
+    volume: float
+    least_volume: float
+    smallest_dihedral: float
+    share_below_2_degrees: float
+    share_below_5_degrees: float
+    aspect_median: float
+    aspect_95: float
+    aspect_max: float
+
+
+def tet_quality(vertices: Floats, tets: Ints) -> TetQuality:
+    """Measure tets, shape (m, 4), of which there is at least one, over vertices [mm], shape (n, 3)."""
+    volumes, angles, aspects = (f(vertices, tets) for f in (tet_volumes, smallest_dihedrals, aspect_ratios))
+    return TetQuality(
+        tets=len(tets),
+        volume=float(volumes.sum()),
+        least_volume=float(volumes.min()),
+        smallest_dihedral=float(angles.min()),
+        share_below_2_degrees=float((angles < 2).mean()),
+        share_below_5_degrees=float((angles < 5).mean()),
+        aspect_median=float(np.median(aspects)),
+        aspect_95=float(np.quantile(aspects, 0.95)),
+        aspect_max=float(aspects.max()),
+    )

@@ -1,0 +1,61 @@
+"""softdeca head mesh: the tets of a head in a file for other programs, with their shape."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softdeca.lhm.files.head_file import save_head
+from softdeca.lhm.files.tet_file import read_tets
+from softdeca.lhm.geometry.quality import tet_quality
+
+
+@pytest.fixture
+def file(tmp_path, sphere_head):
+    save_head(tmp_path / "head.npz", sphere_head)
+    return tmp_path / "head.npz"
+
+
+def test_layers_are_written_and_their_shape_is_told(command, file, tmp_path, sphere_head):
+    out = tmp_path / "head.vtu"
+    ended = command("head", "mesh", file, "--layers", "2,3", "--out", out, "--json")
+    assert ended.status == 0
+    told, read = json.loads(ended.out), read_tets(out)
+    assert told["vertices"] == len(read.mesh.vertices) == 6 * len(sphere_head.bone)
+    for tag, name, layers in ((1, "soft_tissue", 2), (2, "muscle", 3)):
+        row = told["tissues"][name]
+        assert row["tag"] == tag and row["tets"] == 960 * layers == np.count_nonzero(read.tags == tag)
+        own = getattr(sphere_head, "soft" if tag == 1 else "muscle")
+        assert row["volume"] == pytest.approx(own.volumes.sum())
+    ended = command("head", "mesh", file, "--out", out)
+    assert "soft tissue, tets: 960" in ended.out and str(out) in ended.out
+
+
+def test_a_size_makes_free_tets(command, file, tmp_path):
+    pytest.importorskip("gmsh", reason="gmsh is not installed", exc_type=(ImportError, OSError))
+    ended = command("head", "mesh", file, "--size", 20, "--out", tmp_path / "head.msh")
+    assert ended.status == 0 and "muscle, smallest dihedral" in ended.out
+    assert set(read_tets(tmp_path / "head.msh").names.values()) >= {"soft_tissue", "skull"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--layers", "2"), "layers '2': expected two counts"),
+        (("--layers", "0,1"), "at least 1"),
+        (("--size", "0"), "size: expected 0.2 to 1000 mm"),
+        (("--layers", "2,2", "--size", "3"), "give one"),
+        (("--out", "head.obj"), "expected one of .msh"),
+    ],
+)
+def test_what_is_wrong_is_one_line(command, file, arguments, told):
+    ended = command("head", "mesh", file, *arguments)
+    assert ended.status != 0 and len(ended.errors) == 1 and told in ended.errors[0]
+
+
+def test_a_regular_tet_is_measured():
+    # Edges of 2 sqrt 2: dihedral arccos(1/3) = 70.53°, aspect sqrt(3/2), volume 8/3.
+    x = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    quality = tet_quality(x, np.array([[0, 2, 1, 3]]))
+    assert quality.volume == pytest.approx(8 / 3) and quality.smallest_dihedral == pytest.approx(70.5287794)
+    assert quality.aspect_max == pytest.approx(np.sqrt(1.5))
