@@ -51,7 +51,7 @@ def _load_kernels() -> None:
     parts = (
         terms.Strain(1.0),
         terms.Volume(1.0),
-        terms.SurfaceStrain([[1, 2, 3]], 1.0),
+        terms.SurfaceStrain(np.array([[1, 2, 3]]), 1.0),
         terms.Target(ids, 1.1 * vertices, 1.0),
     )
-    prepare(Scene(vertices, [[0, 1, 2, 3]], parts)).solve()
+    prepare(Scene(vertices, np.array([[0, 1, 2, 3]]), parts)).solve()

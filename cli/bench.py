@@ -220,6 +220,43 @@ def _dynamics_lines(results: Mapping) -> str:
     return "\n".join(lines)
 
 
+@bench.command()
+@click.option("--expression", "texts", multiple=True, help="as jawOpen*0.5+cheekPuff; repeat for several  [three]")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
+@click.option("--quadratic", is_flag=True, help="also quadratic tets by FEniCSx on the head's own mesh (minutes)")
+@click.option("--out", default="out/convergence", type=AFile, help="folder of the report")
+@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
+def convergence(texts: tuple[str, ...], seed: int, quadratic: bool, out: Path, as_json: bool) -> int:
+    """Discretisation error of a head's mesh, from finer ones of the same space: OUT/index.html, OUT/results.json.
+
+    Exit status 1 if a solve does not converge or its energy is higher on a finer mesh.
+    """
+    from ..benchmarks.convergence import THREE, ConvergenceConfig, run_convergence
+
+    config = ConvergenceConfig(texts or THREE, seed=seed, quadratic=quadratic, out=out)
+    with shown() as progress:
+        results = run_convergence(config, progress)
+    click.echo((out / "results.json").read_text() if as_json else _convergence_lines(results))
+    if not as_json:
+        click.echo(f"report: {out / 'index.html'}")
+    return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1
+
+
+def _convergence_lines(results: Mapping) -> str:
+    lines = []
+    for row in results["expressions"]:
+        own, order = row["own_mesh"], row["order_across"]
+        lines.append(
+            f"{row['name']:<40} error mean {own['mean']:.3f}  95 % {own['p95']:.3f}  max {own['max']:.3f} mm  "
+            f"order across layers {'-' if order is None else f'{order:.2f}'}"
+        )
+    for asked in results["gates"]:
+        lines.append(
+            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
+        )
+    return "\n".join(lines)
+
+
 def _effect_lines(results: Mapping) -> str:
     lines = []
     for row in results["effects"]:

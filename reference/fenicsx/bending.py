@@ -148,7 +148,7 @@ def _weights(term: Bending, X: Floats) -> tuple[csr_matrix, Floats, Floats]:
         values += [half, half]
     cotangents = coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (n, n)).tocsr()
     third = np.repeat(twice / 6.0, 3)
-    area = np.bincount(triangles.ravel(), third, minlength=n)
+    area = np.bincount(triangles.ravel(), third, minlength=n).astype(np.float64, copy=False)
     stiffness = np.repeat(np.broadcast_to(term.stiffness, len(triangles)), 3)
     weighted = np.bincount(triangles.ravel(), third * stiffness, minlength=n)
     return cotangents, area, weighted / np.where(area > 0.0, area, 1.0)

@@ -96,7 +96,7 @@ def _check_terms(scene: Scene, element: str):
         if element == "P2P1":
             check_mixed(term.material)
         elif isinstance(term.material, Incompressible):
-            raise SceneError(f"element {element!r} cannot model Incompressible, which needs element 'P2P1'")
+            raise SceneError(f"solver 'fenicsx' cannot model Incompressible by element {element!r}; 'P2P1' models it")
     if element == "P2P1" and scene.of(Volume):
         raise SceneError("element 'P2P1' cannot model Volume by a pressure; element 'P2' models it")
     if element == "P2P1" and not scene.of(Hyperelastic):
@@ -166,12 +166,16 @@ class PreparedFenicsx:
         self._end = solve
         solution = solve.run()
         doubtful = self._may_snap and solution.converged
-        if doubtful and solution.iterations <= STRAIGHT_ITERATIONS and balance.stable(solve.end[0]):
-            return solution
         if not doubtful and (solution.reason not in GIVEN_UP or self._rigid is not None):
             return solution
+        stable = doubtful and balance.stable(solve.end[0])
+        if stable and solution.iterations <= STRAIGHT_ITERATIONS:
+            return solution
+        followed = balance.run()
+        if stable and followed.reason in GIVEN_UP:  # a start that is no equilibrium without load begins no path
+            return solution
         self._end = balance
-        return balance.run()
+        return followed
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""

@@ -57,7 +57,7 @@ class Elements:
         k, d = self.gradients.shape[2:]
         weighted = (self.weights.reshape(-1, 1, 1) * stress).reshape(len(self.dofs), -1, 3, d)
         forces = self._by_node() @ weighted.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, 3)
-        return np.bincount(self.dofs.ravel(), forces.reshape(-1, 3 * k).ravel(), minlength=len(self.rest))
+        return self._gathered(forces.reshape(-1, 3 * k))
 
     def stiffness(self, tangent: Floats) -> csr_matrix:
         """The integral of grad v : C : grad u, shape (size, size), from C at the points (m q, 3, d, 3, d)."""
@@ -76,8 +76,11 @@ class Elements:
     def loads(self, force: Floats) -> Floats:
         """Nodal forces [mN], shape (size,), of one force per weight and element, shape (m, 3)."""
         shares = self.weights @ self.shapes
-        loads = shares[:, :, None] * force[:, None, :]
-        return np.bincount(self.dofs.ravel(), loads.ravel(), minlength=len(self.rest))
+        return self._gathered(shares[:, :, None] * force[:, None, :])
+
+    def _gathered(self, parts: Floats) -> Floats:
+        """The sum over the elements by degree of freedom, shape (size,), of parts (m, k, 3)."""
+        return np.bincount(self.dofs.ravel(), parts.ravel(), minlength=len(self.rest)).astype(np.float64, copy=False)
 
     def _by_node(self) -> Floats:
         """Gradients, shape (m, k, q d)."""

@@ -212,8 +212,8 @@ SOFT = terms.Hyperelastic(materials.NeoHookean(1.0, 2.0))
 @pytest.mark.parametrize(
     ("element", "others", "message"),
     [
-        ("P1", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "'P1' cannot model Incompressible"),
-        ("P2", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "'P2' cannot model Incompressible"),
+        ("P1", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "cannot model Incompressible by element 'P1'"),
+        ("P2", [terms.Hyperelastic(INCOMPRESSIBLE["neo-Hookean"])], "cannot model Incompressible by element 'P2'"),
         ("P2P1", [SOFT, terms.Volume(1.0)], "'P2P1' cannot model Volume"),
         ("P2P1", [terms.Strain(1.0)], "'P2P1' needs a Hyperelastic term"),
         ("P2P1", [terms.Hyperelastic(materials.Corotated(1.0, 2.0))], "'P2P1' cannot model Corotated"),

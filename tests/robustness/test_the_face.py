@@ -1,0 +1,74 @@
+"""H15: the face under hard demands converges to the right minimum, and faults of its wraps are named before a solve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.benchmarks.effect_cases import named_effects
+from softdeca.benchmarks.effect_run import run_effect
+from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
+from softdeca.lhm.check import check_layers
+from softdeca.reference import Parameters, facial_scene, solve
+
+SPACE = identities.Anny()
+
+
+@pytest.fixture(scope="module")
+def head():
+    return fit_head(load_template(), SPACE.skin(np.zeros(SPACE.code_size)))
+
+
+@pytest.mark.parametrize("name", ["weight-20", "weight-40", "jaw", "gravity-3"])
+def test_an_effect_ends_in_the_minimum_that_another_start_finds(head, name):
+    (effect,) = named_effects(name)
+    expression = expressions.blend(SPACE, np.zeros(SPACE.code_size), expressions.weights_of(effect.expression))[0]
+    record = run_effect(head, effect, expression).record
+    for run in record["runs"].values():
+        assert run["converged"] and run["inverted_tets"] == 0
+    assert record["to_other_start_mm"] < 0.01
+    assert record["change_mm"]["max"] > 1.0
+
+
+def test_random_starts_of_a_face_end_in_one_minimum(head):
+    """Faces moved by smooth waves of some millimetres; the tissue's own scale is that of its thickness, 3 mm."""
+    targets = expressions.blend(SPACE, np.zeros(SPACE.code_size), expressions.weights_of({"mouthSmileLeft": 0.6}))[0]
+    scene = facial_scene(head, Parameters(), targets)
+    rng = np.random.default_rng(0)
+    ends = []
+    for size in (0.0, 2.0, 5.0):
+        waves = sum(np.sin(scene.vertices @ rng.normal(0.0, 0.04, (3, 3)) + rng.uniform(0, 6, 3)) for _ in range(4))
+        ends.append(solve(scene, start=scene.vertices + 0.5 * size * waves, tolerance=1e-8))
+        assert ends[-1].converged
+    for end in ends[1:]:
+        assert np.abs(end.positions - ends[0].positions).max() < 1e-3
+
+
+def test_wraps_that_touch_or_cross_are_named_before_a_solve(head):
+    skin, skull = np.array(head.skin_wrap.vertices), np.array(head.skull_wrap.vertices)
+    for share in (1.0, 1.2):  # the skull wrap on the muscle wrap, and through it, at one vertex
+        moved = np.array(skull)
+        moved[100] += share * (head.muscle_wrap.vertices[100] - skull[100])
+        with pytest.raises(MeshError, match="inverted or flat, the first is number"):
+            replace(head, skull_wrap=head.skull_wrap.with_vertices(moved))
+    # Two sides of a wrap that cross invert no tet: the gates see them.
+    lips = np.flatnonzero(head.regions["lips"])
+    upper = lips[np.argmax(skin[lips, 1])]
+    crossing = np.array(skin)
+    crossing[upper] = skin[lips[np.argmin(skin[lips, 1])]] - [0.0, 2.0, 0.0]
+    with pytest.raises(MeshError):
+        check_layers(replace(head, skin_wrap=head.skin_wrap.with_vertices(crossing)))
+
+
+def test_a_degenerate_identity_is_fitted_and_simulated_or_refused_by_name():
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        code = 4.0 * np.sign(rng.normal(size=SPACE.code_size))
+        try:
+            odd = fit_head(load_template(), SPACE.skin(code))
+        except FitError as error:
+            assert len(str(error)) > 20
+            continue
+        targets = expressions.blend(SPACE, code, expressions.weights_of({"jawOpen": 0.5}))[0]
+        solution = solve(facial_scene(odd, Parameters(), targets), tolerance=1e-5)
+        assert solution.converged and np.isfinite(solution.positions).all()
