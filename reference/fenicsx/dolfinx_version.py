@@ -6,10 +6,14 @@ is evaluated. Everything lives on COMM_SELF.
 
 from __future__ import annotations
 
+import fcntl
 import logging
+import os
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,17 +56,24 @@ if VERSION < (0, 6):
     _OPTIONS = {"jit": "jit_params"}
 else:
     _OPTIONS = {"jit": "jit_options"}
+_LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
 # Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
 _COMPILER = {_OPTIONS["jit"]: {"cffi_extra_compile_args": ["-O2"]}}
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep the compiler's progress, which it logs under the root's name, out of the log."""
+def _compiling() -> Iterator[None]:
+    """One process at a time, and without the compiler's progress, which it logs under the root's name.
+
+    Of several that ask for the same form at once one compiles it, the others find it in the cache: dolfinx itself would
+    give up waiting after 10 s.
+    """
     before = logging.root.manager.disable
     logging.disable(max(before, logging.INFO))
     try:
-        yield
+        with _LOCK.open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
     finally:
         logging.disable(before)
 
@@ -106,7 +117,7 @@ def cell_tets(domain) -> Ints:
 
 def vector_space(domain, degree: int):
     """Continuous vectors, piecewise of a degree."""
-    with _quiet():
+    with _compiling():
         if VERSION < (0, 6):
             return _fem.VectorFunctionSpace(domain, ("Lagrange", degree))
         return _fem.functionspace(domain, ("Lagrange", degree, (3,)))
@@ -114,7 +125,7 @@ def vector_space(domain, degree: int):
 
 def pressure_space(domain):
     """Continuous piecewise linear numbers."""
-    with _quiet():
+    with _compiling():
         if VERSION < (0, 6):
             return _fem.FunctionSpace(domain, ("Lagrange", 1))
         return _fem.functionspace(domain, ("Lagrange", 1))
@@ -122,10 +133,11 @@ def pressure_space(domain):
 
 def cell_vectors(domain, cells: Ints, vectors: Floats):
     """A function that is one vector per cell: vectors (3,) or (k, 3) on cells (k,), zero elsewhere."""
-    if VERSION < (0, 6):
-        space = _fem.VectorFunctionSpace(domain, ("DG", 0))
-    else:
-        space = _fem.functionspace(domain, ("DG", 0, (3,)))
+    with _compiling():
+        if VERSION < (0, 6):
+            space = _fem.VectorFunctionSpace(domain, ("DG", 0))
+        else:
+            space = _fem.functionspace(domain, ("DG", 0, (3,)))
     result = function(space)
     result.x.array.reshape(-1, 3)[cell_dofs(space, 1)[cells, 0]] = vectors
     return result
@@ -135,11 +147,13 @@ def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
     """Tensors of a shape at the points of the quadrature rule of a degree."""
     if VERSION < (0, 6):
         scalar = ufl.FiniteElement("Quadrature", ufl.tetrahedron, degree, quad_scheme="default")
-        return fem.FunctionSpace(domain, ufl.TensorElement(scalar, shape=shape))
+        with _compiling():
+            return fem.FunctionSpace(domain, ufl.TensorElement(scalar, shape=shape))
     import basix.ufl
 
     element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, scheme="default", degree=degree)
-    return _fem.functionspace(domain, element)
+    with _compiling():
+        return _fem.functionspace(domain, element)
 
 
 def quadrature_rule(degree: int, cell: str = "tetrahedron") -> tuple[Floats, Floats]:
@@ -157,13 +171,13 @@ def shapes(degree: int, points: Floats) -> tuple[Floats, Floats]:
 
 def compile_form(form: ufl.Form):
     """Compile a form, or take it from dolfinx's cache on disk."""
-    with _quiet():
+    with _compiling():
         return _fem.form(form, **_COMPILER)
 
 
 def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
     """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
-    with _quiet():
+    with _compiling():
         compiled = _fem.Expression(expression, points, **_COMPILER)
     first = () if VERSION < (0, 7) else (domain,)
     shape = (len(points), int(np.prod(expression.ufl_shape)))

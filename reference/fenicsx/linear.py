@@ -41,8 +41,8 @@ class LinearSolver(Protocol):
         ...
 
 
-def _vector(values: Floats) -> PETSc.Vec:
-    return PETSc.Vec().createWithArray(values, bsize=3, comm=COMM)
+def _vector(values: Floats, comm=COMM) -> PETSc.Vec:
+    return PETSc.Vec().createWithArray(values, bsize=3, comm=comm)
 
 
 class ConjugateGradients:
@@ -56,7 +56,7 @@ class ConjugateGradients:
         self._ksp = self._create()
 
     def _create(self) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(COMM)
+        ksp = PETSc.KSP().create(self._matrix.comm)
         ksp.setOptionsPrefix(_PREFIX)
         ksp.setType(PETSc.KSP.Type.CG)
         ksp.setOperators(self._matrix)
@@ -82,7 +82,7 @@ class Mumps:
         self._ksp = self._create()
 
     def _create(self) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(COMM)
+        ksp = PETSc.KSP().create(self._matrix.comm)
         ksp.setType(PETSc.KSP.Type.PREONLY)
         ksp.setOperators(self._matrix)
         ksp.getPC().setType(PETSc.PC.Type.CHOLESKY)
@@ -102,11 +102,12 @@ class Mumps:
 def _solve(ksp: PETSc.KSP, b: Floats) -> tuple[Floats, str]:
     """x, and why it is no solution (empty if it is). A KSP that has failed stays so: its owner makes another."""
     x = np.zeros_like(b)
+    found = _vector(x, ksp.comm)
     try:
-        ksp.solve(_vector(b), _vector(x))
+        ksp.solve(_vector(b, ksp.comm), found)
     except PETSc.Error as error:
         return x, f"PETSc error {error.ierr}"
-    if ksp.reason > 0 and np.isfinite(x).all():
+    if ksp.reason > 0 and np.isfinite(found.norm()):  # of all processes that share it
         return x, ""
     names = {value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
     return x, names.get(ksp.reason, str(ksp.reason))

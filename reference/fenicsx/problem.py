@@ -53,15 +53,14 @@ class Problem:
         self.pressure_dofs: Ints = np.empty((0, 4), dtype=np.int64)
         if self.pressure is not None:
             self.pressure_dofs = seam.cell_dofs(self.pressure.function_space, 4)
-        solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
-        empty = np.empty(0, dtype=np.int64)
-        cells = np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
+        own = self._own(scene)
+        cells = self._solid_cells(own)
         self._degree = DEGREES[numbering.degree]
         self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes, self._degree)
-        self._hyperelastic = [self._forms(term, self._cells(scene, term)) for term in self._by_ufl(scene)]
+        self._hyperelastic = [self._forms(term, self._cells(own, term)) for term in self._by_ufl(own)]
         self._tensors = [
             (self._points(forms.cells), forms)
-            for forms, term in zip(self._hyperelastic, self._by_ufl(scene), strict=True)
+            for forms, term in zip(self._hyperelastic, self._by_ufl(own), strict=True)
             if mixed or not isinstance(term.material, NeoHookean)
         ]
         n = len(numbering.X)
@@ -74,12 +73,22 @@ class Problem:
         springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
         springs.append(numbering.dofs_of("Inertia", np.flatnonzero(scene.inertia()[0])))
         self.unsupported = np.ones(n, dtype=bool)
-        for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
+        for dofs in (numbering.cell_dofs[self._solid_cells(scene)], *nodes, *springs):
             self.unsupported[dofs.ravel()] = False
         for body in scene.of(RigidBody):
             dofs = numbering.dofs_of(body.name, body.vertices)
             self.unsupported[dofs] = self.unsupported[dofs].all()
         self.set(scene)
+
+    def _own(self, scene: Scene) -> Scene:
+        """The scene with those of its solids that are integrated here: all, unless other processes share the work."""
+        return scene
+
+    def _solid_cells(self, scene: Scene) -> Ints:
+        """The cells that some solid acts on, sorted."""
+        solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
+        empty = np.empty(0, dtype=np.int64)
+        return np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
 
     def _cells(self, scene: Scene, term) -> Ints:
         return self.numbering.cell[scene.tets_of(term)]
@@ -115,11 +124,12 @@ class Problem:
         stiffness, places = scene.inertia()
         moving = np.flatnonzero(stiffness)
         self._springs.append(Spring(order.dof[moving], places[moving], stiffness[moving]))
-        solids = scene.of(Hyperelastic)
+        own = self._own(scene)
+        solids = own.of(Hyperelastic)
         corotated = [term for term in solids if isinstance(term.material, Corotated)]
-        self._laws = [self._law(scene, term) for term in (*scene.of(Strain), *scene.of(Volume), *corotated)]
+        self._laws = [self._law(own, term) for term in (*own.of(Strain), *own.of(Volume), *corotated)]
         neo_hookean = [t for t in solids if isinstance(t.material, NeoHookean) and self.pressure is None]
-        self._stand_ins = [self._law(scene, term) for term in neo_hookean]
+        self._stand_ins = [self._law(own, term) for term in neo_hookean]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
