@@ -5,6 +5,7 @@ from . import (
     beam,
     block,
     cook,
+    flexure,
     homogeneous,
     locking,
     manufactured,
@@ -15,12 +16,13 @@ from . import (
     stretched_laws,
     thick_sphere,
     time_steps,
+    torsion,
     twisted_bar,
 )
 from .hard_case import HardCase, HardOutcome, run_hard
 from .problem import Outcome, Problem, run
 
-PUBLISHED = (cook, block, beam, thick_sphere)
+PUBLISHED = (cook, block, beam, thick_sphere, flexure, torsion)
 ALL: tuple[Problem, ...] = (
     *rigid.PROBLEMS,
     *homogeneous.PROBLEMS,

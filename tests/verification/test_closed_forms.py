@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
 from softdeca.reference import Scene, solve
-from softdeca.reference.problems import bars, meshes, stretched_laws
+from softdeca.reference.problems import bars, flexure, meshes, stretched_laws, torsion
 from softdeca.reference.problems.homogeneous import (
     COMPRESSED_DENSITIES,
     LIMIT,
@@ -157,6 +158,58 @@ def test_strain_rows(row):
     for compressed, density in COMPRESSED_DENSITIES:
         if compressed is row:
             assert strain_density(row.stretch, volume_stiffness)[0] == pytest.approx(density, abs=1e-7)
+
+
+def gradient(motion, X, h=1e-6):
+    """F of a motion at one place, by central differences."""
+    return np.stack([(motion(X + d)[0] - motion(X - d)[0]) / (2 * h) for d in h * np.eye(3)[:, None]], axis=1)
+
+
+def test_the_bent_block_keeps_volume_and_its_curved_faces_carry_no_load():
+    """The equation along r, d(sigma_rr)/dr = (sigma_tt - sigma_rr)/r, takes sigma_rr from 0 to 0 through the block."""
+    for x in (-0.5, -0.1, 0.4):
+        F = gradient(flexure.bent, np.array([[x, 0.7, 0.3]]))
+        assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-8)
+    r = [float(np.sqrt(2 * flexure.RADIUS * x + flexure.offset())) for x in (-0.5, 0.5)]
+
+    def slope(r):
+        stretch = r / flexure.RADIUS
+        return (stretch**2 - stretch**-2) / r
+
+    assert quad(slope, *r)[0] == pytest.approx(0.0, abs=1e-12)
+
+    def density(x):
+        F = gradient(flexure.bent, np.array([[x, 0.0, 0.0]]))
+        return (np.sum(F * F) - 3) / 2
+
+    assert flexure.LENGTH * quad(density, -0.5, 0.5)[0] == pytest.approx(flexure.energy_per_depth(), rel=1e-7)
+
+
+@pytest.mark.parametrize("label", torsion.LAWS)
+def test_the_twisted_cylinder_s_energy(label):
+    C10, C01 = torsion.LAWS[label]
+    stretch = 1.2
+
+    def density(R):
+        F = gradient(lambda X: torsion.turned(X, stretch), np.array([[R, 0.0, 0.5]]))
+        assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-8)
+        C = F.T @ F
+        return C10 * (np.trace(C) - 3) + C01 * ((np.trace(C) ** 2 - np.sum(C * C)) / 2 - 3)
+
+    energy = torsion.LENGTH * quad(lambda R: 2 * np.pi * R * density(R), 0.0, 1.0)[0]
+    assert energy == pytest.approx(torsion.expected(C10, C01, stretch), rel=1e-7)
+
+
+def test_the_twisted_cylinder_lengthens():
+    """Poynting: without axial force the neo-Hookean cylinder's energy is least at the stretch that is stated."""
+    found = minimize_scalar(lambda s: torsion.expected(0.5, 0.0, s), bounds=(0.9, 1.3), method="bounded").x
+    assert found == pytest.approx(torsion.POYNTING, abs=1e-5) and found > 1.05
+    X, tets = torsion.cylinder(3)
+    corners = X[tets]
+    volumes = Scene(X, tets, []).volumes
+    # The exact integral of r² over a tet is that of a quadratic: a twentieth of the corners' squares and sum squared.
+    squares = np.sum(corners[:, :, :2] ** 2, axis=(1, 2)) + np.sum(corners[:, :, :2].sum(axis=1) ** 2, axis=1)
+    assert volumes @ squares / 20 == pytest.approx(torsion.LENGTH * np.pi / 2, rel=1e-12)
 
 
 def test_limited_row():
