@@ -5,6 +5,7 @@ import sys
 import click
 
 from ..lhm.errors import SoftdecaError
+from ..reference import ranks
 from . import bench, head, simulate, study
 
 
@@ -20,8 +21,12 @@ app.add_command(bench.bench)
 
 
 def main() -> None:
-    """Run the command; an error that a user can act on is one line, not a traceback."""
+    """Run the command; an error that a user can act on is one line, not a traceback.
+
+    Of processes that mpirun starts together the first one runs it, and the others help FEniCSx.
+    """
     try:
+        ranks.join()
         status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False)
     except SoftdecaError as error:
         status = _fail(str(error))
@@ -34,6 +39,7 @@ def main() -> None:
     except (KeyboardInterrupt, click.Abort):
         print("softdeca: interrupted; what was finished is kept and used by the next run", file=sys.stderr)
         status = 130
+    ranks.leave(status)
     sys.exit(status)
 
 

@@ -7,6 +7,7 @@ is evaluated. Everything lives on COMM_SELF.
 from __future__ import annotations
 
 import fcntl
+import importlib
 import logging
 import os
 import tempfile
@@ -20,6 +21,7 @@ import numpy as np
 
 from ...lhm.errors import MissingDependencyError
 from ...lhm.mesh import Floats, Ints
+from ..ranks import joined
 
 for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -29,6 +31,10 @@ INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
 try:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources
+        if joined():
+            import petsc4py
+
+            petsc4py.init(comm=importlib.import_module("mpi4py.MPI").COMM_SELF)  # which others need not take part in
         import basix
         import dolfinx
         import ufl

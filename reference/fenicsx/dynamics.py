@@ -20,7 +20,7 @@ from .moving import MovingProblem, MovingState
 from .numbering import Numbering
 from .prepared import LAWS, VARYING
 from .prepared import TERMS as STATIC_TERMS
-from .problem import Problem
+from .shares import problem_of
 
 TERMS = tuple(kind for kind in STATIC_TERMS if kind not in (RigidBody, Pressure, Inertia))
 ELEMENTS = {"P1": 1, "P2": 2}
@@ -57,7 +57,7 @@ class _March:
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
         scene = self._scene_at(0)
         self.order = Numbering(scene, degree)
-        self.problem = Problem(scene, self.order)
+        self.problem = problem_of(scene, self.order)
         self.set_scene, self.dead_loads = scene, self.problem.loads
         self.mass = mass_matrix(motion, self.order)
         self.frame_mass = np.asarray(self.mass.sum(axis=1)).ravel()

@@ -73,6 +73,10 @@ class Numbering:
             raise SceneError(f"{name}: triangle {which} is no face of a tet; quadratic elements need its edges' nodes")
         return np.concatenate([corners, self._by_key[slots]], axis=1)
 
+    def nodes_between(self, ends: Ints) -> Ints:
+        """The nodes, shape (k,), of ends (k, 2) that nodes are known to have; an end twice is a vertex."""
+        return self._by_key[np.searchsorted(self._keys, np.sort(ends, axis=1) @ [len(self.dof), 1])]
+
     def to_dofs(self, values: Floats) -> Floats:
         """Values per scene vertex, shape (scene vertices, 3), by node: their mean on edges."""
         return values[self.ends].mean(axis=1)

@@ -36,6 +36,8 @@ from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem, State
 from .restraint import check_restrained
+from .shared_linear import solver_of
+from .shares import problem_of
 
 TERMS = (
     Hyperelastic,
@@ -114,14 +116,17 @@ class PreparedFenicsx:
             raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear!r}; there are {names}")
         self.scene = scene
         self._numbering = Numbering(scene, DEGREE_OF[element])
-        self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
-        self._linear = LINEAR_SOLVERS[linear](self._problem.matrix)
-        self._direct = LINEAR_SOLVERS["mumps"](self._problem.matrix)
+        if element == "P2P1":
+            self._problem = Problem(scene, self._numbering, mixed=True)
+        else:
+            self._problem = problem_of(scene, self._numbering)
+        self._linear = solver_of(linear, self._problem.matrix)
+        self._direct = solver_of("mumps", self._problem.matrix)
         self._rigid = None
         if scene.of(RigidBody):
             self._rigid = RigidProblem(scene, self._numbering, self._problem)
-            self._rigid_linear = LINEAR_SOLVERS[linear](self._rigid.matrix)
-            self._rigid_direct = LINEAR_SOLVERS["mumps"](self._rigid.matrix)
+            self._rigid_linear = solver_of(linear, self._rigid.matrix)
+            self._rigid_direct = solver_of("mumps", self._rigid.matrix)
         self._force: Floats | None = None
         self._end: _Solve | Balance | None = None
         self._balances = element == "P2P1" or bool(scene.of(Pressure))
