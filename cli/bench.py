@@ -21,10 +21,13 @@ def bench() -> None:
 
 @bench.command()
 @click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
-@click.option("--fine", is_flag=True, help="also finer meshes, orders of convergence and locking by FEniCSx: minutes")
+@click.option("--fine", is_flag=True, help="also finer meshes, orders of convergence and locking by FEniCSx: a quarter of an hour")
 @click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
 def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
-    """Closed forms and published values through every solver, with error and bound; exit status 1 outside one."""
+    """Closed forms and published values through every solver; exit status 1 outside a bound.
+
+    Each row: whether it is within its bound, problem, solver, value, error and what it may be at most, and the source.
+    """
     from ..benchmarks.verification import verify
 
     asked = solvers or SOLVERS
@@ -37,8 +40,9 @@ def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
     else:
         for row in rows:
             mark = "ok " if row["passed"] else "OUT"
+            error = f"error {row['error']:.1e} of {row['bound']:.0e}"
             click.echo(
-                f"{mark} {row['problem']:<60} {row['solver']:<11} {row['value']:<14.9g} error {row['error']:.1e}"
+                f"{mark} {row['problem']:<72} {row['solver']:<11} {row['value']:<14.9g} {error}  {row['source']}"
             )
     return 0 if all(row["passed"] for row in rows) else 1
 

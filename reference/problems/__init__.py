@@ -10,6 +10,7 @@ from . import (
     locking,
     manufactured,
     meshes,
+    orders,
     recovery,
     rigid,
     stretched_bars,
@@ -45,6 +46,7 @@ __all__ = [
     "locking",
     "manufactured",
     "meshes",
+    "orders",
     "run",
     "run_hard",
 ]

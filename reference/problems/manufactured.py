@@ -1,16 +1,13 @@
-"""Manufactured solutions: the body force that gives a field of one's choice, and the rates at which elements find it.
+"""Manufactured solutions: the body force that gives a field of one's choice, and how far off it elements are.
 
 On the unit cube, of the neo-Hookean law of Young's modulus 1 kPa; the force is -Div P. The first field,
 u = .05 sin(πx) sin(πy) sin(πz) (1, -.5, .25), changes volume, so its pressure lmbda ln J grows with lmbda, and with it
 the error of any element whose displacement is not independent of the pressure, Taylor-Hood's included. The second, a
 vortex that turns circles about the middle axis, keeps every volume: what is left is how an element bears lmbda itself.
- Lagrange elements of degree k converge in L2 with order k + 1 and in H1 with k (Brenner and Scott 2008,
-"The Mathematical Theory of Finite Element Methods", Chapter 5), Taylor-Hood's pressure in L2 with order 2.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -23,15 +20,10 @@ from ..scene import Scene
 from ..solve import prepare
 from ..terms import Fixed, Hyperelastic
 from .meshes import block, boundary_triangles
-from .problem import Outcome
 
-SOURCE = "method of manufactured solutions; theory: Brenner and Scott 2008"
 TURN = 0.6
 AMPLITUDE = 0.05 * np.array([1.0, -0.5, 0.25])
-ORDERS = {"P1": {"L2": 2.0, "H1": 1.0}, "P2": {"L2": 3.0, "H1": 2.0}, "P2P1": {"L2": 3.0, "H1": 2.0, "pressure": 2.0}}
-"""Theory's orders by element and norm."""
 ERROR_DEGREE = 6
-
 
 Field = Callable[[Floats], tuple[Floats, Floats, Floats]]
 """u (q, 3), its gradient (q, 3, 3) and second derivatives (q, 3, 3, 3) at places X (q, 3)."""
@@ -154,36 +146,3 @@ def errors(field: Field, element: str, poisson: float, cells: int) -> Errors:
 def order(coarse: Errors, fine: Errors, norm: str) -> float:
     """The order of convergence between two meshes, in the norm "L2", "H1" or "pressure"."""
     return float(np.log(getattr(coarse, norm) / getattr(fine, norm)) / np.log(fine.cells / coarse.cells))
-
-
-LEVELS = {"P1": (12, 16), "P2": (6, 8), "P2P1": (6, 8)}
-SPREAD = 0.1
-"""How far an order may be off theory's."""
-
-
-def rates(element: str, poisson: float = 0.3) -> list[Outcome]:
-    """The order of each norm of an element between its two finest meshes; the error is absolute."""
-    begin = time.perf_counter()
-    coarse, fine = (errors(waves, element, poisson, cells) for cells in LEVELS[element])
-    seconds = time.perf_counter() - begin
-    outcomes = []
-    for norm, theory in ORDERS[element].items():
-        value = order(coarse, fine, norm)
-        off = abs(value - theory)
-        solved = coarse.converged and fine.converged
-        outcomes.append(
-            Outcome(
-                f"manufactured waves, {element}, {coarse.cells} to {fine.cells} cells: order in {norm}",
-                SOURCE,
-                "fenicsx",
-                value,
-                theory,
-                off,
-                SPREAD,
-                solved and off <= SPREAD,
-                "CONVERGED" if solved else "not converged",
-                seconds,
-                coarse.iterations + fine.iterations,
-            )
-        )
-    return outcomes
