@@ -3,10 +3,53 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy.sparse import csr_matrix
 
 from ...lhm.mesh import Floats, Ints
 from .dolfinx_version import COMM, PETSc
+
+
+class Stiffness:
+    """A matrix (3n, 3n) in 3x3 blocks with room for the coupling of every element's vertices, zero at first.
+
+    PETSc's `matrix` and `values` are the same memory, so element blocks are summed where they belong, at the speed of
+    memory.
+    """
+
+    def __init__(self, elements: list[Ints], n: int):
+        pattern = _pattern(elements, n)
+        count = np.diff(pattern.indptr)
+        self.starts = pattern.indptr.astype(np.int64)
+        self._columns = pattern.indices
+        indptr = np.concatenate([[0], np.cumsum(np.repeat(3 * count, 3))]).astype(PETSc.IntType)
+        indices = _three_rows(self.starts, self._columns).astype(PETSc.IntType)
+        self.values: Floats = np.zeros(len(indices))
+        self.matrix = PETSc.Mat().createAIJWithArrays((3 * n, 3 * n), (indptr, indices, self.values), comm=COMM)
+        self.matrix.setBlockSize(3)
+        blocks = PETSc.LGMap().create(np.arange(n, dtype=PETSc.IntType), bsize=3, comm=COMM)
+        self.matrix.setLGMap(blocks, blocks)
+        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self.matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def slots(self, elements: Ints) -> Ints:
+        """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
+        return _found(self.starts, self._columns, elements)
+
+    def clear(self):
+        """Set all values to zero."""
+        self.values[:] = 0.0
+        self.touch()
+
+    def add(self, elements: Ints, slots: Ints, blocks: Floats):
+        """Add blocks [mN/mm], shape (m, k, k, 3, 3), of elements (m, k) with their slots."""
+        _add_blocks(self.starts, elements, slots, blocks, self.values)
+        self.touch()
+
+    def touch(self):
+        """Tell PETSc that `values` have changed."""
+        self.matrix.stateIncrease()
 
 
 def _pattern(elements: list[Ints], n: int) -> csr_matrix:
@@ -19,43 +62,49 @@ def _pattern(elements: list[Ints], n: int) -> csr_matrix:
     return pattern
 
 
-class BlockMatrix:
-    """Element blocks over a fixed list of elements (m, k), summed and added to a PETSc matrix in one call."""
-
-    def __init__(self, elements: Ints, n: int):
-        pattern = _pattern([elements], n)
-        self._indptr = pattern.indptr.astype(PETSc.IntType)
-        self._indices = pattern.indices.astype(PETSc.IntType)
-        keys = np.repeat(np.arange(n), np.diff(pattern.indptr)) * n + pattern.indices
-        k = elements.shape[1]
-        rows, cols = np.repeat(elements, k, axis=1), np.tile(elements, (1, k))
-        self._slots = np.searchsorted(keys, (rows * n + cols).ravel())
-
-    def add(self, blocks: Floats, into: PETSc.Mat):
-        """Add blocks [mN/mm], shape (m, k, k, 3, 3), to a matrix with room for them."""
-        entries = blocks.reshape(-1, 9)
-        total = np.empty((len(self._indices), 9))
-        for c in range(9):
-            total[:, c] = np.bincount(self._slots, entries[:, c], minlength=len(total))
-        into.setValuesBlockedIJV(self._indptr, self._indices, total, addv=PETSc.InsertMode.ADD_VALUES)
+@njit(cache=True)
+def _three_rows(starts, columns):
+    """The columns of the rows of numbers that rows of blocks are."""
+    indices = np.empty(9 * len(columns), dtype=np.int64)
+    for i in range(len(starts) - 1):
+        width = 3 * (starts[i + 1] - starts[i])
+        for s in range(starts[i], starts[i + 1]):
+            for r in range(3):
+                for c in range(3):
+                    indices[9 * starts[i] + r * width + 3 * (s - starts[i]) + c] = 3 * columns[s] + c
+    return indices
 
 
-def stiffness_matrix(elements: list[Ints], n: int) -> PETSc.Mat:
-    """A zero matrix of 3n rows in blocks of 3, with room for the coupling of every element's vertices."""
-    pattern = _pattern(elements, n)
-    matrix = PETSc.Mat().createAIJ(
-        (3 * n, 3 * n), bsize=3, nnz=np.repeat(3 * np.diff(pattern.indptr), 3).astype(PETSc.IntType), comm=COMM
-    )
-    blocks = PETSc.LGMap().create(np.arange(n, dtype=PETSc.IntType), bsize=3, comm=COMM)
-    matrix.setLGMap(blocks, blocks)
-    matrix.setValuesBlockedIJV(
-        pattern.indptr.astype(PETSc.IntType), pattern.indices.astype(PETSc.IntType), np.zeros(9 * pattern.nnz)
-    )
-    matrix.assemble()
-    matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-    matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
-    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    return matrix
+@njit(cache=True)
+def _found(starts, columns, elements):
+    m, k = elements.shape
+    slots = np.empty((m, k, k), dtype=np.int32)
+    for e in range(m):
+        for a in range(k):
+            i = elements[e, a]
+            row = columns[starts[i] : starts[i + 1]]
+            for b in range(k):
+                slots[e, a, b] = starts[i] + np.searchsorted(row, elements[e, b])
+    return slots
+
+
+@njit(inline="always")
+def place_of(starts, i, slot):
+    """Where a slot of row i of the blocks begins in `values`, and how far one row of numbers is from the next."""
+    first = starts[i]
+    return 9 * first + 3 * (slot - first), 3 * (starts[i + 1] - first)
+
+
+@njit(cache=True)
+def _add_blocks(starts, elements, slots, blocks, values):
+    m, k = elements.shape
+    for e in range(m):
+        for a in range(k):
+            for b in range(k):
+                at, width = place_of(starts, elements[e, a], slots[e, a, b])
+                for r in range(3):
+                    for c in range(3):
+                        values[at + r * width + c] += blocks[e, a, b, r, c]
 
 
 def rigid_motions(X: Floats) -> PETSc.NullSpace:

@@ -1,8 +1,7 @@
-"""Energy densities as functions of signed singular values: PD's strain and volume energies, corotated, neo-Hooke.
+"""Energy densities as functions of signed singular values: PD's strain and volume energies, corotated, neo-Hookean.
 
 Each law gives psi (m,) with gradient (m, 3) and Hessian (m, 3, 3) at singular values s (m, 3) that come ordered as
-`principal.signed_svd` orders them. Neo-Hooke here serves for the projected tangent; its stress, and the tangent that
-Newton ends with, come from UFL.
+`principal.signed_svd` orders them. The neo-Hookean laws here serve for the tangent; energy and stress come from UFL.
 """
 
 from __future__ import annotations
@@ -93,6 +92,42 @@ class NeoHookeanLaw:
         return psi, p, h
 
 
+@dataclass(frozen=True, eq=False)
+class StableNeoHookeanLaw:
+    """See `densities.stable_neo_hookean`; mu and lmbda [kPa], those at rest, are (m,)."""
+
+    mu: Floats
+    lmbda: Floats
+
+    def evaluate(self, s: Floats) -> tuple[Floats, Floats, Floats]:
+        """psi, p, h."""
+        mu, lmbda = 4.0 * self.mu / 3.0, self.lmbda + 5.0 * self.mu / 6.0
+        squares, away = np.sum(s**2, axis=1), np.prod(s, axis=1) - 1.0
+        psi = 0.5 * mu * (squares - 3.0 - np.log((squares + 1.0) / 4.0)) + 0.5 * lmbda * away**2 - 0.75 * mu * away
+        pull, shear = lmbda * away - 0.75 * mu, mu * squares / (squares + 1.0)
+        cofactors = np.roll(s, 1, axis=1) * np.roll(s, 2, axis=1)
+        p = shear[:, None] * s + pull[:, None] * cofactors
+        h = (2.0 * mu / (squares + 1.0) ** 2)[:, None, None] * s[:, :, None] * s[:, None, :]
+        h += lmbda[:, None, None] * cofactors[:, :, None] * cofactors[:, None, :]
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            h[:, i, i] += shear
+            h[:, i, j] += pull * s[:, k]
+            h[:, j, i] += pull * s[:, k]
+        return psi, p, h
+
+
+@njit(cache=True)
+def add_at(points, psi, p, h, into_psi, into_p, into_h):
+    """Add what a law gives at some points (m,) to the sums of all laws at all points."""
+    for n in range(len(points)):
+        at = points[n]
+        into_psi[at] += psi[n]
+        for i in range(3):
+            into_p[at, i] += p[n, i]
+            for j in range(3):
+                into_h[at, i, j] += h[n, i, j]
+
+
 @njit(cache=True)
 def _others(s1, s2, s3, tau):
     """The two larger entries of a stationary point whose third is tau, and d ln(t1 t2)/d tau."""
@@ -143,6 +178,12 @@ def nearest_with_determinant(s, target):
     return out
 
 
+@njit(inline="always")
+def _unit(x, y, z):
+    length = np.sqrt(x * x + y * y + z * z)
+    return x / length, y / length, z / length
+
+
 @njit(cache=True)
 def _nearest_derivative(s, t):
     """dt/ds (m, 3, 3) of the nearest point with a given determinant.
@@ -155,13 +196,12 @@ def _nearest_derivative(s, t):
         t1, t2, t3 = t[e, 0], t[e, 1], t[e, 2]
         mu = t3 * (t3 - s[e, 2])
         m12, m13, m23 = -mu / (t1 * t2), -mu / (t1 * t3), -mu / (t2 * t3)
-        n = np.array((t2 * t3, t1 * t3, t1 * t2))
-        n /= np.sqrt(np.sum(n * n))
-        a = np.array((n[1] - n[2], n[2] - n[0], n[0] - n[1]))
-        if np.sum(a * a) < 0.25:
-            a = np.array((-n[1], n[0], 0.0))
-        a /= np.sqrt(np.sum(a * a))
-        b = np.array((n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2], n[0] * a[1] - n[1] * a[0]))
+        n = _unit(t2 * t3, t1 * t3, t1 * t2)
+        a = (n[1] - n[2], n[2] - n[0], n[0] - n[1])
+        if a[0] * a[0] + a[1] * a[1] + a[2] * a[2] < 0.25:
+            a = (-n[1], n[0], 0.0)
+        a = _unit(a[0], a[1], a[2])
+        b = (n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2], n[0] * a[1] - n[1] * a[0])
         maa = 1.0 + 2.0 * (m12 * a[0] * a[1] + m13 * a[0] * a[2] + m23 * a[1] * a[2])
         mbb = 1.0 + 2.0 * (m12 * b[0] * b[1] + m13 * b[0] * b[2] + m23 * b[1] * b[2])
         mab = m12 * (a[0] * b[1] + a[1] * b[0]) + m13 * (a[0] * b[2] + a[2] * b[0]) + m23 * (a[1] * b[2] + a[2] * b[1])

@@ -8,25 +8,27 @@ import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
-from ..materials import Corotated, NeoHookean
+from ..materials import Corotated, NeoHookean, StableNeoHookean
 from ..scene import Scene
 from ..terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
 from . import dolfinx_version as seam
 from . import principal
-from .assembly import BlockMatrix, rigid_motions, stiffness_matrix
+from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .densities import DENSITIES
 from .dolfinx_version import PETSc
 from .hyperelastic import HyperelasticForms
-from .laws import CorotatedLaw, NeoHookeanLaw, PrincipalLaw, StrainLaw, VolumeLaw
+from .laws import CorotatedLaw, NeoHookeanLaw, PrincipalLaw, StableNeoHookeanLaw, StrainLaw, VolumeLaw, add_at
 from .loads import dead_loads
 from .membrane import Membrane
 from .mixed_forms import MixedForms
 from .numbering import Numbering
-from .quadrature import DEGREES, QuadratureForms
+from .quadrature import DEGREES, Quadrature
 
 Law = tuple[Ints, PrincipalLaw]
-"""A law and the quadrature points, counted within QuadratureForms, that it acts on."""
+"""A law and the quadrature points, counted within Quadrature, that it acts on."""
+BY_STRETCHES = (NeoHookean, StableNeoHookean)
+"""Laws whose energy and stress are UFL's; their tangent is by singular values, where to soften it is cheap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,19 +58,20 @@ class Problem:
         own = self._own(scene)
         cells = self._solid_cells(own)
         self._degree = DEGREES[numbering.degree]
-        self._quadrature = QuadratureForms(self._displacement, cells, numbering.cell_volumes, self._degree)
+        self._quadrature = Quadrature(numbering, cells, self._degree)
         self._hyperelastic = [self._forms(term, self._cells(own, term)) for term in self._by_ufl(own)]
         self._tensors = [
             (self._points(forms.cells), forms)
             for forms, term in zip(self._hyperelastic, self._by_ufl(own), strict=True)
-            if mixed or not isinstance(term.material, NeoHookean)
+            if mixed or not isinstance(term.material, BY_STRETCHES)
         ]
         n = len(numbering.X)
         self._faces = [numbering.face_dofs(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._surfaces = self._surfaces_of(scene)
-        self._blocks = [BlockMatrix(surface.nodes, n) for surface in self._surfaces]
         nodes = [surface.nodes for surface in self._surfaces]
-        self.matrix = stiffness_matrix([numbering.cell_dofs, *nodes], n)
+        self._stiffness = Stiffness([numbering.cell_dofs, *nodes], n)
+        self._slots = [self._stiffness.slots(surface) for surface in nodes]
+        self.matrix = self._stiffness.matrix
         self.matrix.setNearNullSpace(rigid_motions(numbering.X))
         springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
         springs.append(numbering.dofs_of("Inertia", np.flatnonzero(scene.inertia()[0])))
@@ -94,7 +97,7 @@ class Problem:
         return self.numbering.cell[scene.tets_of(term)]
 
     def _points(self, cells: Ints) -> Ints:
-        """The quadrature points of cells (k,), counted within QuadratureForms, shape (k q,)."""
+        """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
         q = self._quadrature.per_cell
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
@@ -128,8 +131,8 @@ class Problem:
         solids = own.of(Hyperelastic)
         corotated = [term for term in solids if isinstance(term.material, Corotated)]
         self._laws = [self._law(own, term) for term in (*own.of(Strain), *own.of(Volume), *corotated)]
-        neo_hookean = [t for t in solids if isinstance(t.material, NeoHookean) and self.pressure is None]
-        self._stand_ins = [self._law(own, term) for term in neo_hookean]
+        stretched = [t for t in solids if isinstance(t.material, BY_STRETCHES) and self.pressure is None]
+        self._stretched = [self._law(own, term) for term in stretched]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
@@ -153,8 +156,9 @@ class Problem:
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
         if isinstance(term.material, Corotated):
             return points, CorotatedLaw(at_points(term.material.mu), at_points(term.material.lmbda))
-        assert isinstance(term.material, NeoHookean)
-        return points, NeoHookeanLaw(at_points(term.material.mu), at_points(term.material.lmbda))
+        assert isinstance(term.material, BY_STRETCHES)
+        law = NeoHookeanLaw if isinstance(term.material, NeoHookean) else StableNeoHookeanLaw
+        return points, law(at_points(term.material.mu), at_points(term.material.lmbda))
 
     @property
     def mixed_forms(self) -> list[MixedForms]:
@@ -189,15 +193,14 @@ class State:
     def _svd(self) -> tuple[Floats, Floats, Floats]:
         """U, s, V of F at the quadrature points."""
         if self._frame is None:
-            self._frame = principal.signed_svd(self._problem._quadrature.deformation_gradient())
+            self._frame = principal.signed_svd(self._problem._quadrature.deformation_gradient(self.u))
         return self._frame
 
     def _principal(self, laws: list[Law]) -> tuple[Floats, Floats, Floats]:
         s = self._svd()[1]
         psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
         for points, law in laws:
-            for total, part in zip((psi, p, h), law.evaluate(s[points]), strict=True):
-                total[points] += part
+            add_at(points, *law.evaluate(s[points]), psi, p, h)
         return psi, p, h
 
     def _energy(self) -> float:
@@ -220,7 +223,7 @@ class State:
         flat = total.reshape(-1)
         if problem._laws:
             U, _, V = self._svd()
-            problem._quadrature.add_gradient(principal.stress(U, V, self._p), flat)
+            problem._quadrature.add_gradient(principal.stress(U, V, self._p), total)
         for forms in problem._hyperelastic:
             forms.add_gradient(flat)
         for surface in problem._surfaces:
@@ -231,15 +234,10 @@ class State:
 
     def hessian(self) -> PETSc.Mat:
         """The exact Hessian [mN/mm], in the problem's matrix."""
-        problem = self._problem
-        matrix = self._begin()
-        if problem._laws:
-            U, s, V = self._svd()
-            tangent = principal.tangent(U, V, principal.modes(s, self._p, self._h))
-            problem._quadrature.add_tangent(tangent, matrix)
-        for forms in problem._hyperelastic:
-            seam.add_matrix(forms.tangent, matrix)
-        return self._finish(matrix, kept=1.0)
+        self._begin()
+        for _, forms in self._problem._tensors:
+            seam.add_matrix(forms.tangent, self._problem.matrix)
+        return self._finish(kept=1.0)
 
     def softened_hessian(self, kept: float) -> PETSc.Mat:
         """The Hessian with every negative eigenvalue of every point's tangent multiplied by `kept` in [0, 1].
@@ -247,37 +245,35 @@ class State:
         At 0 it is positive semi-definite.
         """
         problem = self._problem
-        matrix = self._begin()
-        laws = [*problem._laws, *problem._stand_ins]
-        total: Floats | None = None
-        if laws:
-            U, s, V = self._svd()
-            _, p, h = self._principal(laws)
-            total = principal.tangent(U, V, principal.modes(s, p, h).softened(kept))
+        self._begin()
         for points, forms in problem._tensors:
-            total = np.zeros((len(problem._quadrature.volume), 9, 9)) if total is None else total
-            total[points] += forms.softened_tangent(kept)
-        if total is not None:
-            problem._quadrature.add_tangent(total, matrix)
-        return self._finish(matrix, kept)
+            problem._quadrature.add_tangent(points, forms.softened_tangent(kept), problem._stiffness)
+        return self._finish(kept)
 
-    def _begin(self) -> PETSc.Mat:
+    def _begin(self):
         self._place()
         self._problem.assemblies += 1
-        self._problem.matrix.zeroEntries()
-        return self._problem.matrix
+        self._problem._stiffness.clear()
 
-    def _finish(self, matrix: PETSc.Mat, kept: float) -> PETSc.Mat:
-        problem = self._problem
-        matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
-        for blocks, surface in zip(problem._blocks, problem._surfaces, strict=True):
-            blocks.add(surface.hessian(self._x, kept), matrix)
-        matrix.assemble()
+    def _finish(self, kept: float) -> PETSc.Mat:
+        """Add what does not come from UFL."""
+        problem, stiffness = self._problem, self._problem._stiffness
+        problem.matrix.assemble()
+        if problem._laws or problem._stretched:
+            U, s, V = self._svd()
+            p, h = self._curvature()
+            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).softened(kept), stiffness)
+        for slots, surface in zip(problem._slots, problem._surfaces, strict=True):
+            stiffness.add(surface.nodes, slots, surface.hessian(self._x, kept))
         for spring in problem._springs:
-            diagonal = np.zeros_like(self.u)
-            diagonal[spring.dofs] = spring.stiffness[:, None]
-            matrix.setDiagonal(
-                PETSc.Vec().createWithArray(diagonal.ravel(), comm=seam.COMM), addv=PETSc.InsertMode.ADD_VALUES
-            )
-        matrix.assemble()
-        return matrix
+            nodes = spring.dofs[:, None]
+            stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])
+        problem.matrix.assemble()
+        return problem.matrix
+
+    def _curvature(self) -> tuple[Floats, Floats]:
+        """Gradient and Hessian of all laws of the singular values."""
+        problem = self._problem
+        if problem._stretched:
+            return self._principal([*problem._laws, *problem._stretched])[1:]
+        return self._p, self._h

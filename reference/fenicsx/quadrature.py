@@ -1,77 +1,202 @@
-"""Forms whose stress and tangent are arrays at quadrature points: FEniCSx integrates, numpy supplies the law."""
+"""Integrals over cells of laws that are known at quadrature points: F there, and forces and stiffness from P and dP/dF.
+
+Mesh, nodes, rule and shape functions are FEniCSx'; the loops over points are compiled. They do what FEniCSx' own
+assembly of forms with functions of such points does (a test compares them), without its arrays of 81 numbers a point.
+"""
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import Any
-
 import numpy as np
-import ufl
+from numba import njit
 
 from ...lhm.mesh import Floats, Ints
 from . import dolfinx_version as seam
-from .dolfinx_version import PETSc
+from .assembly import Stiffness, place_of
+from .numbering import Numbering
+from .principal import Modes
 
 DEGREES = {1: 1, 2: 4}
 """Degree of the rule by that of the element: one point for linear tets, whose F is constant."""
 
 
-class QuadratureForms:
-    """F at the quadrature points of some cells, and the assembly of P and dP/dF given there.
+class Quadrature:
+    """The points of the rule of a degree on some cells (k,), q on each, cell by cell.
 
-    Points are those of the rule of a degree, cell by cell; `volume` [mm³], shape (k q,), is what each stands for.
+    `volume` [mm³], shape (k q,), is what each stands for.
     """
 
-    def __init__(self, displacement, cells: Ints, cell_volumes: Floats, degree: int = 1):
-        space = displacement.function_space
-        domain = space.mesh
+    def __init__(self, order: Numbering, cells: Ints, degree: int):
         points, weights = seam.quadrature_rule(degree)
         self.cells = cells
-        self.points = points
         self.per_cell = len(points)
-        self.volume = np.outer(cell_volumes[cells], weights / weights.sum()).ravel()
-        self._gradient_at = seam.evaluator(ufl.grad(displacement), points, domain)
-        self._space, self._degree = space, degree
-        self._dx = seam.cell_measure(domain, cells)(
-            metadata={"quadrature_degree": degree, "quadrature_scheme": "default"}
-        )
+        self.volume = np.outer(order.cell_volumes[cells], weights / weights.sum()).ravel()
+        self._nodes = order.cell_dofs[cells]
+        self._derivatives = np.ascontiguousarray(seam.shapes(order.degree, points)[1])
+        corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+        x = order.X[order.dof[order.cell_vertices[cells]]]
+        jacobian = x.transpose(0, 2, 1) @ np.linalg.pinv(corners - corners.mean(axis=0)).T
+        self._inverse = np.ascontiguousarray(np.linalg.inv(jacobian))
+        self._slots: Ints | None = None
 
-    @cached_property
-    def _stress(self) -> tuple[Any, Ints, Any]:
-        """A function of stresses, its dofs at the points, and the form that integrates it."""
-        stress, dofs = self._tensor((3, 3))
-        form = ufl.inner(stress, ufl.grad(ufl.TestFunction(self._space))) * self._dx
-        return stress, dofs, seam.compile_form(form)
-
-    @cached_property
-    def _tangent(self) -> tuple[Any, Ints, Any]:
-        tangent, dofs = self._tensor((9, 9))
-        v, du = ufl.TestFunction(self._space), ufl.TrialFunction(self._space)
-        form = ufl.inner(ufl.dot(tangent, _flat(du)), _flat(v)) * self._dx
-        return tangent, dofs, seam.compile_form(form)
-
-    def _tensor(self, shape: tuple[int, int]) -> tuple[Any, Ints]:
-        space = seam.quadrature_space(self._space.mesh, self._degree, shape)
-        return seam.function(space), seam.cell_dofs(space, self.per_cell)[self.cells].ravel()
-
-    def deformation_gradient(self) -> Floats:
-        """F at the points, shape (k q, 3, 3), for the displacement's present values."""
-        return self._gradient_at(self.cells).reshape(-1, 3, 3) + np.eye(3)
+    def deformation_gradient(self, u: Floats) -> Floats:
+        """F at the points, shape (k q, 3, 3), of a displacement [mm] by node, shape (n, 3)."""
+        return _deformation(self._nodes, self._inverse, self._derivatives, u)
 
     def add_gradient(self, P: Floats, into: Floats):
-        """Add the integral of P : grad v [mN], P [kPa] of shape (k q, 3, 3), to an array of dofs (3n,)."""
-        stress, dofs, form = self._stress
-        stress.x.array.reshape(-1, 9)[dofs] = P.reshape(-1, 9)
-        seam.add_vector(form, into)
+        """Add the integral of P : grad v [mN], P [kPa] of shape (k q, 3, 3), to an array by node (n, 3)."""
+        _add_forces(self._nodes, self._inverse, self._derivatives, self.volume, P, into)
 
-    def add_tangent(self, C: Floats, into: PETSc.Mat):
-        """Add the integral of grad v : C : grad u [mN/mm], C [kPa] of shape (k q, 9, 9), to a matrix."""
-        tangent, dofs, form = self._tangent
-        tangent.x.array.reshape(-1, 81)[dofs] = C.reshape(-1, 81)
-        seam.add_matrix(form, into)
+    def add_modes(self, U: Floats, V: Floats, modes: Modes, into: Stiffness):
+        """Add the integral of grad v : dP/dF : grad u [mN/mm], dP/dF [kPa] by its modes in the frames U, V of F."""
+        same, crossed = 0.5 * (modes.flip + modes.twist), 0.5 * (modes.flip - modes.twist)
+        frames = (U, V, modes.block, same, crossed)
+        _add_modes(self._nodes, self._inverse, self._derivatives, self.volume, *frames, *self._where(into))
+        into.touch()
+
+    def add_tangent(self, points: Ints, C: Floats, into: Stiffness):
+        """The same with dP/dF [kPa] as arrays, shape (p, 9, 9), at some of the points, shape (p,)."""
+        _add_tangent(self._nodes, self._inverse, self._derivatives, self.volume, points, C, *self._where(into))
+        into.touch()
+
+    def _where(self, into: Stiffness) -> tuple[Ints, Ints, Floats]:
+        if self._slots is None:
+            self._slots = into.slots(self._nodes)
+        return into.starts, self._slots, into.values
 
 
-def _flat(v):
-    """The gradient of v as a vector of nine, row by row."""
-    gradient = ufl.grad(v)
-    return ufl.as_vector([gradient[i, j] for i in range(3) for j in range(3)])
+@njit(inline="always")
+def _shape_gradients(derivatives, inverse, gradients):
+    """Gradients in space (k, 3) of the shape functions, from those on the reference cell."""
+    for a in range(len(derivatives)):
+        for j in range(3):
+            gradients[a, j] = (
+                derivatives[a, 0] * inverse[0, j]
+                + derivatives[a, 1] * inverse[1, j]
+                + derivatives[a, 2] * inverse[2, j]
+            )
+
+
+@njit(cache=True)
+def _deformation(nodes, inverse, derivatives, u):
+    m, k = nodes.shape
+    q = len(derivatives)
+    F = np.empty((m * q, 3, 3))
+    H = np.empty((3, 3))
+    for e in range(m):
+        for p in range(q):
+            H[:] = 0.0
+            for a in range(k):
+                node = nodes[e, a]
+                for i in range(3):
+                    for j in range(3):
+                        H[i, j] += u[node, i] * derivatives[p, a, j]
+            for i in range(3):
+                for j in range(3):
+                    moved = H[i, 0] * inverse[e, 0, j] + H[i, 1] * inverse[e, 1, j] + H[i, 2] * inverse[e, 2, j]
+                    F[e * q + p, i, j] = moved + (1.0 if i == j else 0.0)
+    return F
+
+
+@njit(cache=True)
+def _add_forces(nodes, inverse, derivatives, volume, P, into):
+    m, k = nodes.shape
+    q = len(derivatives)
+    gradients = np.empty((k, 3))
+    for e in range(m):
+        for p in range(q):
+            at = e * q + p
+            _shape_gradients(derivatives[p], inverse[e], gradients)
+            for a in range(k):
+                node = nodes[e, a]
+                for i in range(3):
+                    pull = P[at, i, 0] * gradients[a, 0] + P[at, i, 1] * gradients[a, 1] + P[at, i, 2] * gradients[a, 2]
+                    into[node, i] += volume[at] * pull
+
+
+@njit(inline="always")
+def _add_pairs(local, nodes, starts, slots, values):
+    """Add the blocks of pairs a < b, those of b and a, and on the diagonal what makes translations free of forces."""
+    k = len(nodes)
+    for a in range(k):
+        for b in range(a + 1, k):
+            ab, width_a = place_of(starts, nodes[a], slots[a, b])
+            ba, width_b = place_of(starts, nodes[b], slots[b, a])
+            aa, _ = place_of(starts, nodes[a], slots[a, a])
+            bb, _ = place_of(starts, nodes[b], slots[b, b])
+            for i in range(3):
+                for j in range(3):
+                    value = local[a, b, i, j]
+                    values[ab + i * width_a + j] += value
+                    values[ba + j * width_b + i] += value
+                    values[aa + i * width_a + j] -= value
+                    values[bb + j * width_b + i] -= value
+
+
+@njit(cache=True)
+def _add_modes(nodes, inverse, derivatives, volume, U, V, block, same, crossed, starts, slots, values):
+    m, k = nodes.shape
+    q = len(derivatives)
+    gradients, turned, local = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, k, 3, 3))
+    K, KU = np.empty((3, 3)), np.empty((3, 3))
+    for e in range(m):
+        local[:] = 0.0
+        for p in range(q):
+            at = e * q + p
+            _shape_gradients(derivatives[p], inverse[e], gradients)
+            for a in range(k):
+                for j in range(3):
+                    turned[a, j] = (
+                        gradients[a, 0] * V[at, 0, j] + gradients[a, 1] * V[at, 1, j] + gradients[a, 2] * V[at, 2, j]
+                    )
+            w, h = volume[at], block[at]
+            s01, s02, s12 = same[at, 0], same[at, 1], same[at, 2]
+            c01, c02, c12 = crossed[at, 0], crossed[at, 1], crossed[at, 2]
+            for a in range(k):
+                a0, a1, a2 = w * turned[a, 0], w * turned[a, 1], w * turned[a, 2]
+                for b in range(a + 1, k):
+                    b0, b1, b2 = turned[b, 0], turned[b, 1], turned[b, 2]
+                    K[0, 0] = h[0, 0] * a0 * b0 + s01 * a1 * b1 + s02 * a2 * b2
+                    K[1, 1] = h[1, 1] * a1 * b1 + s01 * a0 * b0 + s12 * a2 * b2
+                    K[2, 2] = h[2, 2] * a2 * b2 + s02 * a0 * b0 + s12 * a1 * b1
+                    K[0, 1] = h[0, 1] * a0 * b1 + c01 * a1 * b0
+                    K[1, 0] = h[1, 0] * a1 * b0 + c01 * a0 * b1
+                    K[0, 2] = h[0, 2] * a0 * b2 + c02 * a2 * b0
+                    K[2, 0] = h[2, 0] * a2 * b0 + c02 * a0 * b2
+                    K[1, 2] = h[1, 2] * a1 * b2 + c12 * a2 * b1
+                    K[2, 1] = h[2, 1] * a2 * b1 + c12 * a1 * b2
+                    for i in range(3):
+                        for j in range(3):
+                            KU[i, j] = K[i, 0] * U[at, j, 0] + K[i, 1] * U[at, j, 1] + K[i, 2] * U[at, j, 2]
+                    for i in range(3):
+                        for j in range(3):
+                            local[a, b, i, j] += (
+                                U[at, i, 0] * KU[0, j] + U[at, i, 1] * KU[1, j] + U[at, i, 2] * KU[2, j]
+                            )
+        _add_pairs(local, nodes[e], starts, slots[e], values)
+
+
+@njit(cache=True)
+def _add_tangent(nodes, inverse, derivatives, volume, points, C, starts, slots, values):
+    k, q = nodes.shape[1], len(derivatives)
+    gradients, local, CB = np.empty((k, 3)), np.empty((k, k, 3, 3)), np.empty((9, 3))
+    for n in range(len(points)):
+        at = points[n]
+        e = at // q
+        _shape_gradients(derivatives[at - e * q], inverse[e], gradients)
+        for b in range(k):
+            for row in range(9):
+                for j in range(3):
+                    CB[row, j] = volume[at] * (
+                        C[n, row, 3 * j] * gradients[b, 0]
+                        + C[n, row, 3 * j + 1] * gradients[b, 1]
+                        + C[n, row, 3 * j + 2] * gradients[b, 2]
+                    )
+            for a in range(b):
+                for i in range(3):
+                    for j in range(3):
+                        local[a, b, i, j] = (
+                            gradients[a, 0] * CB[3 * i, j]
+                            + gradients[a, 1] * CB[3 * i + 1, j]
+                            + gradients[a, 2] * CB[3 * i + 2, j]
+                        )
+        _add_pairs(local, nodes[e], starts, slots[e], values)

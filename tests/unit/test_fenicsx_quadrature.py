@@ -1,0 +1,120 @@
+"""Loops over quadrature points against FEniCSx' own assembly of the same forms, and the stable law's derivatives."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+pytest.importorskip("dolfinx")
+
+from softdeca.reference import Scene, materials, terms
+from softdeca.reference.fenicsx import dolfinx_version as seam
+from softdeca.reference.fenicsx import principal
+from softdeca.reference.fenicsx.assembly import Stiffness
+from softdeca.reference.fenicsx.laws import StableNeoHookeanLaw
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.fenicsx.quadrature import DEGREES, Quadrature
+from softdeca.reference.problems import meshes
+
+ufl = seam.ufl
+
+
+@pytest.fixture(params=[1, 2])
+def setting(request):
+    """A numbering of a degree, every second cell, a displacement by node, and the measure of the cells."""
+    X, tets = meshes.unstructured(2, 2.0)
+    order = Numbering(Scene(X, tets, []), request.param)
+    cells = np.arange(0, len(tets), 2)
+    u = np.random.default_rng(0).normal(0.0, 0.1, order.X.shape)
+    rule = {"quadrature_degree": DEGREES[request.param], "quadrature_scheme": "default"}
+    dx = seam.cell_measure(order.space.mesh, cells)(metadata=rule)
+    return order, cells, u, dx
+
+
+def tensors(order, cells, values):
+    """A function that has values (k, q, ...) at the points of some cells."""
+    degree = DEGREES[order.degree]
+    space = seam.quadrature_space(order.space.mesh, degree, values.shape[2:])
+    found = seam.function(space)
+    dofs = seam.cell_dofs(space, values.shape[1])[cells].ravel()
+    found.x.array.reshape(-1, int(np.prod(values.shape[2:])))[dofs] = values.reshape(len(dofs), -1)
+    return found
+
+
+def flat(v):
+    gradient = ufl.grad(v)
+    return ufl.as_vector([gradient[i, j] for i in range(3) for j in range(3)])
+
+
+def dense(matrix):
+    indptr, columns, values = matrix.getValuesCSR()
+    return csr_matrix((values, columns, indptr)).toarray()
+
+
+def test_deformation_gradient_is_the_displacements(setting):
+    order, cells, u, _ = setting
+    displacement = seam.function(order.space)
+    displacement.x.array[:] = u.ravel()
+    points = seam.quadrature_rule(DEGREES[order.degree])[0]
+    expected = seam.evaluator(ufl.grad(displacement), points, order.space.mesh)(cells).reshape(-1, 3, 3) + np.eye(3)
+    found = Quadrature(order, cells, DEGREES[order.degree]).deformation_gradient(u)
+    np.testing.assert_allclose(found, expected, atol=1e-13)
+
+
+def test_forces_are_the_forms(setting):
+    order, cells, u, dx = setting
+    quadrature = Quadrature(order, cells, DEGREES[order.degree])
+    P = np.random.default_rng(1).normal(size=(len(cells), quadrature.per_cell, 3, 3))
+    form = ufl.inner(tensors(order, cells, P), ufl.grad(ufl.TestFunction(order.space))) * dx
+    expected = np.zeros(u.size)
+    seam.add_vector(seam.compile_form(form), expected)
+    found = np.zeros_like(u)
+    quadrature.add_gradient(P.reshape(-1, 3, 3), found)
+    np.testing.assert_allclose(found.ravel(), expected, atol=1e-13)
+
+
+def test_stiffness_is_the_forms(setting):
+    """By tangents as arrays, and by the modes that they come from."""
+    order, cells, u, dx = setting
+    quadrature = Quadrature(order, cells, DEGREES[order.degree])
+    U, s, V = principal.signed_svd(quadrature.deformation_gradient(u))
+    rng = np.random.default_rng(2)
+    h = rng.normal(size=(len(s), 3, 3))
+    modes = principal.modes(s, rng.normal(size=s.shape), h + h.transpose(0, 2, 1))
+    C = principal.tangent(U, V, modes)
+    at_points = tensors(order, cells, C.reshape(len(cells), -1, 9, 9))
+    v, du = ufl.TestFunction(order.space), ufl.TrialFunction(order.space)
+    form = seam.compile_form(ufl.inner(ufl.dot(at_points, flat(du)), flat(v)) * dx)
+    assembled = Stiffness([order.cell_dofs], len(order.X))
+    seam.add_matrix(form, assembled.matrix)
+    assembled.matrix.assemble()
+    expected = dense(assembled.matrix)
+    by_modes, by_arrays = (Stiffness([order.cell_dofs], len(order.X)) for _ in range(2))
+    quadrature.add_modes(U, V, modes, by_modes)
+    quadrature.add_tangent(np.arange(len(C)), C, by_arrays)
+    for found in (by_modes, by_arrays):
+        np.testing.assert_allclose(dense(found.matrix), expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_stable_law_of_stretches_is_the_density():
+    """UFL's exact Hessian, which no solve uses any more, and the law's derivatives by differences."""
+    X, tets = meshes.unstructured(2, 2.0)
+    law = materials.StableNeoHookean.from_young(15.0, 0.45)
+    scene = Scene(X, tets, [terms.Hyperelastic(law), terms.Fixed(meshes.vertices_at(X, 2, 0.0))])
+    problem = Problem(scene, Numbering(scene))
+    u = np.random.default_rng(3).normal(0.0, 0.3, X.shape)  # some tets are inverted
+    state = problem.at(u)
+    expected = seam.empty_matrix(problem._hyperelastic[0].tangent)
+    seam.add_matrix(problem._hyperelastic[0].tangent, expected)
+    expected.assemble()
+    found = dense(state.hessian())
+    np.testing.assert_allclose(found, dense(expected), atol=1e-11 * np.abs(found).max())
+
+    s = np.array([[1.4, 0.9, -0.3], [1.1, 1.0, 0.0]])
+    by_stretches = StableNeoHookeanLaw(np.full(2, law.mu), np.full(2, law.lmbda))
+    _, p, h = by_stretches.evaluate(s)
+    for c in range(3):
+        step = 1e-5 * np.eye(3)[c]
+        above, below = by_stretches.evaluate(s + step), by_stretches.evaluate(s - step)
+        np.testing.assert_allclose((above[0] - below[0]) / 2e-5, p[:, c], atol=1e-8)
+        np.testing.assert_allclose((above[1] - below[1]) / 2e-5, h[:, :, c], atol=1e-8)
