@@ -21,7 +21,7 @@ def bench() -> None:
 
 @bench.command()
 @click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
-@click.option("--fine", is_flag=True, help="also finer meshes, orders of convergence and locking by FEniCSx: a quarter of an hour")
+@click.option("--fine", is_flag=True, help="also finer meshes, orders and locking by FEniCSx: 15 minutes")
 @click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
 def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
     """Closed forms and published values through every solver; exit status 1 outside a bound.
