@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from .errors import MeshError
@@ -47,10 +48,21 @@ def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
     return elements
 
 
+FLAT = 1e-15
+"""A tet of less than this share of the cube around it is flat."""
+
+
+@njit(cache=True)
 def tet_volumes(vertices: Floats, tets: Ints) -> Floats:
     """Signed volumes [mm³], shape (m,)."""
-    a, b, c, d = (vertices[tets[:, k]] for k in range(4))
-    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+    volumes = np.empty(len(tets))
+    for i in range(len(tets)):
+        a, b, c, d = tets[i]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        wx, wy, wz = vertices[d, 0] - vertices[a, 0], vertices[d, 1] - vertices[a, 1], vertices[d, 2] - vertices[a, 2]
+        volumes[i] = ((uy * vz - uz * vy) * wx + (uz * vx - ux * vz) * wy + (ux * vy - uy * vx) * wz) / 6.0
+    return volumes
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +130,10 @@ class TetMesh:
         object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
         object.__setattr__(self, "tets", as_elements("tets", self.tets, 4, len(self.vertices)))
         volumes = tet_volumes(self.vertices, self.tets)
-        a, b, c, d = (self.vertices[corner] for corner in self.tets.T)
-        extent = np.maximum(np.maximum(a, b), np.maximum(c, d)) - np.minimum(np.minimum(a, b), np.minimum(c, d))
-        size = np.maximum(np.maximum(extent[:, 0], extent[:, 1]), extent[:, 2])
-        bad = np.flatnonzero(volumes <= 1e-15 * size**3)
+        whole = np.ptp(self.vertices) if len(self.vertices) else 0.0
+        small = np.flatnonzero(volumes <= FLAT * whole**3)
+        size = np.ptp(self.vertices[self.tets[small]], axis=1).max(axis=1) if small.size else 0.0
+        bad = small[volumes[small] <= FLAT * size**3]
         if bad.size:
             first = bad[0]
             raise MeshError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from .facial import facial_scene
 from .local import on_vertices
 from .parameters import Parameters
 from .scene import Scene
-from .solution import Solution
+from .solution import Solution, volume_ratio
 from .solve import Prepared, prepare
 from .stack import Stack
 from .terms import Target
@@ -31,12 +31,14 @@ class State:
     """All that the next frame depends on, in mm: enough to go on later as if nothing had been between.
 
     positions (scene's vertices, 3) of the last frame; sought (n, 3): where its skin wrap was drawn to; before (n, 3):
-    the skin wrap of the frame before it.
+    the skin wrap of the frame before it; drift (wraps' vertices, 3), or zero: by how much its change differs from that
+    of the expression without physics, on which the next frame's start is led.
     """
 
     positions: Floats
     sought: Floats
     before: Floats
+    drift: Floats = field(default_factory=lambda: np.zeros((1, 3)))
 
 
 class Sequence:
@@ -97,9 +99,14 @@ class Sequence:
             self.begin(targets)
         solution, scene = self._solved(targets, dynamic=self.recurrence is not None)
         n = len(self.head.bone)
-        last = solution.positions[:n] if self.state is None else self.state.positions[:n]
-        if np.isfinite(solution.positions).all():
-            self.state = State(solution.positions, _target(scene).positions, last)
+        if not np.isfinite(solution.positions).all():
+            return solution
+        positions, sought = solution.positions, _target(scene).positions
+        if self.state is None:
+            self.state = State(positions, sought, positions[:n])
+        else:
+            drift = self._beyond(positions, sought) - self._beyond(self.state.positions, self.state.sought)
+            self.state = State(positions, sought, self.state.positions[:n], drift)
         return solution
 
     def skin(self, targets: Floats, solution: Solution) -> Floats:
@@ -119,17 +126,32 @@ class Sequence:
         start = self._start(scene, _target(scene))
         norm = prepared.solve(scene, start=start, on_iteration=lambda *_: True).history.gradient_norm[0]
         tolerance = asked / norm if asked < LOOSEST * norm else LOOSEST
-        return prepared.solve(scene, start=start, tolerance=tolerance, max_iterations=self._limit), scene
+        return self._minimised(prepared, scene, start, tolerance), scene
+
+    def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, tolerance: float) -> Solution:
+        """The scene's solution: from a sound frame to a sound one there is nothing to untangle, which costs as much."""
+        asked: dict[str, Any] = {"start": start, "tolerance": tolerance, "max_iterations": self._limit}
+        sound = self.state is not None and (volume_ratio(scene, self.state.positions) > 0).all()
+        if sound and self._solver == "projective":
+            solution = prepared.solve(scene, **asked | {"untangle": False})
+            if (solution.volume_ratio > 0).all():
+                return solution
+        return prepared.solve(scene, **asked)
 
     def _start(self, scene: Scene, target: Target) -> Floats:
-        """The last frame, and on it the change that the expression alone makes."""
+        """The last frame, and on it the change that the expression makes and what the last change had beyond that."""
         ahead = self._carried(target.positions)
         start = np.array(scene.vertices)
         if self.state is not None:
             start[:] = self.state.positions
-            ahead = start[: len(ahead)] + ahead - self._carried(self.state.sought)
+            ahead += self._beyond(start, self.state.sought) + self.state.drift
         start[: len(ahead)] = ahead
         return start
+
+    def _beyond(self, positions: Floats, sought: Floats) -> Floats:
+        """How far [mm] the wraps' vertices are from where the expression alone takes them."""
+        ahead = self._carried(sought)
+        return positions[: len(ahead)] - ahead
 
     def _carried(self, wrap_targets: Floats) -> Floats:
         """The scene's vertices of the wraps [mm] where an expression takes them without physics."""

@@ -129,13 +129,15 @@ class ProjectivePrepared:
         on_iteration: OnIteration | None = None,
         warm: Solution | None = None,
         remember: bool = False,
+        untangle: bool = True,
     ) -> ProjectiveSolution:
         """Minimise the energy of the prepared scene, or of one that differs only in the fields of `VARYING`.
 
         start [mm], shape (n, 3), default rest; `warm` is the solution of the frame before, which gives the default
         start and, if it was to `remember` them (16 numbers per unknown), the pairs of steps and changes that L-BFGS
         begins with. What is Fixed is put where it is held, and a RigidBody where it fits best, before the first
-        iteration.
+        iteration. A start with inverted tets is untangled first, unless it is known to need none: not to `untangle` one
+        near the answer saves half the iterations.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
         scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
         Raises SceneError if `scene` needs a new preparation, if start or tolerance are out of range, or if loads push
@@ -151,7 +153,7 @@ class ProjectivePrepared:
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         work = _Work(self.system)
-        tangled = bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
+        tangled = untangle and bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
         untangling = work.on(energy.untangling(VOLUME_SHARE[self.method])) if tangled else None
         bounded, memory = energy.bending is None, self._remembered(warm)
         problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling, bounded, memory)

@@ -10,6 +10,7 @@ from softdeca.benchmarks.effect_run import run_effect
 from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
 from softdeca.lhm.check import check_layers
 from softdeca.reference import Parameters, facial_scene, solve
+from softdeca.reference.sequence import Sequence
 
 SPACE = identities.Anny()
 
@@ -72,3 +73,17 @@ def test_a_degenerate_identity_is_fitted_and_simulated_or_refused_by_name():
         targets = expressions.blend(SPACE, code, expressions.weights_of({"jawOpen": 0.5}))[0]
         solution = solve(facial_scene(odd, Parameters(), targets), tolerance=1e-5)
         assert solution.converged and np.isfinite(solution.positions).all()
+
+
+def test_a_blink_leaves_nothing_behind(head):
+    """Frames whose lids invert tets, each started from the last, end where cold ones do."""
+    shut = expressions.weights_of({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0, "eyeSquintLeft": 0.6})
+    faces = expressions.blend(SPACE, np.zeros(SPACE.code_size), np.outer([0.5, 0.8, 1.0, 0.7, 0.2, 0.0], shut))
+    sequence = Sequence(head, Parameters(), tolerance=1e-6)
+    inverted = []
+    for targets in faces:
+        warm = sequence.frame(targets)
+        cold = solve(facial_scene(head, Parameters(), targets), tolerance=1e-7)
+        inverted.append(np.count_nonzero(warm.volume_ratio <= 0))
+        assert np.abs(warm.positions - cold.positions).max() < 0.01
+    assert max(inverted) > 10 and inverted[-1] == 0
