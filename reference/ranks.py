@@ -162,6 +162,7 @@ def join() -> Team | None:
     started = int(next((os.environ[name] for name in SIZES if name in os.environ), "1"))
     if started < 2:
         return None
+    os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # while waiting, leave the processor to who has work
     place = int(next((os.environ[name] for name in PLACES if name in os.environ), "0"))
     try:
         from mpi4py.util import pkl5
@@ -202,12 +203,6 @@ def leave(status: int = 0):
     if team() is not None:
         _team.dismiss(status)  # type: ignore[union-attr]
     _team = None
-
-
-def cut(total: int, parts: int, align: int = 1) -> list[int]:
-    """Where to cut `total` things into runs of equal length, a multiple of `align`: parts + 1 places."""
-    blocks = total // align
-    return [align * (blocks * part // parts) for part in range(parts)] + [total]
 
 
 def _interrupted(*_) -> NoReturn:

@@ -21,9 +21,9 @@ class Stiffness:
         pattern = _pattern(elements, n)
         count = np.diff(pattern.indptr)
         self.starts = pattern.indptr.astype(np.int64)
-        self._columns = pattern.indices
+        self.columns = pattern.indices
         indptr = np.concatenate([[0], np.cumsum(np.repeat(3 * count, 3))]).astype(PETSc.IntType)
-        indices = _three_rows(self.starts, self._columns).astype(PETSc.IntType)
+        indices = _three_rows(self.starts, self.columns).astype(PETSc.IntType)
         self.values: Floats = np.zeros(len(indices))
         self.matrix = PETSc.Mat().createAIJWithArrays((3 * n, 3 * n), (indptr, indices, self.values), comm=COMM)
         self.matrix.setBlockSize(3)
@@ -35,7 +35,19 @@ class Stiffness:
 
     def slots(self, elements: Ints) -> Ints:
         """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
-        return _found(self.starts, self._columns, elements)
+        return _found(self.starts, self.columns, elements)
+
+    def places(self, nodes: Ints, starts: Ints, columns: Ints) -> Ints:
+        """Where the values of a matrix over some of the vertices (k,) are among this one's, from its blocks' rows.
+
+        Its rows of blocks start at `starts` (k + 1,), and have `columns`.
+        """
+        rows = np.repeat(np.arange(len(nodes)), np.diff(starts))
+        pairs = np.column_stack([nodes[rows], nodes[columns]])
+        slots = _found(self.starts, self.columns, pairs)[:, 0, 1]
+        result = np.empty(9 * len(columns), dtype=np.int64)
+        result[_nine(starts, rows, np.arange(len(rows)))] = _nine(self.starts, pairs[:, 0], slots)
+        return result
 
     def clear(self):
         """Set all values to zero."""
@@ -50,6 +62,14 @@ class Stiffness:
     def touch(self):
         """Tell PETSc that `values` have changed."""
         self.matrix.stateIncrease()
+
+
+def _nine(starts: Ints, rows: Ints, slots: Ints) -> Ints:
+    """Where the nine values of blocks (k,) in slots of rows are, shape (k, 9)."""
+    first = starts[rows]
+    corner, width = 9 * first + 3 * (slots - first), 3 * (starts[rows + 1] - first)
+    along = np.arange(9)
+    return corner[:, None] + width[:, None] * (along // 3) + along % 3
 
 
 def _pattern(elements: list[Ints], n: int) -> csr_matrix:

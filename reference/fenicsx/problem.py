@@ -69,9 +69,9 @@ class Problem:
         self._faces = [numbering.face_dofs(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._surfaces = self._surfaces_of(scene)
         nodes = [surface.nodes for surface in self._surfaces]
-        self._stiffness = Stiffness([numbering.cell_dofs, *nodes], n)
-        self._slots = [self._stiffness.slots(surface) for surface in nodes]
-        self.matrix = self._stiffness.matrix
+        self.stiffness = Stiffness([numbering.cell_dofs, *nodes], n)
+        self._slots = [self.stiffness.slots(surface) for surface in nodes]
+        self.matrix = self.stiffness.matrix
         self.matrix.setNearNullSpace(rigid_motions(numbering.X))
         springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
         springs.append(numbering.dofs_of("Inertia", np.flatnonzero(scene.inertia()[0])))
@@ -247,17 +247,17 @@ class State:
         problem = self._problem
         self._begin()
         for points, forms in problem._tensors:
-            problem._quadrature.add_tangent(points, forms.softened_tangent(kept), problem._stiffness)
+            problem._quadrature.add_tangent(points, forms.softened_tangent(kept), problem.stiffness)
         return self._finish(kept)
 
     def _begin(self):
         self._place()
         self._problem.assemblies += 1
-        self._problem._stiffness.clear()
+        self._problem.stiffness.clear()
 
     def _finish(self, kept: float) -> PETSc.Mat:
         """Add what does not come from UFL."""
-        problem, stiffness = self._problem, self._problem._stiffness
+        problem, stiffness = self._problem, self._problem.stiffness
         problem.matrix.assemble()
         if problem._laws or problem._stretched:
             U, s, V = self._svd()

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...lhm.mesh import Floats, Ints
 from ..materials import Material
-from ..ranks import Remote, Team, cut, team
+from ..ranks import Remote, Team, team
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, Term, Volume
 from .dolfinx_version import PETSc
@@ -21,13 +21,14 @@ from .numbering import Numbering
 from .problem import Problem, State
 
 SOLIDS = (Strain, Volume, Hyperelastic)
+FEW = 300  # tets, below which sharing them costs more than it saves
 KEPT = 4  # states, that a share remembers: a line search returns to the one before
 
 
 def problem_of(scene: Scene, numbering: Numbering) -> Problem:
     """The scene's problem, shared with the processes that mpirun has started, if there are any."""
     others = team()
-    if others is None or len(scene.tets) < others.size:
+    if others is None or len(scene.tets) < FEW:
         return Problem(scene, numbering)
     return SharedProblem(scene, numbering, others)
 
@@ -64,7 +65,7 @@ def _per_tet(value, dimensions: int) -> bool:
     return isinstance(value, np.ndarray) and value.ndim == dimensions
 
 
-def _small_scene(scene: Scene, tets: Ints) -> tuple[Scene, Ints]:
+def small_scene(scene: Scene, tets: Ints) -> tuple[Scene, Ints]:
     """A scene of tets (k,) with its solids alone, and the vertices that it has."""
     vertices, corners = np.unique(scene.tets[tets], return_inverse=True)
     place = np.full(len(scene.tets), -1)
@@ -79,13 +80,11 @@ class Share:
     def __init__(self, scene: Scene, degree: int):
         self._problem = Problem(scene, Numbering(scene, degree))
         self._states: OrderedDict[int, State] = OrderedDict()
-        indptr, indices, _ = self._problem.matrix.getValuesCSR()
-        self._blocks = block_order(indptr)
-        self._indptr, self._indices = indptr[::3] // 9, indices[self._blocks[:, 0]] // 3
 
     def pattern(self) -> tuple[Ints, Ints, Ints]:
-        """Ends of the nodes (n, 2) by the scene's vertices, and which blocks the matrix has, row by row."""
-        return self._problem.numbering.ends, self._indptr, self._indices
+        """Ends of the nodes (n, 2) by the scene's vertices; where rows of blocks start, and the blocks' columns."""
+        stiffness = self._problem.stiffness
+        return self._problem.numbering.ends, stiffness.starts, stiffness.columns
 
     def set(self, scene: Scene):
         """Take other limits, targets and the like."""
@@ -101,10 +100,13 @@ class Share:
         return self._at(number, u).gradient()
 
     def hessian(self, number: int, u: Floats, kept: float | None) -> Floats:
-        """The Hessian's blocks [mN/mm], shape (blocks, 9); softened where `kept` is given."""
+        """The Hessian's values [mN/mm], row by row; softened where `kept` is given."""
         state = self._at(number, u)
-        matrix = state.hessian() if kept is None else state.softened_hessian(kept)
-        return matrix.getValuesCSR()[2][self._blocks]
+        if kept is None:
+            state.hessian()
+        else:
+            state.softened_hessian(kept)
+        return self._problem.stiffness.values
 
     def _at(self, number: int, u: Floats) -> State:
         if number not in self._states:
@@ -114,33 +116,21 @@ class Share:
         return self._states[number]
 
 
-def block_order(indptr: Ints) -> Ints:
-    """Where the nine entries of each 3x3 block stand in a matrix' values, block row by block row, shape (blocks, 9)."""
-    first = indptr[:-1:3].astype(np.int64)
-    width = np.diff(indptr)[::3].astype(np.int64)
-    row = np.repeat(np.arange(len(first)), width // 3)
-    column = np.arange(len(row)) - np.repeat(np.cumsum(width // 3) - width // 3, width // 3)
-    corner = first[row] + 3 * column
-    along = corner[:, None, None] + np.arange(3)
-    return (along + width[row][:, None, None] * np.arange(3)[:, None]).reshape(-1, 9)
-
-
 class SharedProblem(Problem):
     """See Problem; what is not a solid, and the first share of those, is this process'."""
 
     def __init__(self, scene: Scene, numbering: Numbering, team: Team):
-        bounds = cut(len(scene.tets), team.size)
-        self._tets = [np.sort(numbering.tet[a:b]) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        self._tets = [np.sort(tets) for tets in np.array_split(numbering.tet, team.size)]
         self._remote: Remote | None = None
         self._number = 0
         super().__init__(scene, numbering)
-        small = [_small_scene(scene, tets) for tets in self._tets[1:]]
+        small = [small_scene(scene, tets) for tets in self._tets[1:]]
         self._remote = team.make(Share, [(share, numbering.degree) for share, _ in small])
         patterns = self._remote.call("pattern", [()] * len(small))
         self._nodes = [numbering.nodes_between(v[ends]) for (_, v), (ends, _, _) in zip(small, patterns, strict=True)]
-        self._adds = [
-            _Rows(nodes, indptr, indices, len(numbering.X))
-            for nodes, (_, indptr, indices) in zip(self._nodes, patterns, strict=True)
+        self._places = [
+            self.stiffness.places(nodes, starts, columns)
+            for nodes, (_, starts, columns) in zip(self._nodes, patterns, strict=True)
         ]
 
     def _own(self, scene: Scene) -> Scene:
@@ -151,7 +141,7 @@ class SharedProblem(Problem):
         """See Problem."""
         super().set(scene)
         if self._remote is not None:
-            self._remote.call("set", [(_small_scene(scene, tets)[0],) for tets in self._tets[1:]])
+            self._remote.call("set", [(small_scene(scene, tets)[0],) for tets in self._tets[1:]])
 
     def at(self, u: Floats) -> State:
         """See Problem."""
@@ -177,25 +167,11 @@ class SharedProblem(Problem):
         for nodes, part in zip(self._nodes, parts, strict=True):
             into[nodes] += part
 
-    def add_blocks(self, parts: list[Floats]):
-        """Add the shares' blocks to the matrix."""
-        self.matrix.assemble(PETSc.Mat.AssemblyType.FLUSH)
-        for rows, part in zip(self._adds, parts, strict=True):
-            rows.add(part, self.matrix)
-        self.matrix.assemble()
-
-
-class _Rows:
-    """Where the blocks of a share go in the matrix of n nodes: row by row, and in the order of columns."""
-
-    def __init__(self, nodes: Ints, indptr: Ints, indices: Ints, n: int):
-        rows, columns = np.repeat(nodes, np.diff(indptr)), nodes[indices]
-        self._order = np.lexsort((columns, rows))
-        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(PETSc.IntType)
-        self._indices = columns[self._order].astype(PETSc.IntType)
-
-    def add(self, blocks: Floats, into: PETSc.Mat):
-        into.setValuesBlockedIJV(self._indptr, self._indices, blocks[self._order], addv=PETSc.InsertMode.ADD_VALUES)
+    def add_values(self, parts: list[Floats]):
+        """Add the values of the shares' matrices to the matrix."""
+        for places, part in zip(self._places, parts, strict=True):
+            self.stiffness.values[places] += part
+        self.stiffness.touch()
 
 
 class SharedState(State):
@@ -218,12 +194,12 @@ class SharedState(State):
         """See State."""
         self._shared.begin("hessian", self._number, self.u, None)
         matrix = super().hessian()
-        self._shared.add_blocks(self._shared.end())
+        self._shared.add_values(self._shared.end())
         return matrix
 
     def softened_hessian(self, kept: float) -> PETSc.Mat:
         """See State."""
         self._shared.begin("hessian", self._number, self.u, kept)
         matrix = super().softened_hessian(kept)
-        self._shared.add_blocks(self._shared.end())
+        self._shared.add_values(self._shared.end())
         return matrix
