@@ -7,12 +7,15 @@ from . import (
     cook,
     flexure,
     homogeneous,
+    laws_on_elements,
+    limit_points,
     locking,
     manufactured,
     meshes,
     orders,
     recovery,
     rigid,
+    slivers,
     stretched_bars,
     stretched_laws,
     thick_sphere,
@@ -33,12 +36,22 @@ ALL: tuple[Problem, ...] = (
 )
 FINE: tuple[Problem, ...] = tuple(problem for module in PUBLISHED for problem in module.FINE)
 """The published problems on finer meshes, half a minute each."""
-HARD: tuple[HardCase, ...] = (*recovery.CASES, *stretched_bars.CASES, *twisted_bar.CASES, *time_steps.CASES)
+HARD: tuple[HardCase, ...] = (
+    *recovery.CASES,
+    *slivers.CASES,
+    *stretched_bars.CASES,
+    *twisted_bar.CASES,
+    *time_steps.CASES,
+    *limit_points.CASES,
+)
+LAWS_ON_ELEMENTS: tuple[HardCase, ...] = laws_on_elements.CASES
+"""Hard cases for every law on every element of FEniCSx: ten minutes."""
 
 __all__ = [
     "ALL",
     "FINE",
     "HARD",
+    "LAWS_ON_ELEMENTS",
     "HardCase",
     "HardOutcome",
     "Outcome",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.mesh import Floats, Ints
 from ..materials import NeoHookean
 from ..scene import Scene
 from ..solution import Solution
@@ -96,9 +96,9 @@ def confined(row: Row, X: Floats) -> list[Term]:
     return [Fixed(vertices_at(X, axis, 1.0), components=(axis,)) for axis in axes]
 
 
-def held(row: Row) -> Scene:
-    """The far faces of the loaded axes held at the stretch."""
-    X, tets = unstructured(CELLS)
+def held(row: Row, mesh: tuple[Floats, Ints] | None = None) -> Scene:
+    """The far faces of the loaded axes held at the stretch, on a mesh of the unit cube."""
+    X, tets = unstructured(CELLS) if mesh is None else mesh
     faces = [vertices_at(X, axis, 1.0) for axis in range(row.loaded)]
     ends: list[Term] = [Fixed(face, X[face] * row.stretch, components=(axis,)) for axis, face in enumerate(faces)]
     return Scene(X, tets, (*row.energies(), *rollers(X), *confined(row, X), *ends))

@@ -21,9 +21,9 @@ TURN = 2.0 * np.pi
 YOUNG, POISSON = 10.0, 0.49
 
 
-def twisted(X: Floats) -> Floats:
-    """Sections of the bar along x turned about its middle line, the last by TURN."""
-    angle = TURN * X[:, 0] / LENGTH
+def twisted(X: Floats, turn: float = TURN) -> Floats:
+    """Sections of the bar along x turned about its middle line, the last by `turn` [rad]."""
+    angle = turn * X[:, 0] / LENGTH
     y, z = X[:, 1] - 0.5, X[:, 2] - 0.5
     across = np.cos(angle) * y - np.sin(angle) * z, np.sin(angle) * y + np.cos(angle) * z
     return np.column_stack([X[:, 0], 0.5 + across[0], 0.5 + across[1]])

@@ -1,0 +1,201 @@
+"""H1-H3, H5-H9, H11 for every law on every element of FEniCSx: what each makes of starts and motions that are hard.
+
+Which outcomes are no fault depends on the law. The corotated law leads back from anywhere. Strain + Volume and the
+stable neo-Hookean law have other equilibria, with tets that stay inside out, which a random start may end in. Laws with
+ln J, or J to a power below 0, are infinite for an inverted tet: they must refuse such a start. The St. Venant-Kirchhoff
+law does not see inversion, so whatever it does there, it is not at fault. A quadratic element starts from
+vertices, its edges straight, which after a crush may be inverted. Taylor-Hood's element finds equilibria by Newton's
+method, not by descent: it must come back where the start is near, or say that it cannot.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ..materials import (
+    Corotated,
+    Guccione,
+    IsochoricNeoHookean,
+    Material,
+    MooneyRivlin,
+    NeoHookean,
+    StableNeoHookean,
+    StVenantKirchhoff,
+    lame,
+)
+from ..scene import Scene
+from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
+from . import bars, locking, recovery, stretched_bars, time_steps, twisted_bar
+from .cook import MIDDLE, rise
+from .hard_case import Attempt, HardCase
+from .meshes import block, box, triangles_at, vertices_at
+
+FIBRE = np.array([1.0, 2.0, 0.0])
+STIFF_IN_VOLUME = 0.49
+"""Poisson's ratio of H6."""
+
+
+def laws(poisson: float) -> dict[str, Material | None]:
+    """Every law of H1's Young's modulus; None stands for Strain + Volume."""
+    mu, lmbda = lame(recovery.YOUNG, poisson)
+    kappa = lmbda + 2 / 3 * mu
+    return {
+        "NeoHookean": NeoHookean(mu, lmbda),
+        "StableNeoHookean": StableNeoHookean(mu, lmbda),
+        "Corotated": Corotated(mu, lmbda),
+        "StVenantKirchhoff": StVenantKirchhoff(mu, lmbda),
+        "IsochoricNeoHookean": IsochoricNeoHookean(mu, kappa),
+        "MooneyRivlin": MooneyRivlin(0.3 * mu, 0.2 * mu, kappa),
+        "Guccione": Guccione(mu, 2.0, 0.5, 1.0, FIBRE, kappa),
+        "Strain + Volume": None,
+    }
+
+
+LAWS = laws(recovery.POISSON)
+DISPLACEMENT, MIXED = ("P1", "P2"), ("P2P1",)
+NOT_MIXED = ("Corotated", "Strain + Volume")
+MANY_MINIMA, BLIND = ("StableNeoHookean", "Strain + Volume"), ("StVenantKirchhoff",)
+LINEAR = ("Corotated", "StVenantKirchhoff")
+"""Laws whose lmbda resists the trace of a strain, not J."""
+PASSED, REFUSED = ("passed",), ("NOT_FINITE",)
+ANYTHING = ("passed", "missed", "NOT_FINITE", "LINE_SEARCH", "LIMIT_POINT", "STAGNATED", "MAX_ITERATIONS")
+STARTS = {name: start for name, start in recovery.STARTS.items() if start[0] != "H1" or name.endswith("seed 0")}
+TURN = np.pi
+FENICSX = ("fenicsx",)
+
+
+def _energies(law: str, poisson: float = recovery.POISSON) -> tuple[Term, ...]:
+    material = laws(poisson)[law]
+    if material is not None:
+        return (Hyperelastic(material),)
+    mu, lmbda = lame(recovery.YOUNG, poisson)
+    return Strain(2 * mu), Volume(3 * lmbda)
+
+
+def standing(law: str) -> Scene:
+    """A small block on a held base."""
+    X, tets = block(3)
+    return Scene(X, tets, (*_energies(law), Fixed(vertices_at(X, 2, 0.0))))
+
+
+def _right(law: str, source: str, mixed: bool) -> tuple[str, ...]:
+    """The outcomes that are no fault where a law starts from collapse, inversion or at random."""
+    inverts = LAWS[law] is None or law in ("Corotated", *MANY_MINIMA, *BLIND)
+    if not inverts:
+        return REFUSED
+    if mixed or law in BLIND:
+        return ANYTHING
+    return (*PASSED, "missed") if law in MANY_MINIMA and source == "H1" else PASSED
+
+
+def _right_after_crush(law: str, share: float, element: str) -> tuple[str, ...]:
+    if law == "Corotated" or (share < 0.6 and element == "P1" and law not in BLIND):
+        return PASSED
+    return ANYTHING
+
+
+def layers_error(ratio: float, attempt: Attempt) -> float:
+    """Relative error of the elongation of two neo-Hookean layers in series, held across, under a pull."""
+    first, second = NeoHookean.from_young(1.0, 0.3), NeoHookean.from_young(ratio, 0.3)
+    X, tets = box(bars.CELLS, (1.0, 0.25, 0.25))
+    near = X[tets, 0].mean(axis=1) < 0.5
+    scene = Scene(
+        X,
+        tets,
+        (
+            Hyperelastic(first, np.flatnonzero(near)),
+            Hyperelastic(second, np.flatnonzero(~near)),
+            Traction(triangles_at(X, tets, 0, 1.0), np.array([0.1, 0.0, 0.0])),
+            Fixed(vertices_at(X, 0, 0.0), components=(0,)),
+            Fixed(np.arange(len(X)), components=(1, 2)),
+        ),
+    )
+    expected = sum(0.5 * (_stretch(law, 0.1) - 1.0) for law in (first, second))
+    solution = attempt.solve(attempt.prepare(scene), tolerance=1e-11)
+    return abs(bars.tip(scene, solution) / expected - 1.0)
+
+
+def _stretch(law: NeoHookean, stress: float) -> float:
+    """The stretch s under a nominal stress: mu (s - 1/s) + lmbda ln s / s, where nothing moves across."""
+    return brentq(lambda s: law.mu * (s - 1 / s) + law.lmbda * np.log(s) / s - stress, 1.0, 2.0, xtol=1e-15)
+
+
+def twist_error(law: str, attempt: Attempt) -> float:
+    """How much the volume of a bar changed, relative to it, one end turned against the other by TURN."""
+    X, tets = box(twisted_bar.CELLS, (twisted_bar.LENGTH, 1.0, 1.0))
+    ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, twisted_bar.LENGTH)])
+    turned = twisted_bar.twisted(X, TURN)
+    scene = Scene(X, tets, (*_energies(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
+    solution = attempt.solve(attempt.prepare(scene), start=turned, tolerance=1e-8)
+    return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
+
+
+def share_error(poisson: float, attempt: Attempt) -> float:
+    """How far Cook's membrane falls short of Taylor-Hood's element on a finer mesh, relative to it."""
+    found = []
+    for way, cells in ((Attempt("fenicsx", "P2P1"), 16), (attempt, 12)):
+        scene = locking.panel(poisson, cells)
+        solution = way.solve(way.prepare(scene), tolerance=locking.TOLERANCE)
+        found.append(rise(MIDDLE, scene, solution))
+    return abs(found[1] / found[0] - 1.0)
+
+
+def _elements(law: str) -> tuple[str, ...]:
+    return DISPLACEMENT if law in NOT_MIXED else (*DISPLACEMENT, *MIXED)
+
+
+def _recoveries(law: str) -> list[HardCase]:
+    pose = partial(standing, law)
+    cases = []
+    for element in _elements(law):
+        for name, (source, start) in STARTS.items():
+            error = partial(recovery.from_start, pose, start)
+            right = _right(law, source, element in MIXED)
+            cases.append(_case(f"{name}, {law}", source, recovery.CRITERION, error, 1e-6, element, right))
+        for share in recovery.CRUSHED:
+            name = f"crushed by {100 * share:g} % and released, {law}"
+            error = partial(recovery.from_crush, pose, share)
+            right = _right_after_crush(law, share, element)
+            cases.append(_case(name, "H7", recovery.CRITERION, error, 1e-6, element, right))
+    return cases
+
+
+def _case(name: str, source: str, criterion: str, error, bound: float, element: str, right=PASSED) -> HardCase:
+    return HardCase(name, source, criterion, error, bound, FENICSX, (element,), right)
+
+
+def _cases() -> list[HardCase]:
+    cases = [case for law in LAWS for case in _recoveries(law)]
+    for law in LAWS:
+        name, error = f"bar twisted by 180° at nu = .49, {law}", partial(twist_error, law)
+        right = ANYTHING if law in LINEAR else PASSED
+        for element in _elements(law):
+            cases.append(_case(name, "H6", "volume within 2 %", error, 0.02, element, right))
+    for stretch in stretched_bars.STRETCHES:
+        error = partial(stretched_bars.stretch_error, *stretched_bars.ENERGIES["NeoHookean nu=.45"][:2], stretch)
+        name, criterion = (
+            f"bar stretched x{stretch:g}, NeoHookean",
+            "principal stretches within .1 % away from the clamp",
+        )
+        cases += [_case(name, "H5; closed form", criterion, error, 1e-3, element) for element in MIXED]
+    for poisson in locking.POISSON:
+        name, error = f"Cook's membrane, nu = {poisson:g}", partial(share_error, poisson)
+        criterion = "within .5 % of Taylor-Hood's on a finer mesh; the others lock"
+        for element in (*DISPLACEMENT, *MIXED):
+            right = PASSED if element in MIXED else ("passed", "missed")
+            cases.append(_case(name, "H8", criterion, error, locking.NEAR_LIMIT, element, right))
+    for ratio in bars.RATIOS:
+        error = partial(layers_error, ratio)
+        cases += [
+            _case(f"neo-Hookean layers, 1:{ratio:g}", "H9; closed form", "elongation within 1e-6", error, 1e-6, element)
+            for element in (*DISPLACEMENT, *MIXED)
+        ]
+    error, criterion = partial(time_steps.distance_to_static, 1000.0), "within 1e-6 of the static answer"
+    cases.append(_case("time step of 1000 s, Strain + Volume", "H11", criterion, error, 1e-6, "P2"))
+    return cases
+
+
+CASES = tuple(_cases())
