@@ -9,18 +9,20 @@ from ...lhm.mesh import Floats
 from .dolfinx_version import COMM, PETSc
 
 ASYMMETRY = 1e-9  # of the largest entry, below which a matrix counts as symmetric
+ROOM = 60  # percent beyond the estimate: saddle points delay pivots
 
 
 class Factorisation:
-    """Factors a matrix that keeps its pattern from call to call; `solve` uses the last one.
+    """Factors matrices one after the other; the elimination's order is kept as long as the pattern is.
 
-    After `factor`, `negative` is the number of negative pivots of a symmetric matrix, or of another one 0 or 1 by the
-    sign of its determinant.
+    `solve` uses the last one. After `factor`, `negative` is the number of negative pivots of a symmetric matrix, or of
+    another one 0 or 1 by the sign of its determinant.
     """
 
     def __init__(self):
         self._ksp: PETSc.KSP | None = None
         self._matrix: PETSc.Mat | None = None
+        self._pattern: csr_matrix | None = None
         self.negative = 0
         self.symmetric = True
 
@@ -29,42 +31,73 @@ class Factorisation:
         n = matrix.shape[0]
         if symmetric is None:
             symmetric = n == 0 or abs(matrix - matrix.T).max() <= ASYMMETRY * abs(matrix).max()
-        self.symmetric = bool(symmetric)
         if not np.isfinite(matrix.data).all():
             return False
-        self._matrix = PETSc.Mat().createAIJ(
-            matrix.shape,
-            csr=(matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data),
-            comm=COMM,
+        if self._ksp is None or bool(symmetric) != self.symmetric or not self._has_pattern_of(matrix):
+            self._begin(matrix, bool(symmetric))
+        else:
+            self._matrix.setValuesCSR(*_csr(matrix))
+            self._matrix.assemble()
+            self._ksp.setOperators(self._matrix)  # else values that change twice between solves go unseen
+        return self._numeric()
+
+    def _has_pattern_of(self, matrix: csr_matrix) -> bool:
+        known = self._pattern
+        return (
+            known is not None
+            and known.nnz == matrix.nnz
+            and np.array_equal(known.indptr, matrix.indptr)
+            and np.array_equal(known.indices, matrix.indices)
         )
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
-        ksp = PETSc.KSP().create(COMM)
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        ksp.setOperators(self._matrix)
-        preconditioner = ksp.getPC()
-        preconditioner.setType(PETSc.PC.Type.CHOLESKY if self.symmetric else PETSc.PC.Type.LU)
+
+    def _begin(self, matrix: csr_matrix, symmetric: bool):
+        self.release()
+        self.symmetric, self._pattern = symmetric, matrix
+        self._matrix = PETSc.Mat().createAIJ(matrix.shape, csr=_csr(matrix), comm=COMM)
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._ksp = PETSc.KSP().create(COMM)
+        self._ksp.setType(PETSc.KSP.Type.PREONLY)
+        self._ksp.setOperators(self._matrix)
+        preconditioner = self._ksp.getPC()
+        preconditioner.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         preconditioner.setFactorSolverType("mumps")
         preconditioner.setFactorSetUpSolverType()
         factors = preconditioner.getFactorMatrix()
-        factors.setMumpsIcntl(14, 60)  # percent of room beyond the estimate: saddle points delay pivots
-        if not self.symmetric:
+        factors.setMumpsIcntl(14, ROOM)
+        if not symmetric:
             factors.setMumpsIcntl(33, 1)
+
+    def _numeric(self) -> bool:
+        assert self._ksp is not None
+        factors = self._ksp.getPC().getFactorMatrix()
         try:
-            ksp.setUp()
+            self._ksp.setUp()
+            regular = factors.getMumpsInfog(1) >= 0
         except PETSc.Error:
+            regular = False
+        if not regular:
+            self.release()
             return False
-        self._ksp = ksp
-        if factors.getMumpsInfog(1) < 0:
-            return False
-        if self.symmetric:
-            self.negative = factors.getMumpsInfog(12)
-        else:
-            self.negative = int(factors.getMumpsRinfog(12) < 0)
+        self.negative = factors.getMumpsInfog(12) if self.symmetric else int(factors.getMumpsRinfog(12) < 0)
         return True
 
     def solve(self, b: Floats) -> Floats:
         """Give x of A x = b, shape (n,)."""
         x = np.zeros_like(b)
         assert self._ksp is not None
-        self._ksp.solve(PETSc.Vec().createWithArray(b, comm=COMM), PETSc.Vec().createWithArray(x, comm=COMM))
+        right, left = (PETSc.Vec().createWithArray(values, comm=COMM) for values in (b, x))
+        self._ksp.solve(right, left)
+        right.destroy()
+        left.destroy()
         return x
+
+    def release(self):
+        """Free the factors; PETSc's objects outlive Python's until they are destroyed."""
+        if self._ksp is not None and self._matrix is not None:
+            self._ksp.destroy()
+            self._matrix.destroy()
+        self._ksp = self._matrix = self._pattern = None
+
+
+def _csr(matrix: csr_matrix):
+    return matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data

@@ -17,12 +17,13 @@ import numpy as np
 from ...lhm.mesh import Floats, Ints
 from ..solution import Reason
 from .bodies import RigidProblem, RigidState
+from .condensed import Condensed, CondensedState
 from .dolfinx_version import PETSc
 from .linear import LinearSolver, hold
 from .moving import MovingProblem, MovingState
 from .problem import Problem, State
 
-AnyState = State | RigidState | MovingState
+AnyState = State | RigidState | MovingState | CondensedState
 
 EXACT_BELOW = 0.1  # of the first gradient norm
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
@@ -51,7 +52,7 @@ class Newton:
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
 
-    problem: Problem | RigidProblem | MovingProblem
+    problem: Problem | RigidProblem | MovingProblem | Condensed
     held: Ints
     linear: LinearSolver
     fallback: LinearSolver
@@ -66,7 +67,7 @@ class Newton:
         gradient[self.held] = 0.0
         return gradient
 
-    def extension(self, state: State | MovingState, jump: Floats) -> tuple[Floats, float]:
+    def extension(self, state: State | MovingState | CondensedState, jump: Floats) -> tuple[Floats, float]:
         """How a jump of the held dofs [mm], shape (n, 3), spreads by the projected Hessian, and the norm of its forces.
 
         The displacement (n, 3) equals the jump at held dofs. A direct lift would crush the elements next to them.
@@ -90,11 +91,12 @@ class Newton:
         return spread.reshape(jump.shape), norm
 
     def minimise(
-        self, state: AnyState, *, threshold: Callable[[float], float], max_iterations: int
+        self, state: AnyState, *, threshold: Callable[[float], float], max_iterations: int, near: bool = False
     ) -> tuple[AnyState, Reason, int]:
         """Iterate from a state of finite energy; give the last state, the reason to stop, and the iterations made.
 
-        `threshold` gives the gradient norm to stop at, from the first one.
+        `threshold` gives the gradient norm to stop at, from the first one; `near` an answer, the exact tangent is tried
+        from the beginning.
         """
         gradient = self.free_gradient(state)
         norm = first = float(np.linalg.norm(gradient))
@@ -107,7 +109,7 @@ class Newton:
             if iteration == max_iterations:
                 break
             relative = min(max(min(1e-3, norm / first), 0.1 * last / norm, 1e-10), 0.1)
-            after = self._step(state, gradient, exact=norm < EXACT_BELOW * first, relative=relative)
+            after = self._step(state, gradient, exact=near or norm < EXACT_BELOW * first, relative=relative)
             if isinstance(after, Reason):
                 return state, after, iteration
             gradient = self.free_gradient(after)

@@ -1,0 +1,205 @@
+"""Mixed elements by descent: minimise the condensed energy, correct the pressure that it starts from, and repeat.
+
+Each minimisation is Newton's with line search and projection, so that large motions and crushed elements do no harm;
+Newton's method on displacement and pressure at once follows as soon as its full steps work, and converges fast.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..scene import Scene
+from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..terms import Hyperelastic
+from .condensed import Condensed, CondensedState
+from .newton import AnyState, Newton, Work
+from .numbering import Numbering
+from .problem import Problem
+from .saddle import Saddle
+
+ROUNDS = 40
+FIRST_SHARE, SHARE = 1e-2, 5e-2  # of a round's first gradient norm, that ends it; the first round begins far away
+NEAR = 0.1  # of the pressure's norm: with smaller corrections steps of displacement and pressure at once are tried
+FALL = 0.5  # of the residual's norm, that such a step has to reach
+SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
+LOAD_STEP_TOLERANCE = 1e-2
+
+
+class MultiplierDescent:
+    """One solve on a mixed problem from start [mm], shape (scene vertices, 3), for energies without follower loads.
+
+    With `warm` the pressure begins where the condensed problem's last solve ended.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        numbering: Numbering,
+        condensed: Condensed,
+        start: Floats,
+        tolerance: float,
+        limit: int,
+        on_iteration: OnIteration | None,
+        *,
+        warm: bool,
+    ):
+        self._scene, self._numbering, self._condensed = scene, numbering, condensed
+        self._tolerance, self._limit = tolerance, limit
+        fixed, positions = scene.dirichlet()
+        self._elsewhere = np.where(fixed, positions, start)
+        held = numbering.held(fixed)
+        self._u = numbering.to_dofs(start) - numbering.X
+        self._goal = np.where(held, numbering.to_dofs(positions) - numbering.X, self._u)
+        self._held = np.flatnonzero(held | condensed.problem.unsupported[:, None])
+        self._recorder = Recorder(on_iteration)
+        self._assemblies = condensed.problem.assemblies
+        self._saddle = Saddle(condensed, self._held)
+        self._work = Work()
+        self._newton = Newton(condensed, self._held, self._saddle, self._saddle, self._report, self._work)
+        self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
+        if not warm:
+            condensed.centre = np.zeros(condensed.count)
+
+    def run(self) -> Solution:
+        """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
+        try:
+            state, reason = self._descend()
+        finally:
+            self._saddle.release()
+            self._condensed.release()
+        self.end = state.u, state.p
+        positions = self._positions(state.u)
+        fixed, values = self._scene.dirichlet()
+        if reason is Reason.CONVERGED:
+            positions[fixed] = values[fixed]
+        detail: dict[str, float] = {
+            "linear_solves": self._saddle.factored,
+            "assemblies": self._condensed.problem.assemblies - self._assemblies,
+            "load_share": float(reason is Reason.CONVERGED),
+        }
+        return Solution(
+            positions,
+            reason,
+            self._iterations,
+            state.energy,
+            self._recorder.history(),
+            volume_ratio(self._scene, positions),
+            detail,
+        )
+
+    def _positions(self, u: Floats) -> Floats:
+        return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)
+
+    def _report(self, state: AnyState, norm: float) -> bool:
+        return self._recorder.record(self._positions(state.u), state.energy, norm)
+
+    def _descend(self) -> tuple[CondensedState, Reason]:
+        state = self._condensed.at(self._u)
+        if not np.isfinite(state.energy):
+            self._report(state, np.inf)
+            return state, Reason.NOT_FINITE
+        while True:
+            lifted, fraction = self._lift(state)
+            if lifted is None:
+                return state, Reason.LINE_SEARCH
+            if fraction == 1.0:
+                return self._rounds(lifted)
+            state, reason = self._round(lifted, lambda first: LOAD_STEP_TOLERANCE * max(first, self._first))
+            if reason is not Reason.CONVERGED:
+                return state, reason
+
+    def _lift(self, state: CondensedState) -> tuple[CondensedState | None, float]:
+        """Move what is held as far to its goal as keeps the energy finite; the state, and the share of the way."""
+        jump = np.zeros_like(state.u)
+        jump.flat[self._held] = self._goal.flat[self._held] - state.u.flat[self._held]
+        if not jump.any():
+            return state, 1.0
+        spread, force = self._newton.extension(state, jump)
+        fraction = 1.0
+        while fraction >= SMALLEST_FRACTION:
+            u = state.u + fraction * spread
+            if fraction == 1.0:
+                u.flat[self._held] = self._goal.flat[self._held]
+            lifted = self._condensed.at(u)
+            if np.isfinite(lifted.energy):
+                self._first = max(self._first, fraction * force)
+                return lifted, fraction
+            fraction *= 0.5
+        return None, 0.0
+
+    def _round(self, state: CondensedState, threshold, *, near: bool = False) -> tuple[CondensedState, Reason]:
+        """Minimise the condensed energy."""
+        left = self._limit - self._iterations
+        after, reason, made = self._newton.minimise(state, threshold=threshold, max_iterations=left, near=near)
+        self._iterations += made
+        assert isinstance(after, CondensedState)
+        return after, reason
+
+    def _rounds(self, state: CondensedState) -> tuple[CondensedState, Reason]:
+        """Minimise and correct the pressure in turns, until forces and volumes are in balance."""
+        condensed = self._condensed
+        self._scale_volumes(state)
+        self._first = max(self._first, float(np.linalg.norm(self._newton.free_gradient(state))))
+        last = stop_threshold(self._scene, self._first, self._tolerance)
+        for turn in range(ROUNDS):
+            share = SHARE if turn else FIRST_SHARE
+
+            def threshold(first: float, share: float = share) -> float:
+                return max(share * first, last / 2)
+
+            state, reason = self._round(state, threshold, near=turn > 0)
+            if reason not in (Reason.CONVERGED, Reason.STAGNATED):
+                return state, reason
+            change = np.linalg.norm(state.p - condensed.centre) / max(np.linalg.norm(state.p), 1e-300)
+            condensed.centre = np.array(state.p)
+            state = condensed.beside(state.u, state.p)
+            if change <= NEAR or not state.p.any():
+                state, end = self._finish(state, last)
+                if end is not None:
+                    return state, end
+                condensed.centre = np.array(state.p)
+            state = condensed.at(state.u)
+        return state, Reason.STAGNATED
+
+    def _finish(self, state: CondensedState, last: float) -> tuple[CondensedState, Reason | None]:
+        """Full steps of displacement and pressure while they halve the residual; why to stop for good, if so."""
+        condensed, free = self._condensed, self._saddle.free
+        forces, volumes, norm = self._residual(state)
+        while norm > last and self._iterations < self._limit:
+            state.hessian()
+            step = self._saddle.correction(forces[free], volumes[condensed.used])
+            if step is None:
+                return state, None
+            u, p = state.u.ravel().copy(), np.array(state.p)
+            u[free] += step[0]
+            p[condensed.used] += step[1]
+            after = condensed.beside(u.reshape(state.u.shape), p)
+            if not np.isfinite(after.energy):
+                return state, None
+            forces, volumes, norm_after = self._residual(after)
+            if not norm_after <= FALL * norm:
+                return state, None
+            state, norm = after, norm_after
+            self._iterations += 1
+            if self._report(state, norm):
+                return state, Reason.INTERRUPTED
+        return state, Reason.CONVERGED if norm <= last else None
+
+    def _residual(self, state: CondensedState) -> tuple[Floats, Floats, float]:
+        """Forces (3n,) [mN], zero where held, volumes (n_p,) [mm³], and their norm as a force [mN]."""
+        forces, volumes = self._newton.free_gradient(state), state.strain()
+        norm = np.hypot(np.linalg.norm(forces), self._per_volume * np.linalg.norm(volumes[self._condensed.used]))
+        return forces, volumes, float(norm)
+
+    def _scale_volumes(self, state: CondensedState):
+        """See Equilibrium.scale_volumes."""
+        stiffness = state.hessian().getDiagonal().array.mean()
+        self._per_volume = float(stiffness / np.cbrt(self._numbering.cell_volumes.mean()) ** 2)
+
+
+def laws_of(problem: Problem, scene: Scene) -> list:
+    """The laws of a mixed problem's forms, in their order."""
+    laws = [term.material for term in scene.of(Hyperelastic)]
+    assert len(laws) == len(problem.mixed_forms)
+    return laws
