@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +21,8 @@ _MULTIGRID = {
 }
 _PREFIX = "softdeca_cg_"
 MAX_LINEAR_ITERATIONS = 1000
+SETUP = 16  # iterations
+INDEFINITE = ("DIVERGED_INDEFINITE_MAT", "DIVERGED_INDEFINITE_PC")  # CG blames either for a matrix that is
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,32 +48,71 @@ def _vector(values: Floats, comm=COMM) -> PETSc.Vec:
 
 
 class ConjugateGradients:
-    """CG with GAMG; the aggregates come from the matrix' near-null space of rigid motions."""
+    """CG with GAMG; the aggregates come from the matrix' near-null space of rigid motions.
+
+    A set-up of GAMG costs as much as SETUP iterations. It is kept while the matrix' values change, until it has cost
+    that much in iterations beyond those that it took when it was new.
+    """
 
     def __init__(self, matrix: PETSc.Mat):
         self._matrix = matrix
         options = PETSc.Options()
         for key, value in _MULTIGRID.items():
             options[_PREFIX + key] = value
-        self._ksp = self._create()
+        self._begin_anew()
 
-    def _create(self) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(self._matrix.comm)
-        ksp.setOptionsPrefix(_PREFIX)
-        ksp.setType(PETSc.KSP.Type.CG)
-        ksp.setOperators(self._matrix)
-        ksp.getPC().setType(PETSc.PC.Type.GAMG)
-        ksp.setFromOptions()
-        return ksp
+    def _begin_anew(self):
+        self._ksp = PETSc.KSP().create(self._matrix.comm)
+        self._ksp.setOptionsPrefix(_PREFIX)
+        self._ksp.setType(PETSc.KSP.Type.CG)
+        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._ksp.setOperators(self._matrix)
+        self._ksp.getPC().setType(PETSc.PC.Type.GAMG)
+        self._ksp.setFromOptions()
+        self._worn_out()
+
+    def _worn_out(self):
+        """Have GAMG set up anew at the next solve."""
+        self._per_decade, self._wear, self._doubtful = 0.0, 0.0, False
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; a direction of negative curvature counts as not found."""
-        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+        before = 0
+        if self._per_decade:
+            answer = self._kept(b, relative)
+            if answer.found or self._per_decade:
+                return answer
+            before = answer.iterations
+        answer = self._new(b, relative)
+        return replace(answer, iterations=before + answer.iterations)
+
+    def _kept(self, b: Floats, relative: float) -> LinearAnswer:
+        """Solve by the last set-up; not much longer than another one would take."""
+        expected = self._per_decade * -np.log10(relative)
+        answer = self._tried(b, relative, int(expected + 2 * SETUP))
+        if answer.why in INDEFINITE and not self._doubtful:
+            self._doubtful = True  # twice in a row, and the set-up is to blame
+            return answer
+        self._doubtful = False
+        self._wear = max(self._wear + answer.iterations - expected, 0.0)
+        if self._wear > SETUP or not answer.found:
+            self._worn_out()
+        return answer
+
+    def _new(self, b: Floats, relative: float) -> LinearAnswer:
+        self._ksp.getPC().setReusePreconditioner(False)
+        answer = self._tried(b, relative, MAX_LINEAR_ITERATIONS)
+        if not answer.found:
+            self._begin_anew()  # a set-up for an indefinite matrix, or one that failed, is of no use
+            return answer
+        self._ksp.getPC().setReusePreconditioner(True)
+        self._per_decade = max(answer.iterations, 1) / -np.log10(relative)
+        return answer
+
+    def _tried(self, b: Floats, relative: float, limit: int) -> LinearAnswer:
+        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=limit)
         x, why = _solve(self._ksp, b)
-        iterations = self._ksp.its
-        if why:
-            self._ksp = self._create()
-        return LinearAnswer(x, not why, iterations, why)
+        return LinearAnswer(x, not why, self._ksp.its, why)
 
 
 class Mumps:

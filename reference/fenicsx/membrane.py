@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from ...lhm.mesh import Floats, Ints
 from ..terms import SurfaceStrain
 from . import dolfinx_version as seam
 
 FLAT = 1e-8  # stretch below which a triangle's directions are not defined, and its curvature not finite
+TINY = 1e-15  # of the longer stretch: a shorter one has no direction
 SURFACE_DEGREE = 4
 
 
@@ -51,8 +53,8 @@ class Membrane:
         )
 
     def _svd(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        F = x[self.nodes].transpose(0, 2, 1) @ self.gradients
-        return np.linalg.svd(F, full_matrices=True)
+        """U (m, 3, 3), s (m, 2) and Vᵀ (m, 2, 2) of F at vertices x."""
+        return _planar_svd(x[self.nodes].transpose(0, 2, 1) @ self.gradients)
 
     def energy(self, x: Floats) -> float:
         """Energy [µJ] at vertices x [mm], shape (n, 3)."""
@@ -91,6 +93,50 @@ class Membrane:
         blocks = blocks.reshape(-1, 3, k, 3, k).transpose(0, 2, 4, 1, 3)
         isotropic = (self.area * w)[:, None, None] * self.gradients @ self.gradients.transpose(0, 2, 1)
         return blocks + isotropic[..., None, None] * np.eye(3)
+
+
+@njit(cache=True)
+def _planar_svd(F):
+    """U, s, Vᵀ with U's last column across to the first two, by one Jacobi turn of the two columns."""
+    m = len(F)
+    U, s, Vt = np.empty((m, 3, 3)), np.empty((m, 2)), np.empty((m, 2, 2))
+    for e in range(m):
+        a = F[e, 0, 0] ** 2 + F[e, 1, 0] ** 2 + F[e, 2, 0] ** 2
+        b = F[e, 0, 1] ** 2 + F[e, 1, 1] ** 2 + F[e, 2, 1] ** 2
+        g = F[e, 0, 0] * F[e, 0, 1] + F[e, 1, 0] * F[e, 1, 1] + F[e, 2, 0] * F[e, 2, 1]
+        turn = 0.5 * np.arctan2(2.0 * g, a - b)  # towards the longer column, which is the first
+        c, d = np.cos(turn), np.sin(turn)
+        Vt[e, 0, 0], Vt[e, 0, 1], Vt[e, 1, 0], Vt[e, 1, 1] = c, d, -d, c
+        for i in range(3):
+            U[e, i, 0] = c * F[e, i, 0] + d * F[e, i, 1]
+            U[e, i, 1] = c * F[e, i, 1] - d * F[e, i, 0]
+        s[e, 0] = _unit_column(U[e], 0, 0.0)
+        s[e, 1] = _unit_column(U[e], 1, TINY * s[e, 0])
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            U[e, i, 2] = U[e, j, 0] * U[e, k, 1] - U[e, k, 0] * U[e, j, 1]
+    return U, s, Vt
+
+
+@njit(cache=True)
+def _unit_column(U, c, least):
+    """Make a column a unit vector, any one across to those before it where it is not longer than `least`; its length.
+
+    The second is made orthogonal to the first: where it is short, rounding has turned it.
+    """
+    length = np.sqrt(U[0, c] ** 2 + U[1, c] ** 2 + U[2, c] ** 2)
+    if length <= least:
+        axis = np.argmin(np.abs(U[:, 0])) if c else 0
+        for i in range(3):
+            U[i, c] = 1.0 if i == axis else 0.0
+    if c:
+        along = U[0, 0] * U[0, 1] + U[1, 0] * U[1, 1] + U[2, 0] * U[2, 1]
+        for i in range(3):
+            U[i, 1] -= along * U[i, 0]
+    norm = np.sqrt(U[0, c] ** 2 + U[1, c] ** 2 + U[2, c] ** 2)
+    for i in range(3):
+        U[i, c] /= norm
+    return length
 
 
 def _plane(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:

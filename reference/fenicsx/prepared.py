@@ -72,6 +72,7 @@ MAX_ITERATIONS = 100
 SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
 LOAD_STEP_TOLERANCE = 1e-2
 STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
+ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
 FORCE_DEGREE = 6
 # Terms whose energy may lose stiffness in directions that cost nothing, and those that the load path has no room for.
 INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
@@ -237,6 +238,8 @@ class _Solve:
             places = self._numbering.X + self._goal
             rigid.place(poses, places)
             self._goal[rigid.nodes] = (places - self._numbering.X)[rigid.nodes]
+        near = np.abs(self._goal - self._u) <= ROUNDING * np.abs(self._numbering.X).max(initial=1.0)
+        self._goal[near] = self._u[near]
         self._rigid, self._poses = rigid, poses
         linear = prepared._linear, prepared._direct
         self._newton = Newton(self._problem, np.flatnonzero(held), *linear, self._report, self._work)

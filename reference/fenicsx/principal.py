@@ -31,8 +31,7 @@ class Modes:
     def softened(self, kept: float) -> Modes:
         """The tangent with every negative eigenvalue multiplied by `kept`; at 0 the nearest semi-definite one."""
         block = np.array(self.block)
-        minor = block[:, 0, 0] * block[:, 1, 1] - block[:, 0, 1] ** 2
-        indefinite = ~((block[:, 0, 0] > 0) & (minor > 0) & (np.linalg.det(block) > 0))
+        indefinite = _indefinite(block)
         if indefinite.any():
             values, vectors = np.linalg.eigh(block[indefinite])
             values = np.maximum(values, kept * values)
@@ -50,6 +49,18 @@ def modes(s: Floats, p: Floats, h: Floats) -> Modes:
     limit = 0.5 * (h[:, FIRST, FIRST] + h[:, SECOND, SECOND]) - h[:, FIRST, SECOND]
     flip = np.where(equal, limit, (pi - pj) / np.where(equal, 1.0, gap))
     return Modes(h, twist, flip)
+
+
+@njit(cache=True)
+def _indefinite(block):
+    """Which of symmetric blocks (m, 3, 3) are not positive definite, by their leading minors."""
+    found = np.empty(len(block), dtype=np.bool_)
+    for e in range(len(block)):
+        a, b, c = block[e, 0, 0], block[e, 0, 1], block[e, 0, 2]
+        d, f, g = block[e, 1, 1], block[e, 1, 2], block[e, 2, 2]
+        det = a * (d * g - f * f) - b * (b * g - c * f) + c * (b * f - c * d)
+        found[e] = not (a > 0.0 and a * d - b * b > 0.0 and det > 0.0)
+    return found
 
 
 @njit(cache=True)
@@ -134,7 +145,21 @@ def signed_svd(F: Floats):
 
 def stress(U: Floats, V: Floats, p: Floats) -> Floats:
     """P = U diag(p) Vᵀ [kPa], shape (m, 3, 3)."""
-    return (U * p[:, None, :]) @ V.transpose(0, 2, 1)
+    return _stress(U, V, p)
+
+
+@njit(cache=True)
+def _stress(U, V, p):
+    P = np.empty(U.shape)
+    for e in range(len(U)):
+        for i in range(3):
+            for j in range(3):
+                P[e, i, j] = (
+                    p[e, 0] * U[e, i, 0] * V[e, j, 0]
+                    + p[e, 1] * U[e, i, 1] * V[e, j, 1]
+                    + p[e, 2] * U[e, i, 2] * V[e, j, 2]
+                )
+    return P
 
 
 def tangent(U: Floats, V: Floats, at: Modes) -> Floats:
