@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from ..lhm.errors import InputError
 from ..lhm.files.surface_file import MILLIMETRES
 from ..reference import SOLVERS
 from .progress import shown
@@ -212,6 +213,43 @@ def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_
     if not as_json:
         click.echo(f"report: {out / 'index.html'}")
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
+
+
+@bench.command("ranks")
+@click.option("--processes", default="1,2", help="counts to compare, with commas between; the first is 1")
+@click.option("--expression", default="jawOpen*0.5", help="of the default head")
+@click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
+@click.option("--rounds", default=2, type=click.IntRange(min=1), help="in which every count has its turn")
+@click.option("--json", "as_json", is_flag=True, help="print the results as JSON")
+def ranks_(processes: str, expression: str, level: int, rounds: int, as_json: bool) -> int:
+    """Time FEniCSx's phases by 1, 2, ... processes of mpirun; exit status 1 if their answers differ by 1e-10."""
+    from ..benchmarks.ranks import RanksConfig, run_ranks
+
+    try:
+        counts = tuple(int(count) for count in processes.split(","))
+    except ValueError:
+        raise InputError(f"--processes: expected counts with commas between, got {processes!r}") from None
+    with shown() as progress:
+        results = run_ranks(RanksConfig(counts, expression, level, rounds), progress)
+    if as_json:
+        click.echo(json.dumps(results, indent=1))
+    else:
+        click.echo(_rank_lines(results))
+    return 0 if all(gate["passed"] for gate in results["gates"]) else 1
+
+
+def _rank_lines(results: Mapping) -> str:
+    lines = []
+    for row in results["rows"]:
+        lines.append(
+            f"{row['name']}, {row['tets']} tets, {row['processes']} processes: "
+            f"{row['iterations']} iterations, {row['off']:.1e} of the largest displacement from one process' answer"
+        )
+        lines += [
+            f"  {phase.replace('_', ' '):<12} {seconds:8.4f} s   {row['gain'][phase]:5.2f} x"
+            for phase, seconds in row["seconds"].items()
+        ]
+    return "\n".join(lines)
 
 
 def _dynamics_lines(results: Mapping) -> str:

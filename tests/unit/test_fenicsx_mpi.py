@@ -14,7 +14,8 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from softdeca.lhm.errors import MissingDependencyError
+from softdeca.benchmarks.ranks import PHASES, RanksConfig, compare
+from softdeca.lhm.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, ranks, solve
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
@@ -298,6 +299,30 @@ def test_the_command_says_an_error_once(tmp_path):
     assert done.returncode == alone.returncode != 0
     assert done.stderr.strip() == alone.stderr.strip()
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+@needs_mpirun
+def test_the_study_of_ranks_compares_answers_and_phases(cases):
+    results = compare({"block": cases["neo-Hookean"][0]}, RanksConfig(rounds=1, repeats=1), lambda *_: None)
+    one, two = results["rows"]
+    assert (one["processes"], two["processes"]) == (1, 2) and one["tets"] == 6000
+    assert one["off"] == 0.0 < two["off"] <= 1e-10  # sums in another order
+    assert set(two["seconds"]) == set(two["gain"]) == set(PHASES)
+    for phase in PHASES:
+        assert two["gain"][phase] == pytest.approx(one["seconds"][phase] / two["seconds"][phase])
+    assert all(gate["passed"] for gate in results["gates"])
+
+
+@pytest.mark.parametrize("counts", [(), (2, 1), (1, 0)])
+def test_a_study_of_ranks_begins_with_one_process(counts):
+    with pytest.raises(InputError, match="expected 1 and others"):
+        RanksConfig(counts=counts)
+
+
+def test_counts_that_are_no_numbers_are_refused(command):
+    ended = command("bench", "ranks", "--processes", "1,two")
+    assert ended.status == 1
+    assert ended.errors == ["softdeca: error: --processes: expected counts with commas between, got '1,two'"]
 
 
 def test_a_process_alone_has_no_team(monkeypatch):
