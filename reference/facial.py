@@ -261,7 +261,7 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
     mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. Raises SceneError where a layer
-    has no such counterpart: strain limit or target volume other than 1, or stiffnesses that vary within a term.
+    has no such counterpart: strain limit, growth or target volume other than 1, or stiffnesses that vary within a term.
     """
     strains, volumes = scene.of(terms.Strain), scene.of(terms.Volume)
     others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]
@@ -271,9 +271,11 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     for strain, volume in zip(strains, volumes, strict=True):
         if not np.array_equal(scene.tets_of(strain), scene.tets_of(volume)):
             raise SceneError("neo_hookean_scene: each Strain term needs a Volume term on the same tets")
-        if np.any(strain.limit != 1.0) or np.any(volume.target != 1.0) or strain.rule != "clamp":
+        changed = [np.any(value != 1.0) for value in (strain.limit, strain.growth, volume.target)]
+        if any(changed) or strain.rule != "clamp":
             raise SceneError(
-                "neo_hookean_scene: a strain limit or target volume other than 1, or the indicator, has no counterpart"
+                "neo_hookean_scene: a strain limit, growth or target volume other than 1, or the indicator, has no "
+                "counterpart"
             )
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
             raise SceneError("neo_hookean_scene: stiffnesses that vary within a term are not supported")

@@ -78,8 +78,8 @@ class Scene:
                 raise SceneError(
                     f"term {position} ({term.name}): {key} has {len(points)} rows for {len(self.vertices)} vertices"
                 )
-        if isinstance(term, (Strain, Volume, Gravity, Inertia)) and term.tets is None:
-            for key in ("stiffness", "limit", "target", "density"):
+        if isinstance(term, (Strain, Volume, Hyperelastic, Gravity, Inertia)) and term.tets is None:
+            for key in ("stiffness", "limit", "target", "growth", "density"):
                 value = getattr(term, key, None)
                 if value is not None and value.ndim == 1 and len(value) != len(self.tets):
                     raise SceneError(

@@ -89,20 +89,25 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Hyperelastic(Term):
-    """The energy of a hyperelastic law, integral of psi(F) over the tets.
+    """The energy of a hyperelastic law, integral of growth psi(F growth^(-1/3)) over the tets.
 
-    Raises SceneError for a law without a volumetric part that is not Incompressible.
+    growth > 0 is the volume ratio at which the tissue is at rest: F growth^(-1/3) is the elastic part of F, and grown
+    tissue is as stiff as it was (Rodriguez, Hoger, McCulloch 1994, "Stress-dependent finite growth in soft elastic
+    tissues"). Raises SceneError for a law without a volumetric part that is not Incompressible.
     """
 
     material: Material
     tets: np.ndarray | None = field(default=None, repr=False)
+    growth: float | np.ndarray = 1.0
 
     def __post_init__(self):
         if not isinstance(self.material, Material):
             raise SceneError(f"Hyperelastic: expected a material, got {type(self.material).__name__}")
         if not self.material.resists_volume_change:
             raise SceneError(f"Hyperelastic: {self.material.name} without kappa must be made Incompressible")
-        self._set(tets=None if self.tets is None else _ids("Hyperelastic.tets", self.tets))
+        tets = None if self.tets is None else _ids("Hyperelastic.tets", self.tets)
+        count = None if tets is None else len(tets)
+        self._set(tets=tets, growth=_per_item("Hyperelastic.growth", self.growth, count, 0.0, strict=True))
 
     @property
     def fibres(self) -> np.ndarray | None:
@@ -119,13 +124,16 @@ class Strain(Term):
     largest stretch is above the limit, else 0. That jumps at the limit, so it may have no minimiser, and local/global
     steps do not majorise it: on a sphere's shells (limit 1.05) the energy rose in 108 and 118 of 300 plain iterations,
     by up to 0.7 % of 20 mJ, and L-BFGS stagnated after 240; clamped it never rose. Only projective dynamics models it.
-    stiffness [kPa] (= 2 mu), limit >= 1.
+    stiffness [kPa] (= 2 mu), limit >= 1. growth > 0 is the volume ratio at rest: the stretches that F is compared with
+    are multiplied by growth^(1/3), as if F growth^(-1/3) were. With a Volume of the same target, tissue grows freely
+    without stress; the stiffness stays one per volume before growth. The indicator knows no growth.
     """
 
     stiffness: float | np.ndarray
     limit: float | np.ndarray = 1.0
     tets: np.ndarray | None = field(default=None, repr=False)
     rule: StrainRule = "clamp"
+    growth: float | np.ndarray = 1.0
 
     def __post_init__(self):
         if self.rule not in get_args(StrainRule):
@@ -136,7 +144,10 @@ class Strain(Term):
             tets=tets,
             stiffness=_per_item("Strain.stiffness", self.stiffness, count, 0.0),
             limit=_per_item("Strain.limit", self.limit, count, 1.0),
+            growth=_per_item("Strain.growth", self.growth, count, 0.0, strict=True),
         )
+        if self.rule == "indicator" and np.any(self.growth != 1.0):
+            raise SceneError("Strain.growth: the indicator knows no growth; take rule clamp")
 
 
 @dataclass(frozen=True, eq=False)

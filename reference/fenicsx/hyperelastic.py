@@ -34,10 +34,20 @@ def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
     return SimpleNamespace(**found)
 
 
-def density(displacement, cells: Ints, material: Material):
-    """A law's psi, and the deformation gradient that it can be derived by, as UFL's expressions."""
+def density(displacement, cells: Ints, material: Material, growth: Floats | float = 1.0):
+    """A law's growth psi(F growth^(-1/3)), and the F that it can be derived by, as UFL's expressions."""
     F = ufl.variable(ufl.Identity(3) + ufl.grad(displacement))
-    return DENSITIES[type(material)](F, symbols(material, displacement.function_space.mesh, cells)), F
+    domain = displacement.function_space.mesh
+    elastic, ratio = elastic_part(F, growth, domain, cells)
+    return ratio * DENSITIES[type(material)](elastic, symbols(material, domain, cells)), F
+
+
+def elastic_part(F, growth: Floats | float, domain, cells: Ints):
+    """F growth^(-1/3) and growth, of one number or one per cell (k,); without growth F itself: forms stay small."""
+    if np.all(growth == 1.0):
+        return F, 1
+    ratio = seam.cell_vectors(domain, cells, np.repeat(np.broadcast_to(growth, len(cells))[:, None], 3, axis=1))[0]
+    return F * ratio ** (-1 / 3), ratio
 
 
 def evaluated_when_asked(psi, F, degree: int, domain) -> Callable[[], Callable[[Ints], Floats]]:
@@ -61,13 +71,15 @@ class HyperelasticForms:
     _dP_dF: Callable[[], Callable[[Ints], Floats]]
 
     @classmethod
-    def of(cls, displacement, cells: Ints, material: Material, degree: int = 1) -> HyperelasticForms:
-        """Forms for the displacement function [mm] on cells (k,), which a law's vectors go by.
+    def of(
+        cls, displacement, cells: Ints, material: Material, degree: int = 1, growth: Floats | float = 1.0
+    ) -> HyperelasticForms:
+        """Forms for the displacement function [mm] on cells (k,), which a law's vectors and growth go by.
 
         Integrals and dP/dF are by the rule of a degree.
         """
         space = displacement.function_space
-        psi, F = density(displacement, cells, material)
+        psi, F = density(displacement, cells, material, growth)
         dx = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
         energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))

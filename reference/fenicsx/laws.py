@@ -27,15 +27,20 @@ class PrincipalLaw(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StrainLaw:
-    """stiffness/2 times the squared distance of s to [1/limit, limit]; stiffness [kPa] and limit are (m,)."""
+    """stiffness/2 times the squared distance of s to [1/limit, limit] growth^(1/3).
+
+    stiffness [kPa], limit and growth are (m,).
+    """
 
     stiffness: Floats
     limit: Floats
+    growth: Floats
 
     def evaluate(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """psi, p, h; at a limit above 1 the curvature is that of the free side."""
         limit, stiffness = self.limit[:, None], self.stiffness[:, None]
-        beyond = s - np.clip(s, 1.0 / limit, limit)
+        size = np.cbrt(self.growth)[:, None]
+        beyond = s - np.clip(s, size / limit, size * limit)
         h = np.zeros((len(s), 3, 3))
         h[:, DIAGONAL, DIAGONAL] = stiffness * ((beyond != 0.0) | (limit == 1.0))
         return 0.5 * self.stiffness * np.sum(beyond**2, axis=1), stiffness * beyond, h
@@ -54,6 +59,20 @@ class VolumeLaw:
         away = s - t
         h = self.stiffness[:, None, None] * (np.eye(3) - _nearest_derivative(s, t))
         return 0.5 * self.stiffness * np.sum(away**2, axis=1), self.stiffness[:, None] * away, h
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """growth psi(s growth^(-1/3)) of another law; growth is (m,)."""
+
+    law: PrincipalLaw
+    growth: Floats
+
+    def evaluate(self, s: Floats) -> tuple[Floats, Floats, Floats]:
+        """psi, p, h."""
+        size = np.cbrt(self.growth)
+        psi, p, h = self.law.evaluate(s / size[:, None])
+        return self.growth * psi, (size**2)[:, None] * p, size[:, None, None] * h
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from ...lhm.mesh import Floats, Ints
 from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc
-from .hyperelastic import HyperelasticForms, evaluated_when_asked, symbols
+from .hyperelastic import HyperelasticForms, elastic_part, evaluated_when_asked, symbols
 from .mixed_densities import mixed_density
 
 
@@ -29,13 +29,16 @@ class MixedForms(HyperelasticForms):
     compliance: tuple[Any, PETSc.Mat]
 
     @classmethod
-    def of_both(cls, displacement, pressure, cells: Ints, material: Material, degree: int) -> MixedForms:
+    def of_both(
+        cls, displacement, pressure, cells: Ints, material: Material, degree: int, growth: Floats | float = 1.0
+    ) -> MixedForms:
         """Forms for displacement [mm] and pressure [kPa] on cells (k,), by the quadrature rule of a degree."""
         space, pressures = displacement.function_space, pressure.function_space
         domain = space.mesh
         law = material.law if isinstance(material, Incompressible) else material
         F = ufl.variable(ufl.Identity(3) + ufl.grad(displacement))
-        psi = mixed_density(F, pressure, material, symbols(law, domain, cells))
+        elastic, ratio = elastic_part(F, growth, domain, cells)
+        psi = ratio * mixed_density(elastic, pressure, material, symbols(law, domain, cells))
         energy = psi * seam.cell_measure(domain, cells)(metadata={"quadrature_degree": degree})
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))

@@ -18,7 +18,16 @@ from .bending import Rings
 from .densities import DENSITIES
 from .dolfinx_version import PETSc
 from .hyperelastic import HyperelasticForms
-from .laws import CorotatedLaw, NeoHookeanLaw, PrincipalLaw, StableNeoHookeanLaw, StrainLaw, VolumeLaw, add_at
+from .laws import (
+    CorotatedLaw,
+    Grown,
+    NeoHookeanLaw,
+    PrincipalLaw,
+    StableNeoHookeanLaw,
+    StrainLaw,
+    VolumeLaw,
+    add_at,
+)
 from .loads import dead_loads
 from .membrane import Membrane
 from .mixed_forms import MixedForms
@@ -29,6 +38,7 @@ Law = tuple[Ints, PrincipalLaw]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
 BY_STRETCHES = (NeoHookean, StableNeoHookean)
 """Laws whose energy and stress are UFL's; their tangent is by singular values, where to soften it is cheap."""
+LAWS = {Corotated: CorotatedLaw, NeoHookean: NeoHookeanLaw, StableNeoHookean: StableNeoHookeanLaw}
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +117,10 @@ class Problem:
 
     def _forms(self, term: Hyperelastic, cells: Ints) -> HyperelasticForms:
         if self.pressure is not None:
-            return MixedForms.of_both(self._displacement, self.pressure, cells, term.material, self._degree)
-        return HyperelasticForms.of(self._displacement, cells, term.material, self._degree)
+            return MixedForms.of_both(
+                self._displacement, self.pressure, cells, term.material, self._degree, term.growth
+            )
+        return HyperelasticForms.of(self._displacement, cells, term.material, self._degree, term.growth)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -151,14 +163,12 @@ class Problem:
             return np.repeat(np.broadcast_to(values, len(tets)), self._quadrature.per_cell).astype(np.float64)
 
         if isinstance(term, Strain):
-            return points, StrainLaw(at_points(term.stiffness), at_points(term.limit))
+            return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
         if isinstance(term, Volume):
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        if isinstance(term.material, Corotated):
-            return points, CorotatedLaw(at_points(term.material.mu), at_points(term.material.lmbda))
-        assert isinstance(term.material, BY_STRETCHES)
-        law = NeoHookeanLaw if isinstance(term.material, NeoHookean) else StableNeoHookeanLaw
-        return points, law(at_points(term.material.mu), at_points(term.material.lmbda))
+        assert isinstance(term.material, (Corotated, *BY_STRETCHES))
+        law = LAWS[type(term.material)](at_points(term.material.mu), at_points(term.material.lmbda))
+        return points, law if np.all(term.growth == 1.0) else Grown(law, at_points(term.growth))
 
     @property
     def mixed_forms(self) -> list[MixedForms]:

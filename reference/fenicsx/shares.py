@@ -48,10 +48,9 @@ def share_of(scene: Scene, tets: Ints) -> tuple[Term, ...]:
 
 def _restricted(scene: Scene, term: Term, mine: np.ndarray) -> Term:
     changes: dict[str, object] = {"tets": scene.tets_of(term)[mine]}
+    changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
     if isinstance(term, Hyperelastic):
         changes["material"] = _material(term.material, mine)
-    else:
-        changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
     return replace(term, **changes)  # type: ignore[arg-type]
 
 

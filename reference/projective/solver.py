@@ -59,7 +59,7 @@ TERMS: tuple[type[Term], ...] = (
     Contact,
 )
 VARYING: dict[type[Term], tuple[str, ...]] = {
-    Strain: ("limit",),
+    Strain: ("limit", "growth"),
     Volume: ("target",),
     SurfaceStrain: ("growth",),
     Target: ("positions",),

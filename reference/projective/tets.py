@@ -89,14 +89,15 @@ class TetBlocks:
         return cls(corners, parameters, has_volume, tuple(rows for _, rows in entries), tets, threads)
 
     def for_scene(self, scene: Scene) -> TetBlocks:
-        """The same blocks with the limits and target volumes of another scene of the same terms."""
+        """The same blocks with the limits, growth and target volumes of another scene of the same terms."""
         parameters = self.parameters.copy()
         for term, rows in zip(scene.of(Strain) + scene.of(Volume), self.rows_of, strict=True):
             if isinstance(term, Strain) and term.rule == "indicator":
                 _spread(term.limit, ACTIVE, rows, parameters)
             elif isinstance(term, Strain):
-                _spread(1.0 / term.limit, LOW, rows, parameters)
-                _spread(term.limit, HIGH, rows, parameters)
+                size = np.cbrt(term.growth)
+                _spread(size / term.limit, LOW, rows, parameters)
+                _spread(size * term.limit, HIGH, rows, parameters)
             else:
                 _spread(term.target, TARGET, rows, parameters)
         return replace(self, parameters=parameters)
@@ -106,7 +107,8 @@ class TetBlocks:
         parameters = self.parameters.copy()
         parameters[:, STRAIN // LANES] += volume_share * parameters[:, VOLUME // LANES]
         parameters[:, VOLUME // LANES] = 0.0
-        parameters[:, [LOW // LANES, HIGH // LANES]] = 1.0
+        size = np.sqrt(parameters[:, LOW // LANES] * parameters[:, HIGH // LANES])
+        parameters[:, LOW // LANES] = parameters[:, HIGH // LANES] = size
         parameters[:, ACTIVE // LANES] = ALWAYS
         return replace(self, parameters=parameters, has_volume=np.zeros_like(self.has_volume))
 

@@ -93,7 +93,7 @@ class Corotated:
 class Strain:
     """stiffness/2 times F's squared distance to the matrices with stretches in [1/limit, limit] (SoftDECA Eq. 10).
 
-    limit = 1 gives stiffness/2 ‖F - R‖². stiffness [kPa] and limit, shape (m,).
+    limit = 1 gives stiffness/2 ‖F - R‖². stiffness [kPa] and limit, shape (m,). Of grown tissue the law is Grown.
     """
 
     stiffness: Floats
@@ -145,6 +145,34 @@ class Volume:
         nearest, slope = nearest_of_determinant(sigma, self.target)
         derivative = projection_derivative(U, sigma, Vt, nearest, slope)
         return self.stiffness[:, None, None, None, None] * (IDENTITY - derivative)
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """weight psi(F growth^(-1/3)) of another law (Rodriguez, Hoger, McCulloch 1994); weight and growth, shape (m,)."""
+
+    law: Law
+    growth: Floats
+    weight: Floats
+
+    def _elastic(self, F: Floats) -> Floats:
+        return F * self._slope[:, None, None]
+
+    @property
+    def _slope(self) -> Floats:
+        return self.growth ** (-1 / 3)
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        return self.weight * self.law.psi(self._elastic(F))
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law."""
+        return (self.weight * self._slope)[:, None, None] * self.law.stress(self._elastic(F))
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law."""
+        return (self.weight * self._slope**2)[:, None, None, None, None] * self.law.tangent(self._elastic(F))
 
 
 def project_spd(tangent: Floats) -> Floats:

@@ -17,7 +17,7 @@ from .. import materials, terms
 from ..scene import Scene
 from .discretisation import Discretisation
 from .invariants import IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
-from .laws import Corotated, Law, NeoHookean, Strain, Volume
+from .laws import Corotated, Grown, Law, NeoHookean, Strain, Volume
 from .membrane import Membrane
 
 Treatment = Callable[[Floats], Floats]
@@ -91,11 +91,19 @@ def _law(term, tets: int, points: int) -> Law:
     def at_points(values) -> Floats:
         return np.repeat(_per_item(values, tets), points)
 
+    if isinstance(term, terms.Volume):
+        return Volume(at_points(term.stiffness), at_points(term.target))
+    growth, law = at_points(term.growth), _at_rest(term, at_points)
+    if np.all(growth == 1.0):
+        return law
+    return Grown(law, growth, growth if isinstance(term, terms.Hyperelastic) else growth ** (2 / 3))
+
+
+def _at_rest(term, at_points: Callable[..., Floats]) -> Law:
+    """The law of a Hyperelastic or Strain that has not grown."""
     if isinstance(term, terms.Hyperelastic):
         return MATERIALS[type(term.material)](term.material)
-    if isinstance(term, terms.Strain):
-        return Strain(at_points(term.stiffness), at_points(term.limit))
-    return Volume(at_points(term.stiffness), at_points(term.target))
+    return Strain(at_points(term.stiffness), at_points(term.limit))
 
 
 def _per_item(value, count: int) -> Floats:

@@ -39,7 +39,9 @@ VARYING: dict[type[terms.Term], tuple[str, ...]] = {
     terms.Inertia: ("positions", "velocities"),
     terms.Gravity: ("acceleration", "density"),
     terms.Traction: ("vector",),
+    terms.Strain: ("limit", "growth"),
     terms.Volume: ("target",),
+    terms.Hyperelastic: ("growth",),
 }
 MAX_ITERATIONS = 200
 

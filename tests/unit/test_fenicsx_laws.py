@@ -12,6 +12,7 @@ from softdeca.reference.fenicsx import principal
 from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms, density
 from softdeca.reference.fenicsx.laws import (
     CorotatedLaw,
+    Grown,
     NeoHookeanLaw,
     StrainLaw,
     VolumeLaw,
@@ -54,8 +55,8 @@ class Principal:
 class ByUfl:
     """A law's density in UFL and what UFL derives, on as many separate tets as there are deformation gradients."""
 
-    def __init__(self, material):
-        self.material = material
+    def __init__(self, material, growth=1.0):
+        self.material, self.growth = material, growth
         self.forms = None
 
     def _compile(self):
@@ -64,8 +65,8 @@ class ByUfl:
         numbering = Numbering(Scene(X, np.arange(4 * ROOM).reshape(-1, 4), []))
         u, points = seam.function(numbering.space), seam.quadrature_rule(1)[0]
         cells = numbering.cell
-        self.forms = HyperelasticForms.of(u, cells, self.material)
-        psi, F = density(u, cells, self.material)
+        self.forms = HyperelasticForms.of(u, cells, self.material, growth=self.growth)
+        psi, F = density(u, cells, self.material, self.growth)
         self._psi = seam.evaluator(psi, points, numbering.space.mesh)
         self._stress = seam.evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
         self._numbering, self._u = numbering, u
@@ -97,6 +98,7 @@ class ByUfl:
 
 
 MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
+GROWTH = 1.4
 ISOTROPIC = {
     "corotated": Principal(CorotatedLaw, MU, LMBDA),
     "neo-hooke, principal": Principal(NeoHookeanLaw, MU, LMBDA),
@@ -108,14 +110,19 @@ ISOTROPIC = {
     "Mooney-Rivlin": ByUfl(materials.MooneyRivlin(0.3, 0.2, KAPPA, C20=0.4)),
 }
 LAWS = {
-    "strain": Principal(StrainLaw, 2.0, 1.0),
-    "strain limit": Principal(StrainLaw, 2.0, 1.1),
+    "strain": Principal(StrainLaw, 2.0, 1.0, 1.0),
+    "strain limit": Principal(StrainLaw, 2.0, 1.1, 1.0),
+    "strain growth": Principal(StrainLaw, 2.0, 1.0, GROWTH),
     "volume": Principal(VolumeLaw, 3.0, 1.0),
     "volume target": Principal(VolumeLaw, 3.0, 1.4),
     **ISOTROPIC,
     "Guccione": ByUfl(materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRE, KAPPA)),
+    "corotated growth": Principal(lambda mu, lmbda, g: Grown(CorotatedLaw(mu, lmbda), g), MU, LMBDA, GROWTH),
+    "neo-hooke growth": ByUfl(materials.NeoHookean(MU, LMBDA), GROWTH),
 }
+GROWN = ["volume target", "strain growth", "corotated growth", "neo-hooke growth"]
 FINITE = ["strain", "strain limit", "volume", "volume target", "corotated", "stable neo-hooke", "St. Venant-Kirchhoff"]
+FINITE += ["strain growth", "corotated growth"]
 INFINITE = [name for name in LAWS if name not in FINITE]
 
 
@@ -198,9 +205,10 @@ def test_frame_invariance(name):
     assert_close(law.stress(R @ F @ Q), R @ law.stress(F) @ Q, 1e-11)
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name != "volume target"])
+@pytest.mark.parametrize("name", LAWS)
 def test_rest_and_rotations_are_free_of_stress(name):
-    R = np.concatenate([np.eye(3)[None], rotations(8, 6)])
+    """Rest of grown tissue is its shape at that volume."""
+    R = np.concatenate([np.eye(3)[None], rotations(8, 6)]) * (GROWTH ** (1 / 3) if name in GROWN else 1.0)
     assert np.abs(LAWS[name].energy(R)).max() < 1e-14
     assert np.abs(LAWS[name].stress(R)).max() < 1e-13
 
@@ -242,7 +250,7 @@ def test_collapse_and_inversion_are_finite(name):
 def test_collapse_and_inversion_are_refused(name):
     """The energy that the line search sees is infinite, not a number that is none."""
     law = LAWS[name]
-    law.set(np.eye(3)[None])
+    law.set(law.growth ** (1 / 3) * np.tile(np.eye(3), (ROOM, 1, 1)))
     assert law.forms.assemble_energy() < 1e-12
     for F in COLLAPSED:
         law.set(F[None])

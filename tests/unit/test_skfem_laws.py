@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.reference.materials import Volumetric
 from softdeca.reference.skfem.invariants import IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
-from softdeca.reference.skfem.laws import Corotated, NeoHookean, Strain, Volume, project_spd
+from softdeca.reference.skfem.laws import Corotated, Grown, NeoHookean, Strain, Volume, project_spd
 from softdeca.reference.skfem.membrane import Membrane, rest_gradients
 from softdeca.reference.skfem.projections import nearest_of_determinant, signed_svd
 
@@ -35,8 +35,16 @@ LAWS = {
     "Strain with a limit": Strain(full(2.0), full(1.15)),
     "Volume": Volume(full(3.0), full(1.0)),
     "Volume with growth": Volume(full(3.0), full(1.4)),
+    "Strain with growth": Grown(Strain(full(2.0), full(1.0)), full(1.4), full(1.4 ** (2 / 3))),
+    "NeoHookean with growth": Grown(NeoHookean(1.3, 7.0), full(1.4), full(1.4)),
 }
-INFINITE_AT_INVERSION = ["NeoHookean", "isochoric, quadratic", "isochoric, logarithmic", "Mooney-Rivlin"]
+INFINITE_AT_INVERSION = [
+    "NeoHookean",
+    "NeoHookean with growth",
+    "isochoric, quadratic",
+    "isochoric, logarithmic",
+    "Mooney-Rivlin",
+]
 FINITE_AT_INVERSION = [name for name in LAWS if name not in INFINITE_AT_INVERSION]
 
 
@@ -125,8 +133,10 @@ def test_tangent_is_symmetric_and_projects_to_semidefinite(name):
 
 @pytest.mark.parametrize("name", INFINITE_AT_INVERSION)
 def test_a_law_is_infinite_where_it_does_not_hold(name):
-    F = np.stack([np.diag([1.0, 1.0, -1.0]), np.diag([1.0, 1.0, 0.0]), np.eye(3)])
-    assert LAWS[name].psi(F).tolist() == [np.inf, np.inf, 0.0]
+    rest = np.cbrt(1.4 if "growth" in name else 1.0)
+    F = np.stack([np.diag([1.0, 1.0, -1.0]), np.diag([1.0, 1.0, 0.0]), rest * np.eye(3)])
+    psi = (LAWS[name].psi(F[[k] * COUNT])[0] for k in range(3))
+    assert list(psi) == [np.inf, np.inf, pytest.approx(0.0, abs=1e-14)]
 
 
 @pytest.mark.parametrize("name", ISOTROPIC)

@@ -1,0 +1,117 @@
+"""Grown tissue, F growth^(-1/3): free growth in closed form, graded growth by all solvers, and what is refused."""
+
+import numpy as np
+import pytest
+
+from softdeca.reference import MissingDependencyError, Scene, SceneError, materials, prepare, solve, terms
+from softdeca.reference.problems import meshes
+from softdeca.reference.problems.homogeneous import rollers
+
+GROWTH = 1.3
+X, TETS = meshes.unstructured(2)
+LAWS = {
+    "NeoHookean": materials.NeoHookean.from_young(10.0, 0.45),
+    "StableNeoHookean": materials.StableNeoHookean.from_young(10.0, 0.45),
+    "Corotated": materials.Corotated.from_young(10.0, 0.45),
+    "MooneyRivlin": materials.MooneyRivlin(1.5, 1.0, 50.0, C20=0.7),
+    "Incompressible": materials.Incompressible(materials.NeoHookean(3.0, 3.0)),
+}
+
+
+def energies(name, growth):
+    """A law's term, or Strain and Volume of as much growth."""
+    if name in LAWS:
+        return [terms.Hyperelastic(LAWS[name], growth=growth)]
+    return [terms.Strain(5.0, growth=growth), terms.Volume(60.0, target=growth)]
+
+
+def solved(scene, solver, tolerance=1e-11, **options):
+    try:
+        answer = solve(scene, solver=solver, tolerance=tolerance, **options)
+    except MissingDependencyError as missing:
+        pytest.skip(str(missing))
+    assert answer.converged, answer.reason
+    return answer
+
+
+WAYS = [(name, solver, {}) for name in LAWS for solver in ("fenicsx", "skfem") if name != "Incompressible"]
+WAYS += [(name, "fenicsx", {"element": "P2P1"}) for name in ("NeoHookean", "MooneyRivlin", "Incompressible")]
+WAYS += [("Strain + Volume", solver, {}) for solver in ("projective", "fenicsx", "skfem")]
+WAYS += [(name, "fenicsx", {"element": "P2"}) for name in ("Strain + Volume", "NeoHookean")]
+
+
+@pytest.mark.parametrize(("name", "solver", "options"), WAYS)
+def test_free_growth_costs_nothing(name, solver, options):
+    # An incompressible law's forces come from its pressure, nothing at the start and at the end.
+    tolerance = 1e-8 if name == "Incompressible" else 1e-11
+    answer = solved(Scene(X, TETS, [*energies(name, GROWTH), *rollers(X)]), solver, tolerance, **options)
+    assert answer.positions == pytest.approx(GROWTH ** (1 / 3) * X, abs=1e-8)
+    assert answer.energy == pytest.approx(0.0, abs=1e-12)
+    assert answer.volume_ratio == pytest.approx(GROWTH)
+
+
+def test_grown_tissue_is_as_stiff_as_it_was():
+    """A cube that grew by 8 to twice its size, pulled to 1.5 times that, costs 8 times what the small one does."""
+    far = meshes.vertices_at(X, 0, 1.0)
+
+    def pulled(growth, size):
+        end = terms.Fixed(far, 1.5 * size * X[far], components=(0,))
+        scene = Scene(X, TETS, [*energies("NeoHookean", growth), *rollers(X), end])
+        return solved(scene, "skfem", start=size * X * [1.5, 1.0, 1.0]).energy
+
+    assert pulled(8.0, 2.0) == pytest.approx(8.0 * pulled(1.0, 1.0), rel=1e-10)
+
+
+GRADED = np.linspace(1.0, 1.5, len(TETS))
+
+
+def graded(name):
+    return Scene(X, TETS, [*energies(name, GRADED), terms.Fixed(meshes.vertices_at(X, 2, 0.0))])
+
+
+@pytest.mark.parametrize(
+    ("name", "solver", "options"),
+    [
+        ("Strain + Volume", "projective", {}),
+        ("Strain + Volume", "fenicsx", {}),
+        *((name, "fenicsx", {}) for name in ("NeoHookean", "Corotated", "MooneyRivlin")),
+        *((name, "fenicsx", {"element": "P2"}) for name in ("NeoHookean", "Strain + Volume")),
+    ],
+)
+def test_graded_growth_agrees(name, solver, options):
+    """One value per tet: each solver's own law."""
+    scene = graded(name)
+    found = solved(scene, solver, **options)
+    expected = solved(scene, "skfem", **options)
+    moved = np.linalg.norm(expected.positions - X, axis=1).max()
+    assert moved > 0.1
+    assert np.abs(found.positions - expected.positions).max() < 1e-8 * moved
+    assert found.energy == pytest.approx(expected.energy, rel=1e-10)
+
+
+@pytest.mark.parametrize("solver", ["projective", "skfem"])
+def test_growth_may_change_without_a_new_preparation(solver):
+    try:
+        prepared = prepare(graded("Strain + Volume"), solver=solver)
+    except MissingDependencyError as missing:
+        pytest.skip(str(missing))
+    later = Scene(X, TETS, [*energies("Strain + Volume", GROWTH), terms.Fixed(meshes.vertices_at(X, 2, 0.0))])
+    answer = prepared.solve(later, tolerance=1e-11)
+    assert answer.positions == pytest.approx(solved(later, solver).positions, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: terms.Strain(1.0, growth=0.0), "Strain.growth: must be finite and above 0.0, got 0.0"),
+        (lambda: terms.Hyperelastic(LAWS["NeoHookean"], growth=np.nan), "Hyperelastic.growth: must be finite"),
+        (lambda: terms.Hyperelastic(LAWS["NeoHookean"], tets=[0], growth=[1.0, 2.0]), "Hyperelastic.growth: expected"),
+        (lambda: terms.Strain(1.0, 1.05, rule="indicator", growth=1.1), "the indicator knows no growth"),
+        (lambda: Scene(X, TETS, energies("NeoHookean", GRADED[1:])), "growth has .* values for .* tets"),
+        (lambda: Scene(X, TETS, [terms.Strain(1.0, growth=GRADED[1:])]), "growth has .* values for .* tets"),
+    ],
+)
+def test_growth_out_of_range_is_named(make, message):
+    with pytest.raises(SceneError, match=message) as caught:
+        make()
+    assert "\n" not in str(caught.value)
