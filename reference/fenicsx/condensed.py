@@ -37,8 +37,8 @@ def shear_modulus(material: Material) -> float:
 class Condensed:
     """Energy, gradient and Hessian of E over the displacement's dofs, as `Newton` asks for them.
 
-    `centre` is p₀ [kPa], shape (n_p,); `used` are the pressures that any law has. `laws` go with the problem's
-    `mixed_forms`.
+    `centre` is p₀ [kPa], shape (n_p,); `used` are the pressures that any law has; `hardening` multiplies kappa. `laws`
+    go with the problem's `mixed_forms`.
     """
 
     def __init__(self, problem: Problem, laws: list[Material]):
@@ -46,6 +46,7 @@ class Condensed:
         self.problem = problem
         self.count = len(problem.pressure.x.array)
         self.centre: Floats = np.zeros(self.count)
+        self.hardening = 1.0
         used = np.zeros(self.count, dtype=bool)
         for forms in problem.mixed_forms:
             used[problem.pressure_dofs[forms.cells].ravel()] = True
@@ -98,7 +99,9 @@ class Condensed:
             rows, columns, values = forms.entries()[1]
             parts.append((rows, columns, -values))
         rows, columns, values = self._springs
-        return self._matrix([*parts, (rows, columns, values if springs else 0.0 * values)])[self.used][:, self.used]
+        return self._matrix([*parts, (rows, columns, values / self.hardening if springs else 0.0 * values)])[self.used][
+            :, self.used
+        ]
 
     def coupling(self) -> csr_matrix:
         """Π's derivative by displacement and used pressures [mm²], shape (3n, used)."""
@@ -114,7 +117,7 @@ class Condensed:
         self._factors.factor(self.compliance(springs=True), symmetric=True)
         for _ in range(CORRECTIONS):
             self.place(p)
-            away = (self.strain() - self._spring @ (p - self.centre))[self.used]
+            away = (self.strain() - self.stretched(p))[self.used]
             if not np.isfinite(away).all():
                 break
             correction = self._factors.solve(away)
@@ -135,7 +138,7 @@ class Condensed:
 
     def stretched(self, p: Floats) -> Floats:
         """What the springs hold back [mm³], shape (n_p,): the volumes by which a minimiser is not the problem's own."""
-        return self._spring @ (p - self.centre)
+        return self._spring @ (p - self.centre) / self.hardening
 
     def release(self):
         """Free the factors."""

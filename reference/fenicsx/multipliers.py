@@ -18,10 +18,12 @@ from .numbering import Numbering
 from .problem import Problem
 from .saddle import Saddle
 
+MAX_ITERATIONS = 300
 ROUNDS = 40
 FIRST_SHARE, SHARE = 1e-2, 5e-2  # of a round's first gradient norm, that ends it; the first round begins far away
 NEAR = 0.1  # of the pressure's norm: with smaller corrections steps of displacement and pressure at once are tried
-FALL = 0.5  # of the residual's norm, that such a step has to reach
+FALL = 0.5  # of the residual's norm or of the displacement that follows, which such a step has to reach
+QUICK, HARDER = 2, 10.0  # where so few iterations leave more than FALL of the volumes, kappa grows
 SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
 LOAD_STEP_TOLERANCE = 1e-2
 
@@ -39,13 +41,14 @@ class MultiplierDescent:
         condensed: Condensed,
         start: Floats,
         tolerance: float,
-        limit: int,
+        max_iterations: int | None,
         on_iteration: OnIteration | None,
         *,
         warm: bool,
     ):
         self._scene, self._numbering, self._condensed = scene, numbering, condensed
-        self._tolerance, self._limit = tolerance, limit
+        self._tolerance = tolerance
+        self._limit = MAX_ITERATIONS if max_iterations is None else max_iterations
         fixed, positions = scene.dirichlet()
         self._elsewhere = np.where(fixed, positions, start)
         held = numbering.held(fixed)
@@ -58,6 +61,7 @@ class MultiplierDescent:
         self._work = Work()
         self._newton = Newton(condensed, self._held, self._saddle, self._saddle, self._report, self._work)
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
+        condensed.hardening = 1.0
         if not warm:
             condensed.centre = np.zeros(condensed.count)
 
@@ -142,8 +146,10 @@ class MultiplierDescent:
         self._scale_volumes(state)
         self._first = max(self._first, float(np.linalg.norm(self._newton.free_gradient(state))))
         last = stop_threshold(self._scene, self._first, self._tolerance)
+        before = np.inf
         for turn in range(ROUNDS):
             share = SHARE if turn else FIRST_SHARE
+            begin = self._iterations
 
             def threshold(first: float, share: float = share) -> float:
                 return max(share * first, last / 2)
@@ -152,6 +158,10 @@ class MultiplierDescent:
             if reason not in (Reason.CONVERGED, Reason.STAGNATED):
                 return state, reason
             change = np.linalg.norm(state.p - condensed.centre) / max(np.linalg.norm(state.p), 1e-300)
+            away = float(np.linalg.norm(condensed.stretched(state.p)))
+            if away > FALL * before and self._iterations <= begin + QUICK:
+                condensed.hardening *= HARDER
+            before = away
             condensed.centre = np.array(state.p)
             state = condensed.beside(state.u, state.p)
             if change <= NEAR or not state.p.any():
@@ -160,13 +170,14 @@ class MultiplierDescent:
                     return state, end
                 condensed.centre = np.array(state.p)
             state = condensed.at(state.u)
-        return state, Reason.STAGNATED
+        return state, Reason.LINE_SEARCH
 
     def _finish(self, state: CondensedState, last: float) -> tuple[CondensedState, Reason | None]:
-        """Full steps of displacement and pressure while they halve the residual; why to stop for good, if so."""
+        """Full steps of displacement and pressure while they contract; why to stop for good, if so."""
         condensed, free = self._condensed, self._saddle.free
         forces, volumes, norm = self._residual(state)
-        while norm > last and self._iterations < self._limit:
+        converged = False  # only after a step: its factors say whether this is a minimum under the constraint
+        while not converged and self._iterations < self._limit:
             state.hessian()
             step = self._saddle.correction(forces[free], volumes[condensed.used])
             if step is None:
@@ -174,17 +185,21 @@ class MultiplierDescent:
             u, p = state.u.ravel().copy(), np.array(state.p)
             u[free] += step[0]
             p[condensed.used] += step[1]
+            condensed.centre = p
             after = condensed.beside(u.reshape(state.u.shape), p)
             if not np.isfinite(after.energy):
                 return state, None
             forces, volumes, norm_after = self._residual(after)
-            if not norm_after <= FALL * norm:
-                return state, None
+            converged = norm_after <= last
+            if not (converged or norm_after <= FALL * norm):
+                following = self._saddle.again(forces[free], volumes[condensed.used])
+                if not np.linalg.norm(following) <= FALL * np.linalg.norm(step[0]):
+                    return state, None
             state, norm = after, norm_after
             self._iterations += 1
             if self._report(state, norm):
                 return state, Reason.INTERRUPTED
-        return state, Reason.CONVERGED if norm <= last else None
+        return state, Reason.CONVERGED if converged else None
 
     def _residual(self, state: CondensedState) -> tuple[Floats, Floats, float]:
         """Forces (3n,) [mN], zero where held, volumes (n_p,) [mm³], and their norm as a force [mN]."""

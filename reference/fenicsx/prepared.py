@@ -28,10 +28,12 @@ from ..terms import (
 )
 from .balance import Balance
 from .bodies import Pose, RigidProblem
+from .condensed import Condensed
 from .densities import DENSITIES
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS
 from .mixed_densities import check_mixed
+from .multipliers import MultiplierDescent, laws_of
 from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem, State
@@ -74,6 +76,7 @@ LOAD_STEP_TOLERANCE = 1e-2
 STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
 ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
 FORCE_DEGREE = 6
+LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 # Terms whose energy may lose stiffness in directions that cost nothing, and those that the load path has no room for.
 INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
@@ -129,8 +132,11 @@ class PreparedFenicsx:
             self._rigid_linear = solver_of(linear, self._rigid.matrix)
             self._rigid_direct = solver_of("mumps", self._rigid.matrix)
         self._force: Floats | None = None
-        self._end: _Solve | Balance | None = None
+        self._end: _Solve | Balance | MultiplierDescent | None = None
         self._balances = element == "P2P1" or bool(scene.of(Pressure))
+        self._condensed = None
+        if element == "P2P1" and not scene.of(Pressure):
+            self._condensed = Condensed(self._problem, laws_of(self._problem, scene))
         # A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable.
         self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in INDEFINITE)
 
@@ -161,6 +167,18 @@ class PreparedFenicsx:
             self._problem.loads = self._problem.loads + self._force
         check_restrained(scene, loads=None if self._balances else scene.loads())
         balance = Balance(scene, self._numbering, self._problem, begin, tolerance, max_iterations, on_iteration)
+        if self._condensed is not None:
+            descent = MultiplierDescent(
+                scene,
+                self._numbering,
+                self._condensed,
+                begin,
+                tolerance,
+                max_iterations,
+                on_iteration,
+                warm=start is not None,
+            )
+            return self._either(descent, balance, path_first=bool(scene.of(Traction)) or len(scene.tets) < LARGE)
         if self._balances:
             self._end = balance
             return balance.run()
@@ -182,6 +200,19 @@ class PreparedFenicsx:
             return solution
         self._end = balance
         return followed
+
+    def _either(self, descent: MultiplierDescent, balance: Balance, *, path_first: bool) -> Solution:
+        """Descend or follow the load path, and the other one where the first gives up."""
+        first, second = (balance, descent) if path_first else (descent, balance)
+        self._end = first
+        solution = first.run()
+        if solution.reason not in GIVEN_UP:
+            return solution
+        again = second.run()
+        if again.reason in GIVEN_UP:
+            return solution
+        self._end = second
+        return again
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""

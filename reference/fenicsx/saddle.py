@@ -45,6 +45,10 @@ class Saddle:
         answer, why = self._solved(H, B, -np.concatenate([forces, volumes]), springs=False)
         return None if why else (answer[: len(self.free)], answer[len(self.free) :])
 
+    def again(self, forces: Floats, volumes: Floats) -> Floats:
+        """The displacements of `correction` (free,) from other forces and volumes, by the same factors."""
+        return self._factors.solve(-np.concatenate([forces, volumes]))[: len(self.free)]
+
     def _stiffness(self) -> csr_matrix:
         indptr, indices, values = self._condensed.problem.matrix.getValuesCSR()
         return csr_matrix((values, indices, indptr), shape=(self._count, self._count))

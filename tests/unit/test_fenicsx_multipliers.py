@@ -1,0 +1,115 @@
+"""Mixed elements by descent: derivatives of the condensed energy, agreement with the load path, crushed starts."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dolfinx")
+
+from scipy.sparse import csr_matrix, random
+
+from softdeca.reference import Reason, Scene, materials, solve, terms
+from softdeca.reference.fenicsx.condensed import Condensed
+from softdeca.reference.fenicsx.direct import Factorisation
+from softdeca.reference.fenicsx.multipliers import MultiplierDescent, laws_of
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.problems import meshes
+
+NEO_HOOKEAN = materials.NeoHookean(2.0, 5.0)
+LAWS = {
+    "incompressible": materials.Incompressible(NEO_HOOKEAN),
+    "nu = .499": materials.NeoHookean.from_young(1.0, 0.499),
+    "logarithmic volume": materials.IsochoricNeoHookean(1.0, 50.0, "kappa/4 (J^2-1-2 ln J)"),
+}
+
+
+def sheared(law, by=0.4, cells=(2, 2, 2)):
+    """A block whose upper face is pushed aside."""
+    X, tets = meshes.box(cells)
+    ends = [meshes.vertices_at(X, 2, end) for end in (0.0, 1.0)]
+    goal = np.concatenate([X[ends[0]], X[ends[1]] + [by, 0.0, 0.0]])
+    return Scene(X, tets, [terms.Hyperelastic(law), terms.Fixed(np.concatenate(ends), goal)])
+
+
+def descend(scene, *, start=None, tolerance=1e-9, max_iterations=None, on_iteration=None):
+    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    condensed = Condensed(problem, laws_of(problem, scene))
+    begin = scene.vertices if start is None else start
+    descent = MultiplierDescent(
+        scene, problem.numbering, condensed, begin, tolerance, max_iterations, on_iteration, warm=False
+    )
+    return descent.run(), condensed
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_the_condensed_energy_has_its_gradient(law):
+    """Central differences of the maximum over pressures; the gradient is taken at the maximiser alone."""
+    scene = sheared(law)
+    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    condensed = Condensed(problem, laws_of(problem, scene))
+    rng = np.random.default_rng(0)
+    condensed.centre = rng.normal(size=condensed.count)
+    u, d = 0.01 * rng.normal(size=(2, *problem.numbering.X.shape))
+    h = 1e-3
+    change = (condensed.at(u + h * d).energy - condensed.at(u - h * d).energy) / (2 * h)
+    assert np.sum(condensed.at(u).gradient() * d) == pytest.approx(change, rel=1e-6)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_descent_ends_where_the_load_path_does(law):
+    scene = sheared(law)
+    path = solve(scene, solver="fenicsx", element="P2P1", tolerance=1e-10)
+    solution, _ = descend(scene)
+    assert path.converged and solution.converged, (path.reason, solution.reason)
+    assert np.abs(solution.positions - path.positions).max() < 1e-7
+    assert solution.energy == pytest.approx(path.energy, rel=1e-8)
+
+
+def test_a_warm_start_needs_fewer_factorisations():
+    scene, further = sheared(LAWS["incompressible"], 0.4), sheared(LAWS["incompressible"], 0.42)
+    cold, _ = descend(further)
+    first, condensed = descend(scene)
+    problem = condensed.problem
+    problem.set(further)
+    start = first.positions
+    warm = MultiplierDescent(further, problem.numbering, condensed, start, 1e-9, None, None, warm=True).run()
+    assert cold.converged and warm.converged
+    assert np.abs(warm.positions - cold.positions).max() < 1e-6
+    assert warm.detail["linear_solves"] < cold.detail["linear_solves"]
+
+
+def test_targets_that_crush_elements_are_reached_by_descent():
+    """Springs that would turn a surface over: the law is infinite where a point inverts, so none is."""
+    X, tets = meshes.box((4, 2, 2))
+    base, top = (meshes.vertices_at(X, 2, end) for end in (0.0, 1.0))
+    pulled = np.array(X[top])
+    pulled[:, 0] = 1.0 - pulled[:, 0]
+    springs = terms.Target(top, pulled, 5.0)
+    scene = Scene(X, tets, [terms.Hyperelastic(LAWS["incompressible"]), terms.Fixed(base), springs])
+    solution, _ = descend(scene, tolerance=1e-7)
+    assert solution.converged, solution.reason
+    assert 0.0 < solution.energy < 0.5 * 5.0 * np.sum((X[top] - pulled) ** 2)
+
+
+def test_descent_stops_where_it_is_told():
+    scene = sheared(LAWS["incompressible"])
+    assert descend(scene, max_iterations=1)[0].reason is Reason.MAX_ITERATIONS
+    assert descend(scene, on_iteration=lambda i, x, e, g: i == 2)[0].reason is Reason.INTERRUPTED
+    inverted = np.array(scene.vertices)
+    inverted[:, 0] *= -1.0
+    assert descend(scene, start=inverted)[0].reason is Reason.NOT_FINITE
+
+
+def test_factors_follow_values_that_change_between_solves():
+    """The elimination's order is kept; a second factorisation before any solve counts all the same."""
+    A = random(30, 30, 0.2, random_state=0)
+    A = csr_matrix(A + A.T + 10.0 * csr_matrix(np.eye(30)))
+    b = np.arange(30.0)
+    factors = Factorisation()
+    for scale in (1.0, -2.0):
+        assert factors.factor(csr_matrix(A * 5.0), symmetric=True)
+        assert factors.factor(csr_matrix(A * scale), symmetric=True)
+        assert np.allclose(scale * (A @ factors.solve(b)), b, atol=1e-10)
+        assert factors.negative == (0 if scale > 0 else 30)
+    factors.release()
+    assert not factors.factor(csr_matrix((3, 3)), symmetric=True)
