@@ -339,6 +339,27 @@ def _convergence_lines(results: Mapping) -> str:
     return "\n".join(lines)
 
 
+@bench.command()
+@click.option("--expression", "texts", multiple=True, help="as jawOpen*0.5+cheekPuff; repeat for several  [two]")
+@click.option("--law", "laws", multiple=True, help="incompressible or a Poisson's ratio; repeat for several  [both]")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
+@click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
+@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
+def mixed(texts: tuple[str, ...], laws: tuple[str, ...], seed: int, level: int, as_json: bool) -> int:
+    """Solve incompressible heads by quadratic tets with a pressure (FEniCSx, P2P1): ten minutes and more each.
+
+    Exit status 1 if one does not converge or takes more than 8 GB.
+    """
+    from ..benchmarks.mixed import EXPRESSIONS, LAWS, MEMORY_MB, MixedConfig, lines, run_mixed
+
+    config = MixedConfig(texts or EXPRESSIONS, laws or LAWS, seed, level)
+    with shown() as progress:
+        results = run_mixed(config, progress)
+    rows = results["solves"]
+    click.echo(json.dumps(results, indent=1) if as_json else "\n".join(lines(rows)))
+    return 0 if all(row["converged"] and row["memory_mb"] <= MEMORY_MB for row in rows) else 1
+
+
 def _effect_lines(results: Mapping) -> str:
     lines = []
     for row in results["effects"]:
