@@ -32,6 +32,7 @@ from .condensed import Condensed
 from .densities import DENSITIES
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS
+from .linear_start import compressible
 from .mixed_densities import check_mixed
 from .multipliers import MultiplierDescent, laws_of
 from .newton import AnyState, Newton, Work
@@ -62,7 +63,7 @@ VARYING = {
     Gravity: ("acceleration", "density"),
     Traction: ("vector",),
     Pressure: ("value",),
-    Strain: ("limit",),
+    Strain: ("limit", "growth"),
     Volume: ("target",),
     SurfaceStrain: ("growth",),
     RigidBody: ("rest",),
@@ -168,6 +169,8 @@ class PreparedFenicsx:
         check_restrained(scene, loads=None if self._balances else scene.loads())
         balance = Balance(scene, self._numbering, self._problem, begin, tolerance, max_iterations, on_iteration)
         if self._condensed is not None:
+            if start is None and len(scene.tets) >= LARGE:
+                begin = self._linear_start(scene)
             descent = MultiplierDescent(
                 scene,
                 self._numbering,
@@ -200,6 +203,12 @@ class PreparedFenicsx:
             return solution
         self._end = balance
         return followed
+
+    def _linear_start(self, scene: Scene) -> Floats:
+        """Positions (n, 3) [mm] from linear tets of compressible tissue, or at rest where they find none."""
+        near = PreparedFenicsx(compressible(scene), "P1", "cg").solve(tolerance=LOAD_STEP_TOLERANCE)
+        sound = near.converged and near.volume_ratio.min() > 0.0
+        return near.positions if sound else scene.vertices
 
     def _either(self, descent: MultiplierDescent, balance: Balance, *, path_first: bool) -> Solution:
         """Descend or follow the load path, and the other one where the first gives up."""

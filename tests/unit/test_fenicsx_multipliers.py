@@ -8,6 +8,7 @@ pytest.importorskip("dolfinx")
 from scipy.sparse import csr_matrix, random
 
 from softdeca.reference import Reason, Scene, materials, solve, terms
+from softdeca.reference.fenicsx import prepared
 from softdeca.reference.fenicsx.condensed import Condensed
 from softdeca.reference.fenicsx.direct import Factorisation
 from softdeca.reference.fenicsx.multipliers import MultiplierDescent, laws_of
@@ -89,6 +90,21 @@ def test_targets_that_crush_elements_are_reached_by_descent():
     solution, _ = descend(scene, tolerance=1e-7)
     assert solution.converged, solution.reason
     assert 0.0 < solution.energy < 0.5 * 5.0 * np.sum((X[top] - pulled) ** 2)
+
+
+def test_a_large_scene_descends_from_linear_tets(monkeypatch):
+    """The first iterate is linear tets' answer, the last one the load path's."""
+    scene = sheared(LAWS["incompressible"])
+    options = {"solver": "fenicsx", "element": "P2P1", "tolerance": 1e-9}
+    path = solve(scene, **options)
+    monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
+    seen = []
+    large = solve(scene, on_iteration=lambda i, x, e, g: seen.append(np.array(x)), **options)
+    softer = prepared.compressible(scene)
+    assert [term.material for term in softer.of(terms.Hyperelastic)] == [materials.NeoHookean(2.0, 20.0)]
+    near = solve(softer, solver="fenicsx", element="P1", tolerance=1e-9)
+    assert np.abs(seen[0] - near.positions).max() < 1e-3 < np.abs(seen[0] - scene.vertices).max()
+    assert large.converged and np.abs(large.positions - path.positions).max() < 1e-7
 
 
 def test_descent_stops_where_it_is_told():
