@@ -57,13 +57,15 @@ MESHES: dict[Mesh, int] = {
     (2, 1, "P2"): 290_430,
 }
 """The unknowns of each, three per node, to choose by."""
+USUAL = 150_000
+"""Meshes up to so many unknowns take some minutes; all of them, to 639 k, about half an hour and 6 GB."""
 
 
 @dataclass(frozen=True)
 class UnknownsConfig:
     """Meshes of at most so many unknowns, and the expression; InputError for fewer than the smallest has."""
 
-    up_to: int = 700_000
+    up_to: int = USUAL
     expression: str = "mouthSmileLeft+mouthSmileRight"
     out: Path = Path("out/unknowns")
 

@@ -1,0 +1,83 @@
+"""Linear solvers over a sequence of matrices: what they promise of the residual, whatever set-up they have kept."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+pytest.importorskip("dolfinx")
+
+from softdeca.reference import Scene, materials, terms
+from softdeca.reference.fenicsx.linear import LINEAR_SOLVERS, SETUP, hold
+from softdeca.reference.fenicsx.membrane import _planar_svd
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.problems import meshes
+
+
+@pytest.fixture
+def box():
+    """A problem on a box of neo-Hookean tissue, what it holds, and a right-hand side."""
+    X, tets = meshes.unstructured(6, 3.0)
+    scene = Scene(X, tets, [terms.Hyperelastic(materials.NeoHookean.from_young(15.0, 0.45))])
+    problem = Problem(scene, Numbering(scene))
+    x = problem.numbering.X
+    return problem, np.flatnonzero(np.repeat(x[:, 2] < 1e-9, 3)), np.random.default_rng(0).normal(size=x.size)
+
+
+def solved(solver, problem, held, stretch, shift, b, relative):
+    """The answer at a stretch along z, to a Hessian less a multiple of the identity, and its true residual."""
+    matrix = problem.at(problem.numbering.X * [0.0, 0.0, stretch - 1.0]).softened_hessian(0.0)
+    matrix.shift(-shift * matrix.getDiagonal().norm())
+    right = np.array(b)
+    hold(matrix, held, np.zeros(len(held)), right)
+    indptr, columns, values = matrix.getValuesCSR()
+    given = np.array(right)
+    answer = solver.solve(right, relative=relative)
+    residual = np.linalg.norm(csr_matrix((values, columns, indptr)) @ answer.x - given) / np.linalg.norm(given)
+    return answer, residual
+
+
+@pytest.mark.parametrize("kind", LINEAR_SOLVERS)
+def test_residual_is_what_was_asked_while_the_matrix_changes(box, kind):
+    solver = LINEAR_SOLVERS[kind](box[0].matrix)
+    for stretch in (1.0, 1.01, 1.02, 1.5, 4.0, 0.3, 1.0, 1.0):
+        for relative in (1e-2, 1e-8):
+            answer, residual = solved(solver, box[0], box[1], stretch, 0.0, box[2], relative)
+            assert answer.found and residual <= 1.01 * relative, (stretch, relative, answer.why)
+
+
+@pytest.mark.parametrize("kind", LINEAR_SOLVERS)
+@pytest.mark.parametrize("first", [True, False])
+def test_indefinite_matrices_are_told_and_forgotten(box, kind, first):
+    solver = LINEAR_SOLVERS[kind](box[0].matrix)
+    if not first:
+        assert solved(solver, box[0], box[1], 1.0, 0.0, box[2], 1e-6)[0].found
+    for _ in range(3):
+        assert not solved(solver, box[0], box[1], 1.0, 0.1, box[2], 1e-6)[0].found
+    answer, residual = solved(solver, box[0], box[1], 1.1, 0.0, box[2], 1e-6)
+    assert answer.found and residual <= 1.01e-6
+
+
+def test_a_kept_set_up_costs_little(box):
+    """A sequence takes no more iterations beyond those of solvers new for each matrix than two set-ups are worth."""
+    kept = LINEAR_SOLVERS["cg"](box[0].matrix)
+    extra, stretches = 0, np.linspace(1.0, 1.2, 8)
+    for stretch in stretches:
+        iterations = solved(kept, box[0], box[1], stretch, 0.0, box[2], 1e-6)[0].iterations
+        alone = solved(LINEAR_SOLVERS["cg"](box[0].matrix), box[0], box[1], stretch, 0.0, box[2], 1e-6)[0].iterations
+        extra += iterations - alone
+    assert extra <= 2 * SETUP
+
+
+def test_frames_of_triangles():
+    rng = np.random.default_rng(1)
+    F = rng.normal(size=(40, 3, 2))
+    F[:5, :, 1] = 2.0 * F[:5, :, 0]
+    F[5:8, :, 0] *= 1e-9
+    F[8] = 0.0
+    F[9] = [[0.0, 0.0], [3.0, 0.0], [0.0, 0.0]]
+    U, s, Vt = _planar_svd(F)
+    assert np.allclose((U[:, :, :2] * s[:, None, :]) @ Vt, F, atol=1e-14)
+    assert np.allclose(U.transpose(0, 2, 1) @ U, np.eye(3), atol=1e-14)
+    assert np.allclose(Vt @ Vt.transpose(0, 2, 1), np.eye(2), atol=1e-14)
+    assert np.allclose(s, np.linalg.svd(F, compute_uv=False), atol=1e-14) and (s[:, 0] >= s[:, 1]).all()
