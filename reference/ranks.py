@@ -7,6 +7,7 @@ can disagree. What it does alone (files, output, other solvers) the others wait 
 from __future__ import annotations
 
 import atexit
+import gc
 import importlib
 import os
 import pickle
@@ -91,11 +92,16 @@ class Team:
         self._unanswered = False
         self._stuck = False
 
-    def make(self, kind: Callable[..., Any], arguments: Sequence[tuple]) -> Remote:
-        """An object of a kind on each of the others, with its arguments."""
+    def begin_making(self, kind: Callable[..., Any], arguments: Sequence[tuple]) -> Remote:
+        """An object of a kind on each of the others, with its arguments; there after its `end`."""
         remote = self._new()
         self._send(remote._key, "", arguments, make=kind)
-        self._receive()
+        return remote
+
+    def make(self, kind: Callable[..., Any], arguments: Sequence[tuple]) -> Remote:
+        """The same, there at once."""
+        remote = self.begin_making(kind, arguments)
+        remote.end()
         return remote
 
     @contextmanager
@@ -227,6 +233,8 @@ def _serve(comm):
             return
         for key in task.dropped:
             held.pop(key, None)
+        if task.dropped:
+            gc.collect()  # problems and their states refer to one another
         try:
             if task.make is not None:
                 held[task.key], answer = task.make(*task.arguments), None

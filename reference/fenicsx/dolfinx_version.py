@@ -217,6 +217,12 @@ def add_vector(form, into: Floats):
     fem.assemble_vector(into, form)
 
 
+def free_dropped(comm=COMM):
+    """Free what Python has dropped of PETSc in all processes of a communicator: from 3.18 on, it waits for this."""
+    if hasattr(PETSc, "garbage_cleanup"):
+        PETSc.garbage_cleanup(comm)
+
+
 def empty_matrix(form) -> PETSc.Mat:
     """A matrix with room for a bilinear form."""
     return petsc.create_matrix(form)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ...lhm.mesh import Floats, Ints
-from .dolfinx_version import COMM, PETSc
+from .dolfinx_version import COMM, PETSc, free_dropped
 
 # The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,
 # and Newton stalls without a word.
@@ -142,6 +142,7 @@ class Mumps:
 
 def _solve(ksp: PETSc.KSP, b: Floats) -> tuple[Floats, str]:
     """x, and why it is no solution (empty if it is). A KSP that has failed stays so: its owner makes another."""
+    free_dropped(ksp.comm)
     x = np.zeros_like(b)
     found = _vector(x, ksp.comm)
     try:

@@ -122,9 +122,11 @@ class SharedProblem(Problem):
         self._tets = [np.sort(tets) for tets in np.array_split(numbering.tet, team.size)]
         self._remote: Remote | None = None
         self._number = 0
-        super().__init__(scene, numbering)
         small = [small_scene(scene, tets) for tets in self._tets[1:]]
-        self._remote = team.make(Share, [(share, numbering.degree) for share, _ in small])
+        remote = team.begin_making(Share, [(share, numbering.degree) for share, _ in small])
+        super().__init__(scene, numbering)
+        remote.end()
+        self._remote = remote
         patterns = self._remote.call("pattern", [()] * len(small))
         self._nodes = [numbering.nodes_between(v[ends]) for (_, v), (ends, _, _) in zip(small, patterns, strict=True)]
         self._places = [
