@@ -71,7 +71,9 @@ class Balance:
 
     def run(self) -> Solution:
         """Follow the load path to its end."""
+        whole = self._problem.loads
         point, reason = self._path.run()
+        self._problem.loads = whole  # the path leaves the share that it ended with
         positions = self._positions(point)
         m = self._equations.displacements
         self.end = point.state.u, point.z[m:] if len(point.z) > m else None

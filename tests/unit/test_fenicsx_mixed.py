@@ -7,11 +7,12 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
+from softdeca.reference.fenicsx.balance import Balance
 from softdeca.reference.fenicsx.equilibrium import Equilibrium
 from softdeca.reference.fenicsx.follower import FollowerPressure
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.problems import meshes
+from softdeca.reference.problems import limit_points, meshes
 
 LAWS = {
     "neo-Hookean": materials.NeoHookean(1.0, 5.0),
@@ -246,3 +247,14 @@ def test_free_rigid_motions_are_named(held, message):
 def test_a_poisson_ratio_of_a_half_is_refused():
     with pytest.raises(SceneError, match=r"must lie in \(-1, 0.5\) for a displacement element, got 0.5"):
         materials.NeoHookean.from_young(1.0, 0.5)
+
+
+def test_a_path_that_ends_early_leaves_the_whole_load():
+    """What is tried after it, such as descent, must not solve for the share that it ended with."""
+    scene = limit_points.cube(limit_points.NEARLY, 2.2)
+    order = Numbering(scene, 2)
+    problem = Problem(scene, order, mixed=True)
+    whole = problem.loads.copy()
+    solution = Balance(scene, order, problem, scene.vertices, 1e-8, None, None).run()
+    assert solution.reason is Reason.LIMIT_POINT and solution.detail["load_share"] < 0.95
+    assert np.abs(whole).max() > 0.0 and np.array_equal(problem.loads, whole)

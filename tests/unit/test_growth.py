@@ -89,7 +89,7 @@ def test_graded_growth_agrees(name, solver, options):
     assert found.energy == pytest.approx(expected.energy, rel=1e-10)
 
 
-@pytest.mark.parametrize("solver", ["projective", "skfem"])
+@pytest.mark.parametrize("solver", ["projective", "fenicsx", "skfem"])
 def test_growth_may_change_without_a_new_preparation(solver):
     try:
         prepared = prepare(graded("Strain + Volume"), solver=solver)
