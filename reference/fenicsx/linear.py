@@ -103,7 +103,7 @@ class ConjugateGradients:
         self._ksp.getPC().setReusePreconditioner(False)
         answer = self._tried(b, relative, MAX_LINEAR_ITERATIONS)
         if not answer.found:
-            self._begin_anew()  # a set-up for an indefinite matrix, or one that failed, is of no use
+            self._begin_anew()  # GAMG does not recover from values that were indefinite, or that it failed for
             return answer
         self._ksp.getPC().setReusePreconditioner(True)
         self._per_decade = max(answer.iterations, 1) / -np.log10(relative)
