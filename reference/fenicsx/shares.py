@@ -51,7 +51,7 @@ def _restricted(scene: Scene, term: Term, mine: np.ndarray) -> Term:
     changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
     if isinstance(term, Hyperelastic):
         changes["material"] = _material(term.material, mine)
-    return replace(term, **changes)  # type: ignore[arg-type]
+    return replace(term, **changes)
 
 
 def _material(material: Material, mine: np.ndarray) -> Material:
