@@ -21,7 +21,7 @@ from ..lhm.errors import InputError
 from ..lhm.files.atomic import write_whole
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
-from ..reference import Parameters, Scene, facial_scene, neo_hookean_scene, prepare
+from ..reference import Parameters, Scene, facial_scene, neo_hookean_scene, prepare, terms
 from . import machine
 from .alone import alone_in
 from .apart import apart, forget_peak, peak_megabytes
@@ -111,9 +111,19 @@ def run_unknowns(config: UnknownsConfig, progress: OnProgress) -> dict:
 
 def measure_mesh(level: int, layers: int, element: str, expression: str) -> list[dict]:
     """A row per energy on one mesh of the default head; to be called in a process of its own."""
+    _load_kernels(element)
     scene = _scene(level, layers, expression)
     scenes = {NEO_HOOKEAN: neo_hookean_scene(scene), PD_ENERGY: scene}
     return [{"level": level, "sub_layers": layers, **measure(law, scenes[law], element)} for law in scenes]
+
+
+def _load_kernels(element: str) -> None:
+    """Solve scenes of one tet, which compiles what is compiled when it is first called, or reads it from the disk."""
+    vertices, ids = np.vstack([np.zeros(3), np.eye(3)]), np.arange(4)
+    skin, springs = terms.SurfaceStrain(ids[None, 1:], 1.0), terms.Target(ids, 1.1 * vertices, 1.0)
+    scene = Scene(vertices, ids[None], (terms.Strain(1.0), terms.Volume(1.0), skin, springs))
+    for each in (scene, neo_hookean_scene(scene)):
+        prepare(each, solver="fenicsx", element=element).solve()
 
 
 def _scene(level: int, layers: int, expression: str) -> Scene:
