@@ -51,7 +51,7 @@ def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
 @bench.command()
 @click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
 @click.option("--match", default="", help="only cases with this in their name or source, such as H5 or twisted")
-@click.option("--laws", is_flag=True, help="also every law on every element of FEniCSx: ten minutes")
+@click.option("--laws", is_flag=True, help="also every law on every element of FEniCSx: twenty minutes")
 @click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
 def hard(solvers: tuple[str, ...], match: str, laws: bool, as_json: bool) -> int:
     """Hard cases (random starts, collapse, crush, twist, long steps) through every solver; exit status 1 if one fails.

@@ -4,8 +4,8 @@ Which outcomes are no fault depends on the law. The corotated law leads back fro
 stable neo-Hookean law have other equilibria, with tets that stay inside out, which a random start may end in. Laws with
 ln J, or J to a power below 0, are infinite for an inverted tet: they must refuse such a start. The St. Venant-Kirchhoff
 law does not see inversion, so whatever it does there, it is not at fault. A quadratic element starts from
-vertices, its edges straight, which after a crush may be inverted. Taylor-Hood's element finds equilibria by Newton's
-method, not by descent: it must come back where the start is near, or say that it cannot.
+vertices, its edges straight, which after a crush may be inverted. Taylor-Hood's element follows the load first and
+descends where that gives up: it must come back where the start is near, or say that it cannot.
 """
 
 from __future__ import annotations
