@@ -33,7 +33,12 @@ class Factorisation:
             symmetric = n == 0 or abs(matrix - matrix.T).max() <= ASYMMETRY * abs(matrix).max()
         if not np.isfinite(matrix.data).all():
             return False
-        if self._ksp is None or bool(symmetric) != self.symmetric or not self._has_pattern_of(matrix):
+        if (
+            self._ksp is None
+            or self._matrix is None
+            or bool(symmetric) != self.symmetric
+            or not self._has_pattern_of(matrix)
+        ):
             self._begin(matrix, bool(symmetric))
         else:
             self._matrix.setValuesCSR(*_csr(matrix))

@@ -157,7 +157,7 @@ class MultiplierDescent:
             state, reason = self._round(state, threshold, near=turn > 0)
             if reason not in (Reason.CONVERGED, Reason.STAGNATED):
                 return state, reason
-            change = np.linalg.norm(state.p - condensed.centre) / max(np.linalg.norm(state.p), 1e-300)
+            change = float(np.linalg.norm(state.p - condensed.centre)) / max(float(np.linalg.norm(state.p)), 1e-300)
             away = float(np.linalg.norm(condensed.stretched(state.p)))
             if away > FALL * before and self._iterations <= begin + QUICK:
                 condensed.hardening *= HARDER

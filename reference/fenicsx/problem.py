@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
-from ..materials import Corotated, NeoHookean, StableNeoHookean
+from ..materials import Corotated, Material, NeoHookean, StableNeoHookean
 from ..scene import Scene
 from ..terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
 from . import dolfinx_version as seam
@@ -38,7 +39,11 @@ Law = tuple[Ints, PrincipalLaw]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
 BY_STRETCHES = (NeoHookean, StableNeoHookean)
 """Laws whose energy and stress are UFL's; their tangent is by singular values, where to soften it is cheap."""
-LAWS = {Corotated: CorotatedLaw, NeoHookean: NeoHookeanLaw, StableNeoHookean: StableNeoHookeanLaw}
+LAWS: dict[type[Material], Callable[[Floats, Floats], PrincipalLaw]] = {
+    Corotated: CorotatedLaw,
+    NeoHookean: NeoHookeanLaw,
+    StableNeoHookean: StableNeoHookeanLaw,
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from .problem import Problem
 
 SOURCE = "closed form: Rivlin 1949, Large elastic deformations of isotropic materials V"
 LENGTH, RADIUS = 3.0, 1.5
-LAWS: tuple[Material, ...] = (Incompressible(IsochoricNeoHookean(1.0)), Incompressible(MooneyRivlin(0.3, 0.2)))
+LAWS: tuple[Incompressible, ...] = (Incompressible(IsochoricNeoHookean(1.0)), Incompressible(MooneyRivlin(0.3, 0.2)))
 
 
 def offset() -> float:

@@ -185,8 +185,8 @@ def _cases() -> list[HardCase]:
         name, error = f"Cook's membrane, nu = {poisson:g}", partial(share_error, poisson)
         criterion = "within .5 % of Taylor-Hood's on a finer mesh; the others lock"
         for element in (*DISPLACEMENT, *MIXED):
-            right = PASSED if element in MIXED else ("passed", "missed")
-            cases.append(_case(name, "H8", criterion, error, locking.NEAR_LIMIT, element, right))
+            outcomes = PASSED if element in MIXED else ("passed", "missed")
+            cases.append(_case(name, "H8", criterion, error, locking.NEAR_LIMIT, element, outcomes))
     for ratio in bars.RATIOS:
         error = partial(layers_error, ratio)
         cases += [

@@ -77,15 +77,15 @@ def run(problem: Problem, solver: str) -> Outcome:
     begin = time.perf_counter()
     solution = solve(scene, solver=solver, start=start, tolerance=problem.tolerance, **problem.options)
     seconds = time.perf_counter() - begin
-    value = float(problem.quantity(scene, solution))
-    error = abs(value - problem.reference) / (abs(problem.reference) or 1.0)
+    value, reference = float(problem.quantity(scene, solution)), float(problem.reference)
+    error = abs(value - reference) / (abs(reference) or 1.0)
     bound = problem.bounds[solver]
     return Outcome(
         problem.name,
         problem.source,
         solver,
         value,
-        problem.reference,
+        reference,
         error,
         bound,
         solution.reason is problem.reason and error <= bound,

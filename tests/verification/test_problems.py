@@ -1,6 +1,7 @@
 """Every verification problem through every solver that models it."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -15,6 +16,7 @@ def test_problem(problem, solver):
         outcome = problems.run(problem, solver)
     except MissingDependencyError as missing:
         pytest.skip(str(missing))
+    assert json.loads(json.dumps(asdict(outcome), allow_nan=False)) == asdict(outcome)
     assert outcome.passed, f"{outcome.value!r} is off by {outcome.error:.2e} of {outcome.bound:.0e}: {outcome.reason}"
 
 
