@@ -103,6 +103,10 @@ class Condensed:
             :, self.used
         ]
 
+    def softness(self) -> csr_matrix:
+        """1/kappa [1/kPa] times the mass matrix [mm³] of the used pressures, before any hardening."""
+        return self._spring[self.used][:, self.used]
+
     def coupling(self) -> csr_matrix:
         """Π's derivative by displacement and used pressures [mm²], shape (3n, used)."""
         rows, columns, values = _joined([forms.entries()[0] for forms in self.problem.mixed_forms])

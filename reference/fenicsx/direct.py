@@ -41,7 +41,7 @@ class Factorisation:
         ):
             self._begin(matrix, bool(symmetric))
         else:
-            self._matrix.setValuesCSR(*_csr(matrix))
+            self._matrix.setValuesCSR(*csr_arrays(matrix))
             self._matrix.assemble()
             self._ksp.setOperators(self._matrix)  # else values that change twice between solves go unseen
         return self._numeric()
@@ -58,7 +58,7 @@ class Factorisation:
     def _begin(self, matrix: csr_matrix, symmetric: bool):
         self.release()
         self.symmetric, self._pattern = symmetric, matrix
-        self._matrix = PETSc.Mat().createAIJ(matrix.shape, csr=_csr(matrix), comm=COMM)
+        self._matrix = PETSc.Mat().createAIJ(matrix.shape, csr=csr_arrays(matrix), comm=COMM)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(COMM)
         self._ksp.setType(PETSc.KSP.Type.PREONLY)
@@ -104,5 +104,6 @@ class Factorisation:
         self._ksp = self._matrix = self._pattern = None
 
 
-def _csr(matrix: csr_matrix):
+def csr_arrays(matrix: csr_matrix):
+    """Row starts, columns and values as PETSc takes them."""
     return matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data

@@ -13,7 +13,7 @@ from .dolfinx_version import COMM, PETSc, free_dropped
 
 # The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,
 # and Newton stalls without a word.
-_MULTIGRID = {
+MULTIGRID = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
     "mg_levels_esteig_ksp_max_it": 30,
@@ -57,7 +57,7 @@ class ConjugateGradients:
     def __init__(self, matrix: PETSc.Mat):
         self._matrix = matrix
         options = PETSc.Options()
-        for key, value in _MULTIGRID.items():
+        for key, value in MULTIGRID.items():
             options[_PREFIX + key] = value
         self._begin_anew()
 
@@ -149,10 +149,15 @@ def _solve(ksp: PETSc.KSP, b: Floats) -> tuple[Floats, str]:
         ksp.solve(_vector(b, ksp.comm), found)
     except PETSc.Error as error:
         return x, f"PETSc error {error.ierr}"
-    if ksp.reason > 0 and np.isfinite(found.norm()):  # of all processes that share it
-        return x, ""
+    return x, why_not(ksp, found)
+
+
+def why_not(ksp: PETSc.KSP, x: PETSc.Vec) -> str:
+    """Why x is no solution, by the solver's reason to stop; empty if it is."""
+    if ksp.reason > 0 and np.isfinite(x.norm()):  # of all processes that share it
+        return ""
     names = {value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
-    return x, names.get(ksp.reason, str(ksp.reason))
+    return names.get(ksp.reason, str(ksp.reason))
 
 
 LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}

@@ -12,11 +12,11 @@ from ...lhm.mesh import Floats
 from ..scene import Scene
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Hyperelastic
+from .block_saddle import saddle_of
 from .condensed import Condensed, CondensedState
 from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem
-from .saddle import Saddle
 
 MAX_ITERATIONS = 300
 ROUNDS = 40
@@ -31,7 +31,8 @@ LOAD_STEP_TOLERANCE = 1e-2
 class MultiplierDescent:
     """One solve on a mixed problem from start [mm], shape (scene vertices, 3), for energies without follower loads.
 
-    With `warm` the pressure begins where the condensed problem's last solve ended.
+    `linear_solver` is as in `saddle_of`; with `warm` the pressure begins where the condensed problem's last solve
+    ended.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class MultiplierDescent:
         on_iteration: OnIteration | None,
         *,
         warm: bool,
+        linear_solver: str = "cg",
     ):
         self._scene, self._numbering, self._condensed = scene, numbering, condensed
         self._tolerance = tolerance
@@ -57,9 +59,9 @@ class MultiplierDescent:
         self._held = np.flatnonzero(held | condensed.problem.unsupported[:, None])
         self._recorder = Recorder(on_iteration)
         self._assemblies = condensed.problem.assemblies
-        self._saddle = Saddle(condensed, self._held)
+        self._saddle = saddle_of(linear_solver, condensed, self._held)
         self._work = Work()
-        self._newton = Newton(condensed, self._held, self._saddle, self._saddle, self._report, self._work)
+        self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, self._work)
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
         condensed.hardening = 1.0
         if not warm:
@@ -79,6 +81,7 @@ class MultiplierDescent:
             positions[fixed] = values[fixed]
         detail: dict[str, float] = {
             "linear_solves": self._saddle.factored,
+            "linear_iterations": self._saddle.iterations,
             "assemblies": self._condensed.problem.assemblies - self._assemblies,
             "load_share": float(reason is Reason.CONVERGED),
         }

@@ -27,6 +27,7 @@ from ..terms import (
     Volume,
 )
 from .balance import Balance
+from .block_saddle import SADDLES
 from .bodies import Pose, RigidProblem
 from .condensed import Condensed
 from .densities import DENSITIES
@@ -87,9 +88,11 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
-    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct); with a
-    pressure it is always direct. Raises SceneError for another element or linear solver, for a term that this solver
-    cannot model, and for a law that the element cannot.
+    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct). By
+    element "P2P1" "cg" is by size: factors below LARGE_SADDLE unknowns, above them GMRES with a block preconditioner,
+    which "block" asks for whatever the size. The load path (`Balance`: follower pressure, and where descent gives up)
+    always takes factors, whose inertia it needs. Raises SceneError for another element or linear solver, for a term
+    that this solver cannot model, and for a law that the element cannot.
     """
     if element not in DEGREE_OF:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
@@ -116,8 +119,9 @@ class PreparedFenicsx:
     """See `softdeca.reference.Prepared`; `detail` of a solution counts linear iterations and solves, and assemblies."""
 
     def __init__(self, scene: Scene, element: str, linear: str):
-        if linear not in LINEAR_SOLVERS:
-            names = ", ".join(LINEAR_SOLVERS)
+        known = SADDLES if element == "P2P1" else tuple(LINEAR_SOLVERS)
+        if linear not in known:
+            names = ", ".join(known)
             raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear!r}; there are {names}")
         self.scene = scene
         self._numbering = Numbering(scene, DEGREE_OF[element])
@@ -125,7 +129,8 @@ class PreparedFenicsx:
             self._problem = Problem(scene, self._numbering, mixed=True)
         else:
             self._problem = problem_of(scene, self._numbering)
-        self._linear = solver_of(linear, self._problem.matrix)
+        self._linear_solver = linear
+        self._linear = solver_of("cg" if linear == "block" else linear, self._problem.matrix)
         self._direct = solver_of("mumps", self._problem.matrix)
         self._rigid = None
         if scene.of(RigidBody):
@@ -180,8 +185,10 @@ class PreparedFenicsx:
                 max_iterations,
                 on_iteration,
                 warm=start is not None,
+                linear_solver=self._linear_solver,
             )
-            return self._either(descent, balance, path_first=bool(scene.of(Traction)) or len(scene.tets) < LARGE)
+            path_first = bool(scene.of(Traction)) or len(scene.tets) < LARGE
+            return self._either(descent, balance, path_first=path_first and self._linear_solver != "block")
         if self._balances:
             self._end = balance
             return balance.run()

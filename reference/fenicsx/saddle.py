@@ -23,7 +23,7 @@ class Saddle:
         self._count = 3 * len(condensed.problem.numbering.X)
         self.free: Ints = np.setdiff1d(np.arange(self._count), held)
         self._factors = Factorisation()
-        self.factored = 0
+        self.factored = self.iterations = 0
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; exact whatever `relative` is. The pressures' equations have nothing on the right."""
@@ -47,7 +47,13 @@ class Saddle:
 
     def again(self, forces: Floats, volumes: Floats) -> Floats:
         """The displacements of `correction` (free,) from other forces and volumes, by the same factors."""
+        self.iterations += 1
         return self._factors.solve(-np.concatenate([forces, volumes]))[: len(self.free)]
+
+    @property
+    def direct(self) -> Saddle:
+        """Itself: see BlockSaddle."""
+        return self
 
     def _stiffness(self) -> csr_matrix:
         indptr, indices, values = self._condensed.problem.matrix.getValuesCSR()
@@ -61,6 +67,7 @@ class Saddle:
         self.factored += 1
         if not self._factors.factor(matrix, symmetric=True):
             return np.zeros_like(known), "singular"
+        self.iterations += 1
         answer = self._factors.solve(known)
         excess = self._factors.negative - C.shape[0]
         return answer, f"{excess} negative pivots beyond the pressures'" if excess else ""

@@ -1,0 +1,187 @@
+"""Displacement and pressure by GMRES: the direct solver's answers, what it refuses, and whole solves either way."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dolfinx")
+
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
+from softdeca.reference.fenicsx import block_saddle, prepared
+from softdeca.reference.fenicsx.block_saddle import BlockSaddle, saddle_of
+from softdeca.reference.fenicsx.condensed import Condensed
+from softdeca.reference.fenicsx.linear import hold
+from softdeca.reference.fenicsx.multipliers import laws_of
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.fenicsx.saddle import Saddle
+from softdeca.reference.problems import meshes
+
+LAWS = {
+    "incompressible": materials.Incompressible(materials.NeoHookean(2.0, 5.0)),
+    "nu = .499": materials.NeoHookean.from_young(1.0, 0.499),
+    "logarithmic volume": materials.IsochoricNeoHookean(1.0, 50.0, "kappa/4 (J^2-1-2 ln J)"),
+}
+each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+
+
+def standing(law, cells=3, density=2e-4):
+    """A box [mm] on its base, under its own weight and a corner's spring."""
+    X, tets = meshes.box((cells, cells, cells))
+    corner = np.flatnonzero((X == X.max(axis=0)).all(axis=1))
+    pull = terms.Target(corner, X[corner] + [0.3, 0.2, 0.1], 0.1)
+    weight = terms.Gravity((2.0, 0.0, -9.81), density=density)
+    return Scene(X, tets, [terms.Hyperelastic(law), terms.Fixed(meshes.vertices_at(X, 2, 0.0)), pull, weight])
+
+
+def strained(law, cells=3, by=0.1):
+    """A condensed problem at a displacement that is no equilibrium, its state, and what is held."""
+    scene = standing(law, cells)
+    problem = Problem(scene, Numbering(scene, 2), mixed=True)
+    condensed = Condensed(problem, laws_of(problem, scene))
+    X = problem.numbering.X
+    u = by * np.stack([X[:, 2] * X[:, 1], X[:, 2] ** 2, -X[:, 2] * X[:, 0]], axis=1)
+    held = np.flatnonzero(np.repeat(X[:, 2] < 1e-9, 3))
+    return condensed, condensed.at(u), held
+
+
+def condensed_residual(condensed, held, x, b):
+    """Of the equations of the displacement alone, where the held dofs' rows and columns are gone, over b's norm."""
+    H = csr_matrix(condensed.problem.matrix.getValuesCSR()[::-1])
+    B, C = condensed.coupling(), condensed.compliance(springs=True)
+    B = diags(np.isin(np.arange(len(b)), held, invert=True).astype(float)) @ B
+    away = H @ x + B @ spsolve(C.tocsc(), B.T @ x) - b
+    return np.linalg.norm(away) / np.linalg.norm(b)
+
+
+@each_law
+@pytest.mark.parametrize("relative", [1e-2, 1e-6, 1e-10])
+def test_what_newton_asks_of_the_residual(law, relative):
+    condensed, state, held = strained(law)
+    solver = saddle_of("block", condensed, held)
+    b = -state.gradient().ravel()
+    hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
+    answer = solver.solve(b, relative=relative)
+    assert answer.found and 1 < answer.iterations < 80
+    assert condensed_residual(condensed, held, answer.x, b) <= relative
+    solver.release()
+
+
+@each_law
+def test_held_motions_spread_as_by_factors(law):
+    condensed, state, held = strained(law)
+    values = np.sin(np.arange(len(held)))
+    answers = []
+    for kind in ("mumps", "block"):
+        b = np.zeros(state.u.size)
+        hold(state.softened_hessian(0.0), held, values, b)
+        solver = saddle_of(kind, condensed, held)
+        answers.append(solver.solve(b, relative=1e-10))
+        solver.release()
+    assert answers[0].found and answers[1].found
+    assert np.allclose(answers[1].x[held], values, rtol=1e-14)
+    assert np.abs(answers[0].x - answers[1].x).max() < 1e-7
+
+
+@each_law
+def test_steps_at_once_are_those_by_factors(law):
+    condensed, state, held = strained(law, by=0.01)
+    steps = []
+    for kind in ("mumps", "block"):
+        solver = saddle_of(kind, condensed, held)
+        state.hessian()
+        forces, volumes = state.gradient().ravel()[solver.free], state.strain()[condensed.used]
+        step = solver.correction(forces, volumes)
+        assert step is not None
+        steps.append((*step, solver.again(2.0 * forces, volumes)))
+        solver.release()
+    for direct, iterative, share in zip(*steps, (1e-3, 1e-3, 0.2), strict=True):
+        assert 0.0 < np.linalg.norm(direct - iterative) < share * np.linalg.norm(direct)
+
+
+def test_iterations_grow_slowly_with_the_mesh():
+    counts = []  # on 48, 384 and 3072 tets
+    for cells in (2, 4, 8):
+        condensed, state, held = strained(LAWS["incompressible"], cells)
+        solver = saddle_of("block", condensed, held)
+        b = -state.gradient().ravel()
+        hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
+        counts.append(solver.solve(b, relative=1e-6).iterations)
+        solver.release()
+    assert counts[2] < 2 * counts[0]
+
+
+def test_energies_that_curve_downwards_are_told():
+    condensed, state, held = strained(LAWS["incompressible"])
+    solver = saddle_of("block", condensed, held)
+    for shift, found in ((-0.5, False), (0.0, True)):
+        hessian = state.softened_hessian(0.0)
+        hessian.shift(shift * hessian.getDiagonal().norm())
+        b = -state.gradient().ravel()
+        hold(hessian, held, np.zeros(len(held)), b)
+        assert solver.solve(b, relative=1e-6).found is found
+    hessian = state.hessian()
+    hessian.shift(-0.5 * hessian.getDiagonal().norm())
+    assert solver.correction(state.gradient().ravel()[solver.free], state.strain()[condensed.used]) is None
+    solver.release()
+
+
+@each_law
+def test_a_box_under_load_ends_where_it_does_by_factors(law):
+    scene = standing(law, density=2e-5)
+    direct, iterative = (
+        solve(scene, solver="fenicsx", element="P2P1", linear_solver=kind, tolerance=1e-10)
+        for kind in ("mumps", "block")
+    )
+    assert direct.converged and iterative.converged, (direct.reason, iterative.reason)
+    assert np.abs(direct.positions - scene.vertices).max() > 0.01
+    assert np.abs(direct.positions - iterative.positions).max() < 1e-8
+    assert iterative.detail["linear_iterations"] > 3 * iterative.detail["linear_solves"]
+
+
+@pytest.mark.parametrize("stretch", [0.6, 1.5, 3.0])
+def test_incompressible_neo_hookean_is_pulled_as_in_closed_form(stretch):
+    """The lateral stretch is 1/sqrt(l), the energy mu/2 (l² + 2/l - 3)."""
+    X, tets = meshes.unstructured(2)
+    rollers = [terms.Fixed(meshes.vertices_at(X, c, 0.0), components=c) for c in range(3)]
+    far = meshes.vertices_at(X, 0, 1.0)
+    held = terms.Fixed(far, X[far] * [stretch, 1, 1], components=0)
+    scene = Scene(X, tets, [terms.Hyperelastic(LAWS["incompressible"]), *rollers, held])
+    solution = solve(scene, solver="fenicsx", element="P2P1", linear_solver="block", tolerance=1e-10)
+    assert solution.converged, solution.reason
+    assert np.allclose(solution.positions, X * [stretch, stretch**-0.5, stretch**-0.5], atol=1e-8)
+    assert solution.energy == pytest.approx(1.0 * (stretch**2 + 2 / stretch - 3), rel=1e-8)
+
+
+def test_factors_step_in_where_gmres_gives_up(monkeypatch):
+    scene = standing(LAWS["incompressible"])
+    options = {"solver": "fenicsx", "element": "P2P1", "linear_solver": "block", "tolerance": 1e-9}
+    expected = solve(scene, **options)
+    monkeypatch.setattr(block_saddle, "MAX_LINEAR_ITERATIONS", 1)
+    solution = solve(scene, **options)
+    assert solution.converged and np.abs(solution.positions - expected.positions).max() < 1e-7
+    assert solution.detail["linear_solves"] > expected.detail["linear_solves"]
+
+
+def test_the_size_chooses(monkeypatch):
+    condensed, _, held = strained(LAWS["incompressible"])
+    size = 3 * len(condensed.problem.numbering.X) + condensed.count
+    for large, expected in ((size, BlockSaddle), (size + 1, Saddle)):
+        monkeypatch.setattr(block_saddle, "LARGE_SADDLE", large)
+        assert type(saddle_of("cg", condensed, held)) is expected
+    assert type(saddle_of("mumps", condensed, held)) is Saddle
+    scene = standing(LAWS["incompressible"])
+    monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
+    for large, iterative in ((size, True), (size + 1, False)):
+        monkeypatch.setattr(block_saddle, "LARGE_SADDLE", large)
+        detail = solve(scene, solver="fenicsx", element="P2P1").detail
+        assert (detail["linear_iterations"] > 3 * detail["linear_solves"]) is iterative
+
+
+def test_other_elements_have_no_blocks():
+    scene = standing(materials.NeoHookean(2.0, 5.0))
+    for element, name, there in (("P1", "block", "cg, mumps"), ("P2P1", "jacobi", "cg, mumps, block")):
+        with pytest.raises(SceneError, match=f"unknown linear_solver '{name}'; there are {there}$"):
+            prepare(scene, solver="fenicsx", element=element, linear_solver=name)
