@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -44,6 +45,8 @@ def _version(name: str) -> str:
 
 
 def _commit() -> str:
+    if shutil.which("git") is None:
+        return "not known: git is not installed"
     here = Path(__file__).resolve().parent
     done = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True)
     return done.stdout.strip() if done.returncode == 0 else "not a git checkout"

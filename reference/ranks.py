@@ -27,7 +27,7 @@ from ..lhm.errors import MissingDependencyError, SoftdecaError
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 PLACES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")
 # What makes a process that this one starts believe that mpirun started it.
-INHERITED = ("OMPI_", "PMIX_", "PMI_", "ORTE_", "HYDRA_", "HYDI_")
+INHERITED = ("OMPI_", "PMIX_", "PMI_", "ORTE_", "PRTE_", "HYDRA_", "HYDI_")
 KEPT = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
 AWAKE = 2e-3  # seconds of waiting for work, after which a process sleeps between its looks
 NAP, LONGEST_NAP = 5e-5, 2e-3

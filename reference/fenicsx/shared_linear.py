@@ -47,7 +47,7 @@ class SpreadSolver:
         nearest = np.searchsorted(indptr, np.linspace(0, indptr[-1], self._team.size + 1))
         bounds = 3 * np.round(nearest / 3).astype(int)
         bounds[-1] = rows
-        motions = np.stack([vector.array for vector in self._matrix.getNearNullSpace().getVecs()] or [np.empty(rows)])
+        motions = np.stack([vector.array_r for vector in self._matrix.getNearNullSpace().getVecs()] or [np.empty(rows)])
         parts, cuts = [], []
         for a, b in zip(bounds[:-1], bounds[1:], strict=True):
             entries = slice(indptr[a], indptr[b])

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from softdeca.benchmarks.ranks import PHASES, RanksConfig, compare
+from softdeca.benchmarks.ranks import PHASES, SETTINGS, RanksConfig, compare, without_notices
 from softdeca.lhm.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, ranks, solve
 from softdeca.reference.fenicsx.numbering import Numbering
@@ -27,9 +27,9 @@ from softdeca.reference.terms import Fixed, Hyperelastic, Pressure, Strain, Surf
 needs_mpirun = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
 ENVIRONMENT = {
     **os.environ,
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    **SETTINGS,
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",  # Open MPI 4
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",  # Open MPI 5
 }
 TIGHT = 1e-12
 
@@ -86,7 +86,7 @@ def run_together(tmp_path, script, *arguments, count=2, timeout=120):
     """Run a script in processes that mpirun starts; what it has printed."""
     file = tmp_path / "script.py"
     file.write_text(script)
-    command = ["mpirun", "-q", "-n", str(count), sys.executable, str(file), *map(str, arguments)]
+    command = ["mpirun", "-n", str(count), sys.executable, str(file), *map(str, arguments)]
     return subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=timeout, cwd=tmp_path)
 
 
@@ -253,7 +253,7 @@ try:
     if sys.argv[1] == "sleep":
         sleep()
 except KeyboardInterrupt:
-    print("interrupted")
+    open("interrupted", "w").close()
     sys.exit(130)
 """
 
@@ -280,13 +280,13 @@ def test_what_fails_in_one_process_ends_all(how, status, said, error, tmp_path):
 def test_an_interruption_reaches_the_first_process_and_ends_all(tmp_path):
     (tmp_path / "part.py").write_text(FAILING)
     (tmp_path / "script.py").write_text(USING)
-    command = ["mpirun", "-q", "-n", "2", sys.executable, "script.py", "sleep"]
+    command = ["mpirun", "-n", "2", sys.executable, "script.py", "sleep"]
     with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as run:
         assert run.stdout.readline() == "ready\n"
         begin = time.monotonic()
         run.send_signal(signal.SIGINT)
-        said, _ = run.communicate(timeout=30)
-    assert said == "interrupted\n"
+        run.communicate(timeout=30)
+    assert (tmp_path / "interrupted").exists()  # printed, it would not come through Open MPI 5
     assert run.returncode != 0
     assert time.monotonic() - begin < 20
 
@@ -294,11 +294,11 @@ def test_an_interruption_reaches_the_first_process_and_ends_all(tmp_path):
 @needs_mpirun
 def test_the_command_says_an_error_once(tmp_path):
     command = [sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "verification", "--solver", "no"]
-    done = subprocess.run(["mpirun", "-q", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
+    done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
     alone = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == alone.returncode != 0
-    assert done.stderr.strip() == alone.stderr.strip()
-    assert len(done.stderr.strip().splitlines()) == 1
+    assert without_notices(done.stderr).strip() == alone.stderr.strip()
+    assert len(alone.stderr.strip().splitlines()) == 1
 
 
 @needs_mpirun
