@@ -25,6 +25,7 @@ MAX_LINEAR_ITERATIONS = 400
 # Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
 WEIGHT = 8.0
 STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
+MODES, MODE = 8, 1e-2  # how many soft motions are looked at, and how well each is found
 _PREFIX = "softdeca_block_"
 _OPTIONS = {
     "fieldsplit_0_ksp_type": "preonly",
@@ -52,8 +53,9 @@ class BlockSaddle:
     """See Saddle: the same system, the same questions.
 
     Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
-    along the answer, which then is no descent direction; `correction` asks the same of its step, by the matrix with
-    springs. Where GMRES does not find its step, `Saddle` does.
+    along the answer, which then is no descent direction. `correction` looks further, for it ends a solve: at the
+    softest motions that a few steps of Lanczos' method find by the inverse. Where these curve the energy downwards,
+    `Saddle` takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
     """
 
     def __init__(self, condensed: Condensed, held: Ints):
@@ -61,7 +63,8 @@ class BlockSaddle:
         self.direct = Saddle(condensed, held)
         self.free: Ints = self.direct.free
         self._set_ups, self._last, self._iterations, self._scale = 0, 0, 0, 1.0
-        self._by_factors = False
+        self._by_factors = self._lost = False
+        self._softest: Floats | None = None
         self._ksp: PETSc.KSP | None = None
         self._parts: list[PETSc.Mat] = []
         options = PETSc.Options()
@@ -80,6 +83,8 @@ class BlockSaddle:
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; held dofs' equations are x = b but for a factor, as `hold` leaves them."""
+        if self._lost:
+            return self.direct.solve(b, relative=relative)
         given = b[self._held] / self._condensed.problem.matrix.getDiagonal().array[self._held]
         B = self._set_up(springs=True)
         forces = np.array(b)
@@ -92,6 +97,8 @@ class BlockSaddle:
 
     def correction(self, forces: Floats, volumes: Floats) -> tuple[Floats, Floats] | None:
         """See Saddle."""
+        if self._lost:
+            return self.direct.correction(forces, volumes)
         H = self._condensed.problem.matrix
         hold(H, self._held, np.zeros(len(self._held)), np.zeros(H.getSize()[0]))
         B = self._set_up(springs=False)
@@ -99,7 +106,12 @@ class BlockSaddle:
         self._by_factors = bool(why)
         if why:
             return self.direct.correction(forces, volumes)
-        return (u[self.free], p) if self._curvature(u, B[self.free]) > 0.0 else None
+        if self._softest is None:
+            self._softest = self._inverse_lanczos()
+        if self._bends_down(np.column_stack([u, self._softest]), B[self.free]):
+            self._by_factors = self._lost = True
+            return None
+        return u[self.free], p
 
     def again(self, forces: Floats, volumes: Floats) -> Floats:
         """See Saddle; by the same preconditioner."""
@@ -112,16 +124,33 @@ class BlockSaddle:
         values[self.free] = free
         return values
 
-    def _curvature(self, u: Floats, B: csr_matrix) -> float:
-        """How the energy with springs bends along a displacement (3n,), by the coupling (free, used)."""
-        H = self._condensed.problem.matrix
-        bent = csr_matrix(H.getValuesCSR()[::-1], shape=H.getSize()) @ u
-        volumes = B.T @ u[self.free]
+    def _inverse_lanczos(self) -> Floats:
+        """Displacements (3n, MODES) that hold the lowest modes of what is set up: a Krylov space of its inverse."""
+        force = self._spread(np.random.default_rng(0).normal(size=len(self.free)))
+        none = np.zeros(len(self._condensed.used))
+        found: list[Floats] = []
+        for _ in range(MODES):
+            mode, _, why = self._solved(force, none, MODE)
+            if why or not mode.any():
+                break
+            for other in found * 2:
+                mode = mode - (other @ mode) * other
+            found.append(mode / np.linalg.norm(mode))
+            force = self._spread(found[-1][self.free])
+        return np.stack(found, axis=1) if found else np.empty((len(force), 0))
+
+    def _bends_down(self, motions: Floats, B: csr_matrix) -> bool:
+        """Whether the energy with springs bends down anywhere in a space (3n, k), by the coupling (free, used)."""
+        basis = np.linalg.qr(motions)[0]
+        indptr, indices, values = self._condensed.problem.matrix.getValuesCSR()
+        H = csr_matrix((values, indices, indptr), shape=(len(basis), len(basis)))
+        volumes = B.T @ basis[self.free]
         factors = Factorisation()
         factors.factor(self._condensed.compliance(springs=True), symmetric=True)
-        stretched = volumes @ factors.solve(volumes)
+        pressures = np.stack([factors.solve(np.ascontiguousarray(column)) for column in volumes.T], axis=1)
         factors.release()
-        return float(u @ bent + stretched)
+        bent = basis.T @ (H @ basis) + volumes.T @ pressures
+        return bool(np.linalg.eigvalsh((bent + bent.T) / 2)[0] <= 0.0)
 
     def _set_up(self, *, springs: bool) -> csr_matrix:
         """Make GMRES anew for the problem's present matrix, whose held dofs are held; give the coupling (3n, used)."""

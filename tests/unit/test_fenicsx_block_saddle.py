@@ -13,7 +13,7 @@ from softdeca.reference.fenicsx import block_saddle, prepared
 from softdeca.reference.fenicsx.block_saddle import BlockSaddle, saddle_of
 from softdeca.reference.fenicsx.condensed import Condensed
 from softdeca.reference.fenicsx.linear import hold
-from softdeca.reference.fenicsx.multipliers import laws_of
+from softdeca.reference.fenicsx.multipliers import MultiplierDescent, laws_of
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.saddle import Saddle
@@ -163,6 +163,27 @@ def test_factors_step_in_where_gmres_gives_up(monkeypatch):
     solution = solve(scene, **options)
     assert solution.converged and np.abs(solution.positions - expected.positions).max() < 1e-7
     assert solution.detail["linear_solves"] > expected.detail["linear_solves"]
+
+
+def test_a_column_buckles_as_by_factors():
+    """Pressed straight down it has an equilibrium that stays straight, which is no minimum and costs a third more."""
+    X, tets = meshes.box((2, 2, 10))
+    X = X * [1.0, 1.0, 8.0]
+    ends = [meshes.vertices_at(X, 2, end) for end in (0.0, 8.0)]
+    goal = np.concatenate([X[ends[0]], X[ends[1]] - [0.0, 0.0, 0.8]])
+    scene = Scene(X, tets, [terms.Hyperelastic(LAWS["incompressible"]), terms.Fixed(np.concatenate(ends), goal)])
+    found = {}
+    for kind in ("mumps", "block"):
+        problem = Problem(scene, Numbering(scene, 2), mixed=True)
+        condensed = Condensed(problem, laws_of(problem, scene))
+        descent = MultiplierDescent(
+            scene, problem.numbering, condensed, X, 1e-8, None, None, warm=False, linear_solver=kind
+        )
+        found[kind] = descent.run()
+        assert found[kind].converged, found[kind].reason
+    sideways = np.abs(found["block"].positions - X)[:, :2].max()
+    assert sideways > 1.0
+    assert found["block"].energy == pytest.approx(found["mumps"].energy, rel=1e-8)
 
 
 def test_the_size_chooses(monkeypatch):
