@@ -17,6 +17,9 @@ from scipy.sparse import csc_matrix
 
 COMMON_BYTES = 16384  # cholmod_common has 2664 in version 3.0
 REAL, LOWER, SOLVE_A = 1, -1, 0
+AUTO, SUPERNODAL = 1, 2
+# Where cholmod_common has supernodal and print, and what both begin as: no message is wanted of what is raised.
+SUPERNODAL_AT, PRINT_AT, PRINTED = 48, 144, 3
 
 
 class _Sparse(ctypes.Structure):
@@ -48,9 +51,13 @@ def library() -> ctypes.CDLL | None:
 
 
 class Analysis:
-    """The order of elimination and the structure of the factor for all matrices of one pattern."""
+    """The order of elimination and the structure of the factor for all matrices of one pattern.
 
-    def __init__(self, matrix: csc_matrix):
+    With `definite` the factor is LLᵀ by supernodes, which a matrix that is not positive definite does not have; else
+    CHOLMOD may take LDLᵀ, which can be had of some that are indefinite.
+    """
+
+    def __init__(self, matrix: csc_matrix, *, definite: bool = False):
         loaded = library()
         if loaded is None:
             raise OSError("libcholmod.so.3 is not installed")
@@ -58,6 +65,7 @@ class Analysis:
         self.indptr, self.indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
         self.common = ctypes.create_string_buffer(COMMON_BYTES)
         self.library.cholmod_start(self.common)
+        _settle(self.common, definite)
         self.symbolic = c_void_p(self.library.cholmod_analyze(byref(self.sparse(matrix.data)), self.common))
         if not self.symbolic:
             raise MemoryError("CHOLMOD could not analyse the matrix")
@@ -78,10 +86,14 @@ class Analysis:
 
 
 class Factor:
-    """A numeric factor, float64; calling it solves. Raises LinAlgError for a matrix that is not positive definite."""
+    """A numeric factor, float64; calling it solves.
 
-    def __init__(self, matrix: csc_matrix, like: Factor | None = None):
-        self.analysis: Analysis = like.analysis if like is not None and like.analysis.fits(matrix) else Analysis(matrix)
+    Raises LinAlgError for a matrix of which there is none: with `definite`, for each that is not positive definite.
+    """
+
+    def __init__(self, matrix: csc_matrix, like: Factor | None = None, *, definite: bool = False):
+        known = like is not None and like.analysis.fits(matrix)
+        self.analysis: Analysis = like.analysis if like is not None and known else Analysis(matrix, definite=definite)
         calls, common = self.analysis.library, self.analysis.common
         self._factor = c_void_p(calls.cholmod_copy_factor(self.analysis.symbolic, common))
         if not self._factor:
@@ -106,7 +118,14 @@ class Factor:
         ):
             raise MemoryError("CHOLMOD could not solve")
         values = ctypes.cast(self._kept[0].contents.x, POINTER(ctypes.c_double))
-        return np.ascontiguousarray(np.ctypeslib.as_array(values, (count, n)).T)
+        return np.array(np.ctypeslib.as_array(values, (count, n)).T, order="C")
+
+
+def _settle(common: ctypes.Array, definite: bool):
+    supernodal, printed = (c_int.from_buffer(common, at) for at in (SUPERNODAL_AT, PRINT_AT))
+    if supernodal.value != AUTO or printed.value != PRINTED:
+        raise OSError("this libcholmod has its settings elsewhere than version 3")
+    supernodal.value, printed.value = SUPERNODAL if definite else AUTO, 0
 
 
 def _release(calls, factor, common, kept=(), *, owner=None, last: bool = False):

@@ -10,7 +10,10 @@ FACE = MooneyRivlin(C10=2.5, C01=0.0, kappa=25.0, C20=1.175)
 """The whole face as one tissue (Nazari et al. 2010; kappa as in ArtiSynth's face model): mu 5 kPa, nu .41."""
 
 FAT = MooneyRivlin(C10=0.4, C01=0.0, kappa=50.0, C20=1.4)
-"""Superficial fat and SMAS (Barbarino et al. 2011): mu 0.8 kPa."""
+"""Superficial fat (Barbarino et al. 2011, who give it and the SMAS one law): mu 0.8 kPa."""
+
+SMAS = FAT
+"""The superficial musculoaponeurotic system (Barbarino et al. 2011)."""
 
 MUSCLE = FACE
 """Muscle at rest, taken to be as stiff as the whole face (Nazari et al. 2010); no active stress."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import csc_matrix, identity
 from scipy.sparse.linalg import splu
 
+from ...lhm.geometry import cholmod
 from ...lhm.mesh import Floats
 
 SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
@@ -14,8 +17,26 @@ SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
 def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
     """The solution, shape (size,), or None if the matrix is not positive definite to working precision.
 
-    Without pivoting, LU of a symmetric matrix is LDLᵀ, and the signs of D count the negative eigenvalues (Sylvester).
+    By CHOLMOD where the system has it, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
+    signs of D count the negative eigenvalues (Sylvester).
     """
+    solve = _superlu(matrix) if cholmod.library() is None else _cholmod(matrix)
+    if solve is None:
+        return None
+    solution = solve(right)
+    solution += solve(right - matrix @ solution)
+    return solution if np.isfinite(solution).all() else None
+
+
+def _cholmod(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
+    try:
+        factor = cholmod.Factor(matrix, definite=True)
+    except np.linalg.LinAlgError:
+        return None
+    return lambda right: factor(right[:, None])[:, 0]
+
+
+def _superlu(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
     options = {"SymmetricMode": True, "Equil": False}
     try:
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
@@ -23,9 +44,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
         return None
     if not np.array_equal(factors.perm_r, factors.perm_c) or factors.U.diagonal().min() <= 0:
         return None
-    solution = factors.solve(right)
-    solution += factors.solve(right - matrix @ solution)
-    return solution if np.isfinite(solution).all() else None
+    return factors.solve
 
 
 def solve_semidefinite(matrix: csc_matrix, right: Floats, *, scale: float) -> Floats | None:

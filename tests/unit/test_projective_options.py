@@ -49,6 +49,23 @@ def test_every_linear_solver_solves(name, sphere_head):
 
 
 @cholmod_is_there
+@pytest.mark.parametrize("size", [2, 30, 200])
+def test_cholmod_tells_definite_matrices_from_others(size, capfd):
+    rng = np.random.default_rng(0)
+    symmetric = rng.normal(size=(size, size))
+    symmetric += symmetric.T
+    lowest = np.linalg.eigvalsh(symmetric).min()
+    with pytest.raises(np.linalg.LinAlgError):
+        cholmod.Factor(csc_matrix(symmetric - 0.9 * lowest * np.eye(size)), definite=True)
+    definite = csc_matrix(symmetric - 1.1 * lowest * np.eye(size))
+    solve = cholmod.Factor(definite, definite=True)
+    first, second = rng.normal(size=(2, size, 1))
+    x, y = solve(first), solve(second)  # an answer is not overwritten by the next
+    assert np.allclose(definite @ x, first) and np.allclose(definite @ y, second)
+    assert capfd.readouterr() == ("", "")
+
+
+@cholmod_is_there
 def test_cholmod_takes_over_an_analysis_where_the_pattern_fits():
     first = cholmod.Factor(matrix())
     second = cholmod.Factor(matrix(seed=5), like=first)
