@@ -37,7 +37,7 @@ class TrainConfig:
     gradient_weight: float = 100.0  # mm per squared gradient error: teaches faces that the vertex term sees late
     validation_identities: float = 0.05  # share held out, to choose the best step: more of them teach than judge
     validate_every: int = 100
-    seconds: float = 900.0  # three times what a busy machine takes; beyond it the best checkpoint so far is kept
+    seconds: float = 900.0  # for slow machines: beyond it the best checkpoint so far is kept
 
 
 STUDY = TrainConfig()
