@@ -25,7 +25,7 @@ MAX_LINEAR_ITERATIONS = 400
 # Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
 WEIGHT = 8.0
 STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
-MODES, MODE = 8, 1e-2  # how many soft motions are looked at, and how well each is found
+MODES, MODE = 6, 1e-1  # how many soft motions are looked at, and how well each is found
 _PREFIX = "softdeca_block_"
 _OPTIONS = {
     "fieldsplit_0_ksp_type": "preonly",
