@@ -14,12 +14,12 @@ from ...lhm.mesh import Floats, Ints
 from .condensed import PENALTY, Condensed
 from .direct import Factorisation, csr_arrays
 from .dolfinx_version import COMM, PETSc, free_dropped
-from .linear import MULTIGRID, LinearAnswer, hold, why_not
+from .linear import MULTIGRID, LinearAnswer, hold, set_options, why_not
 from .saddle import Saddle
 
 SADDLES = ("cg", "mumps", "block")
 LARGE_SADDLE = 100_000
-"""Unknowns, from which on "cg" is GMRES. At 76,000 factors take a little more time and nearly twice the memory."""
+"""Unknowns, from which on "cg" is GMRES. At 76,000 both take the same time, and factors nearly twice the memory."""
 RESTART = 100  # vectors that GMRES keeps
 MAX_LINEAR_ITERATIONS = 400
 # Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
@@ -67,9 +67,7 @@ class BlockSaddle:
         self._softest: Floats | None = None
         self._ksp: PETSc.KSP | None = None
         self._parts: list[PETSc.Mat] = []
-        options = PETSc.Options()
-        for key, value in _OPTIONS.items():
-            options[_PREFIX + key] = value
+        set_options(_PREFIX, _OPTIONS)
 
     @property
     def factored(self) -> int:
