@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -47,6 +47,14 @@ def _vector(values: Floats, comm=COMM) -> PETSc.Vec:
     return PETSc.Vec().createWithArray(values, bsize=3, comm=comm)
 
 
+def set_options(prefix: str, values: Mapping[str, object]):
+    """Put options into PETSc's database; each counts as used, for at its end PETSc warns of what it had no need of."""
+    options = PETSc.Options()
+    for key, value in values.items():
+        options[prefix + key] = value
+        options.hasName(prefix + key)
+
+
 class ConjugateGradients:
     """CG with GAMG; the aggregates come from the matrix' near-null space of rigid motions.
 
@@ -56,9 +64,7 @@ class ConjugateGradients:
 
     def __init__(self, matrix: PETSc.Mat):
         self._matrix = matrix
-        options = PETSc.Options()
-        for key, value in MULTIGRID.items():
-            options[_PREFIX + key] = value
+        set_options(_PREFIX, MULTIGRID)
         self._begin_anew()
 
     def _begin_anew(self):
