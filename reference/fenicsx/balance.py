@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ...lhm.mesh import Floats
@@ -17,9 +19,15 @@ from .restraint import drifts
 
 MAX_ITERATIONS = 1000
 
+Descent = Callable[[Floats, Floats], tuple[Floats, Floats, Reason, int]]
+"""Minimises a problem's energy from displacement (n, 3) and pressure (n_p,) to both; why it stopped; iterations."""
+
 
 class Balance:
-    """A scene's load path on a problem, from start [mm], shape (scene vertices, 3)."""
+    """A scene's load path on a problem, from start [mm], shape (scene vertices, 3).
+
+    `descent` is asked where a part of the body may have snapped.
+    """
 
     def __init__(
         self,
@@ -30,8 +38,10 @@ class Balance:
         tolerance: float,
         max_iterations: int | None,
         on_iteration: OnIteration | None,
+        descent: Descent | None = None,
     ):
         self._scene, self._numbering, self._problem = scene, numbering, problem
+        self._descent = descent
         held, positions = scene.dirichlet()
         self._held, self._values = held, positions
         self._elsewhere = np.where(held, positions, start)
@@ -42,6 +52,7 @@ class Balance:
             FollowerPressure.of(term, numbering.face_dofs(term.name, term.triangles)) for term in scene.of(Pressure)
         ]
         self._equations = Equilibrium(problem, np.flatnonzero(nodes | problem.unsupported[:, None]), pressures)
+        self._loads = problem.loads
         self._recorder = Recorder(on_iteration)
         self._assemblies = problem.assemblies
         self._path = LoadPath(
@@ -52,6 +63,7 @@ class Balance:
             self._report,
             MAX_ITERATIONS if max_iterations is None else max_iterations,
             drifts=drifts(scene),
+            descend=None if descent is None or pressures else self._descend,
         )
 
     def _unknowns(self, u: Floats) -> Floats:
@@ -65,15 +77,21 @@ class Balance:
     def _report(self, point: Point, norm: float) -> bool:
         return self._recorder.record(self._positions(point), point.energy, norm)
 
+    def _descend(self, z: Floats, share: float) -> tuple[Floats, Reason, int]:
+        assert self._descent is not None
+        whole, m = self._loads, self._equations.displacements
+        self._problem.loads = share * whole
+        u, p, reason, made = self._descent(z[:m].reshape(-1, 3), z[m:])
+        return np.concatenate([u.ravel(), p]), reason, made
+
     def stable(self, u: Floats) -> bool:
         """Whether the tangent at a displacement of the nodes [mm], shape (n, 3), is positive definite."""
         return self._path.stable_at(self._unknowns(u))
 
     def run(self) -> Solution:
         """Follow the load path to its end."""
-        whole = self._problem.loads
         point, reason = self._path.run()
-        self._problem.loads = whole  # the path leaves the share that it ended with
+        self._problem.loads = self._loads  # the path leaves the share that it ended with
         positions = self._positions(point)
         m = self._equations.displacements
         self.end = point.state.u, point.z[m:] if len(point.z) > m else None

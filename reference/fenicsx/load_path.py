@@ -3,8 +3,10 @@
 A step is damped until the simplified correction that follows it is shorter than the correction itself, a test that
 does not depend on how forces, volumes and pressures are scaled (Deuflhard 2011, "Newton Methods for Nonlinear
 Problems", Section 3.3). Where the whole load fails at once, it grows in steps of adaptive size from the start. Where
-steps shrink to nothing, the last equilibrium tells why: near a limit point the displacement grows without bound with
-the load, or the tangent turns indefinite; else the steps, not the load, are at fault.
+steps get small, descent may show that a part of the body snaps, such as an element beside a clamp, and the path goes
+on behind it; what takes the body elsewhere is another answer, and no continuation. Where steps shrink to nothing, the
+last equilibrium tells why: near a limit point the displacement grows without bound with the load, or the tangent turns
+indefinite; else the steps, not the load, are at fault.
 """
 
 from __future__ import annotations
@@ -24,6 +26,9 @@ SMALLEST_DAMPING = 1 / 32
 STEP_ITERATIONS = 25
 FIRST_SHARE = 1 / 4
 SMALLEST_SHARE = 1 / 1024
+SNAP_SHARE = 1 / 64  # the step at which descent is asked
+SNAP = 0.2  # of the displacement so far, that a snap may add to it at most
+ASIDE, MODE_ITERATIONS = 1e-3, 5  # of the largest displacement, to leave an unstable equilibrium by
 EASY = 5  # iterations, within which the next load step may be longer
 PATH_TOLERANCE = 1e-6
 DRIFT = 1e-9  # of the tangent's largest entry
@@ -49,7 +54,8 @@ class Equilibrated:
 class LoadPath:
     """Equations, where held unknowns go (3n + n_p,), and who is told of each iteration and may stop.
 
-    A body that `drifts` has rigid motions left; a trace of stiffness keeps its tangent regular.
+    A body that `drifts` has rigid motions left; a trace of stiffness keeps its tangent regular. `descend` goes from
+    unknowns to a minimum of the energy at a share of the loads, and gives it, why it stopped, and its iterations.
     """
 
     equations: Equilibrium
@@ -59,12 +65,14 @@ class LoadPath:
     report: Callable[[Point, float], bool]
     max_iterations: int
     drifts: bool = False
+    descend: Callable[[Floats, float], tuple[Floats, Reason, int]] | None = None
     factors: Factorisation = field(default_factory=Factorisation)
     factored: int = 0
     iterations: int = 0
     share: float = 0.0
     _first: float = 0.0
     _unstable: bool = False
+    _origin: Floats = field(default_factory=lambda: np.zeros(0))
 
     def run(self) -> tuple[Point, Reason]:
         """All of the load at once or, where that fails or ends unstable, in steps; the last equilibrium and why."""
@@ -91,6 +99,7 @@ class LoadPath:
         if not first.converged:
             return first.point, first.reason
         here = first.point
+        self._origin = here.z
         first_rate = self._rate(here)
         before: Point | None = None
         step = FIRST_SHARE
@@ -106,10 +115,48 @@ class LoadPath:
                 continue
             self._unstable |= after.converged
             step *= 0.5
+            if step == SNAP_SHARE and self.descend is not None:
+                share = min(1.0, here.share + step)
+                if not after.converged:
+                    after = self._correct(self._predicted(before, here, share), share)
+                begin = self._aside(after.point) if after.converged else self._predicted(before, here, share)
+                after = self._snapped(begin, here, share)
+                if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
+                    return here, after.reason
+                if after.converged and after.stable:
+                    before, here, self.share = None, after.point, share
+                    step *= 2.0
+                    continue
             if step < SMALLEST_SHARE:
                 steep = self._rate(here) > STEEP * first_rate
                 return here, Reason.LIMIT_POINT if self._unstable or steep else Reason.LINE_SEARCH
         return here, Reason.CONVERGED
+
+    def _aside(self, saddle: Point) -> Floats:
+        """Unknowns beside an unstable equilibrium, whose tangent is factored, where the tangent is softest."""
+        mode = np.random.default_rng(0).standard_normal(len(self.equations.free))
+        for _ in range(MODE_ITERATIONS):
+            mode = self.factors.solve(mode)
+            mode /= np.abs(mode).max()
+        in_space = slice(0, self.equations.displacements)
+        z = saddle.z.copy()
+        z[self.equations.free] += ASIDE * np.abs((saddle.z - self._origin)[in_space]).max() * mode
+        return z
+
+    def _snapped(self, begin: Floats, here: Point, share: float) -> Equilibrated:
+        """The equilibrium to which descent leads, if that is near."""
+        equations = self.equations
+        begin = begin.copy()
+        begin[equations.held] = self._at_share(share)[equations.held]
+        assert self.descend is not None
+        down, reason, made = self.descend(begin, share)
+        self.iterations += made
+        if reason not in (Reason.CONVERGED, Reason.STAGNATED):
+            return Equilibrated(here, reason, made, False)
+        in_space = slice(0, equations.displacements)
+        if np.linalg.norm((down - begin)[in_space]) > SNAP * np.linalg.norm((here.z - self._origin)[in_space]):
+            return Equilibrated(here, Reason.LIMIT_POINT, made, False)
+        return self._correct(down, share, final=share == 1.0)
 
     def _predicted(self, before: Point | None, here: Point, share: float) -> Floats:
         if before is None:

@@ -2,7 +2,8 @@
 
 A volumetric part U(J) is replaced by p (J - 1) - U*(p) with U* its Legendre transform, or kappa/2 g² by
 p g - p²/(2 kappa); both stay finite as the bulk modulus grows, and without U* they enforce J = 1 (Sussman and Bathe
-1987, "A finite element formulation for nonlinear incompressible elastic and inelastic analysis").
+1987, "A finite element formulation for nonlinear incompressible elastic and inelastic analysis"). J stands for any
+function of J that grows with it.
 """
 
 from __future__ import annotations
@@ -31,9 +32,14 @@ MixedDensity = Callable[[Any, Any, Any], Any]
 
 
 def neo_hookean(F, p, law):
-    """lmbda/2 ln²J by the pressure."""
+    """lmbda/2 ln²J by p = lmbda ln J, tied by the root of J.
+
+    A tension p > mu on ln J itself would beat -mu ln J as J falls to 0, and crush single points. On J the complement
+    is convex only below J = e, on its root below e².
+    """
     log_J = ufl.ln(ufl.det(F))
-    return law.mu / 2 * (ufl.inner(F, F) - 3) - law.mu * log_J + p * log_J - p**2 / (2 * law.lmbda)
+    root = ufl.exp((log_J - p / law.lmbda) / 2)
+    return law.mu / 2 * (ufl.inner(F, F) - 3) - law.mu * log_J + 2 * p * (root - 1) + p**2 / (2 * law.lmbda)
 
 
 def stable(F, p, law):

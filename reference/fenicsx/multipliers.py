@@ -63,12 +63,13 @@ class MultiplierDescent:
         self._work = Work()
         self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, self._work)
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
-        condensed.hardening = 1.0
-        if not warm:
-            condensed.centre = np.zeros(condensed.count)
+        self._warm = warm
 
     def run(self) -> Solution:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
+        self._condensed.hardening = 1.0
+        if not self._warm:
+            self._condensed.centre = np.zeros(self._condensed.count)
         try:
             state, reason = self._descend()
         finally:
@@ -94,6 +95,20 @@ class MultiplierDescent:
             volume_ratio(self._scene, positions),
             detail,
         )
+
+    def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
+        """See `balance.Descent`: what is held stays where it is."""
+        self._condensed.hardening, self._condensed.centre, self._iterations = 1.0, p.copy(), 0
+        try:
+            state = self._condensed.at(u)
+            reason = Reason.NOT_FINITE
+            if np.isfinite(state.energy):
+                state, reason = self._rounds(state)
+        finally:
+            self._saddle.release()
+            self._condensed.release()
+        made, self._iterations = self._iterations, 0
+        return state.u, np.array(state.p), reason, made
 
     def _positions(self, u: Floats) -> Floats:
         return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)

@@ -26,7 +26,7 @@ from ..terms import (
     Traction,
     Volume,
 )
-from .balance import Balance
+from .balance import Balance, Descent
 from .block_saddle import SADDLES
 from .bodies import Pose, RigidProblem
 from .condensed import Condensed
@@ -34,6 +34,7 @@ from .densities import DENSITIES
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS
 from .linear_start import compressible
+from .load_path import PATH_TOLERANCE
 from .mixed_densities import check_mixed
 from .multipliers import MultiplierDescent, laws_of
 from .newton import AnyState, Newton, Work
@@ -172,26 +173,31 @@ class PreparedFenicsx:
         if self._force is not None:
             self._problem.loads = self._problem.loads + self._force
         check_restrained(scene, loads=None if self._balances else scene.loads())
-        balance = Balance(scene, self._numbering, self._problem, begin, tolerance, max_iterations, on_iteration)
+
+        def balance(descent: Descent | None = None) -> Balance:
+            numbering, problem = self._numbering, self._problem
+            return Balance(scene, numbering, problem, begin, tolerance, max_iterations, on_iteration, descent)
+
         if self._condensed is not None:
-            if start is None and len(scene.tets) >= LARGE:
-                begin = self._linear_start(scene)
+            large = len(scene.tets) >= LARGE
             descent = MultiplierDescent(
                 scene,
                 self._numbering,
                 self._condensed,
-                begin,
+                self._linear_start(scene) if large and start is None else begin,
                 tolerance,
                 max_iterations,
                 on_iteration,
                 warm=start is not None,
                 linear_solver=self._linear_solver,
             )
-            path_first = bool(scene.of(Traction)) or len(scene.tets) < LARGE
-            return self._either(descent, balance, path_first=path_first and self._linear_solver != "block")
+            path_first = (bool(scene.of(Traction)) or not large) and self._linear_solver != "block"
+            loaded = bool(scene.loads().any())
+            return self._either(descent, balance(descent.settle), path_first=path_first, loaded=loaded)
         if self._balances:
-            self._end = balance
-            return balance.run()
+            path = balance()
+            self._end = path
+            return path.run()
         poses: list[Pose] = []
         if self._rigid is not None:
             self._rigid.set(scene)
@@ -199,16 +205,17 @@ class PreparedFenicsx:
         solve = _Solve(self, scene, begin, poses, tolerance, limit, on_iteration)
         self._end = solve
         solution = solve.run()
+        path = balance(solve.settle)
         doubtful = self._may_snap and solution.converged
         if not doubtful and (solution.reason not in GIVEN_UP or self._rigid is not None):
             return solution
-        stable = doubtful and balance.stable(solve.end[0])
+        stable = doubtful and path.stable(solve.end[0])
         if stable and solution.iterations <= STRAIGHT_ITERATIONS:
             return solution
-        followed = balance.run()
+        followed = path.run()
         if stable and followed.reason in GIVEN_UP:  # a start that is no equilibrium without load begins no path
             return solution
-        self._end = balance
+        self._end = path
         return followed
 
     def _linear_start(self, scene: Scene) -> Floats:
@@ -217,12 +224,12 @@ class PreparedFenicsx:
         sound = near.converged and near.volume_ratio.min() > 0.0
         return near.positions if sound else scene.vertices
 
-    def _either(self, descent: MultiplierDescent, balance: Balance, *, path_first: bool) -> Solution:
-        """Descend or follow the load path, and the other one where the first gives up."""
+    def _either(self, descent: MultiplierDescent, balance: Balance, *, path_first: bool, loaded: bool) -> Solution:
+        """Descend or follow the load path, and the other one where the first gives up or finds a limit without load."""
         first, second = (balance, descent) if path_first else (descent, balance)
         self._end = first
         solution = first.run()
-        if solution.reason not in GIVEN_UP:
+        if solution.reason not in GIVEN_UP and (loaded or solution.reason is not Reason.LIMIT_POINT):
             return solution
         again = second.run()
         if again.reason in GIVEN_UP:
@@ -290,6 +297,16 @@ class _Solve:
         self._rigid, self._poses = rigid, poses
         linear = prepared._linear, prepared._direct
         self._newton = Newton(self._problem, np.flatnonzero(held), *linear, self._report, self._work)
+
+    def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
+        """See `balance.Descent`: what is held stays where it is."""
+        state = self._at(u)
+        if not np.isfinite(state.energy):
+            return u, p, Reason.NOT_FINITE, 0
+        end, reason, made = self._newton.minimise(
+            state, threshold=lambda first: PATH_TOLERANCE * first, max_iterations=self._limit
+        )
+        return end.u, p, reason, made
 
     def _positions(self, u: Floats) -> Floats:
         return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)

@@ -12,7 +12,7 @@ from softdeca.reference.fenicsx.equilibrium import Equilibrium
 from softdeca.reference.fenicsx.follower import FollowerPressure
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.problems import limit_points, meshes
+from softdeca.reference.problems import limit_points, meshes, stretched_bars
 
 LAWS = {
     "neo-Hookean": materials.NeoHookean(1.0, 5.0),
@@ -183,6 +183,22 @@ def test_a_free_rivlin_cube_says_limit_point():
     below, above = (solve(scene(load), solver="fenicsx", element="P1", tolerance=1e-8) for load in (1.8, 2.2))
     assert below.converged, below.reason
     assert above.reason is Reason.LIMIT_POINT
+
+
+@pytest.mark.parametrize("poisson", [0.45, 0.499])
+def test_a_bar_drawn_far_by_its_ends_has_the_law_s_stretches(poisson):
+    """A motion has no limit point: where the path finds one, a few elements beside the ends, descent goes on."""
+    X, tets = meshes.box((6, 2, 2), (6.0, 1.0, 1.0))
+    low, high = (meshes.vertices_at(X, 0, end) for end in (0.0, 6.0))
+    law = materials.NeoHookean.from_young(1.0, poisson)
+    drawn = [terms.Fixed(low), terms.Fixed(high, X[high] * [5.0, 1.0, 1.0])]
+    solution = solve(Scene(X, tets, [terms.Hyperelastic(law), *drawn]), solver="fenicsx", element="P2P1")
+    assert solution.converged, solution.reason
+    middle = tets[(X[tets, 0] >= 2.0).all(axis=1) & (X[tets, 0] <= 4.0).all(axis=1)]
+    rest, now = ((p[middle][:, 1:] - p[middle][:, :1]).transpose(0, 2, 1) for p in (X, solution.positions))
+    stretches = np.linalg.svd(now @ np.linalg.inv(rest), compute_uv=False).mean(axis=0)
+    lateral = stretched_bars.neo_hookean(stretches[0], poisson)[0]
+    assert np.sqrt(np.prod(stretches[1:] / lateral)) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_motion_too_far_for_one_step_is_taken_in_several():

@@ -21,8 +21,9 @@ from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.shares import Share, small_scene
 from softdeca.reference.materials import Guccione, NeoHookean, StableNeoHookean
+from softdeca.reference.problems import stretched_bars
 from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
-from softdeca.reference.terms import Fixed, Hyperelastic, Pressure, Strain, SurfaceStrain, Target, Volume
+from softdeca.reference.terms import Fixed, Hyperelastic, Pressure, Strain, SurfaceStrain, Target, Traction, Volume
 
 needs_mpirun = pytest.mark.skipif(shutil.which("mpirun") is None, reason="mpirun is not installed")
 ENVIRONMENT = {
@@ -39,6 +40,15 @@ def stretched(cells, *solids):
     X, tets = box(cells)
     low, high = vertices_at(X, 2, 0.0), vertices_at(X, 2, 1.0)
     return Scene(X, tets, (*solids, Fixed(low), Fixed(high, X[high] + [0.1, 0.05, 0.2])))
+
+
+def pulled_far(cells):
+    """A bar to five times its length: by load steps, as elements beside its held end snap."""
+    X, tets = box(cells, (6.0, 1.0, 1.0))
+    stress = stretched_bars.neo_hookean(5.0)[1]
+    pull = Traction(triangles_at(X, tets, 0, 6.0), stress * np.eye(3)[0])
+    law = NeoHookean.from_young(stretched_bars.YOUNG, stretched_bars.POISSON)
+    return Scene(X, tets, (Hyperelastic(law), Fixed(vertices_at(X, 0, 0.0)), pull))
 
 
 def drawn(head):
@@ -78,6 +88,7 @@ def cases(sphere_head):
         ),
         "pressure": (replace(plain, terms=(*plain.terms, Pressure(outside, 0.2))), {}),
         "with a pressure": (stretched(small, neo), {"element": "P2P1"}),
+        "load steps": (pulled_far((12, 2, 2)), {}),
         "head": (drawn(sphere_head), {}),
     }
 
@@ -134,6 +145,7 @@ NAMES = (
     "skin and springs",
     "pressure",
     "with a pressure",
+    "load steps",
     "head",
 )
 
