@@ -117,10 +117,7 @@ class LoadPath:
             step *= 0.5
             if step == SNAP_SHARE and self.descend is not None:
                 share = min(1.0, here.share + step)
-                if not after.converged:
-                    after = self._correct(self._predicted(before, here, share), share)
-                begin = self._aside(after.point) if after.converged else self._predicted(before, here, share)
-                after = self._snapped(begin, here, share)
+                after = self._snapped(self._predicted(before, here, share), here, share)
                 if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
                     return here, after.reason
                 if after.converged and after.stable:
@@ -143,20 +140,24 @@ class LoadPath:
         z[self.equations.free] += ASIDE * np.abs((saddle.z - self._origin)[in_space]).max() * mode
         return z
 
-    def _snapped(self, begin: Floats, here: Point, share: float) -> Equilibrated:
-        """The equilibrium to which descent leads, if that is near."""
-        equations = self.equations
-        begin = begin.copy()
-        begin[equations.held] = self._at_share(share)[equations.held]
+    def _snapped(self, guess: Floats, here: Point, share: float) -> Equilibrated:
+        """The stable equilibrium at a share to which descent leads from an unstable one or a guess, if that is near."""
+        equations, final = self.equations, share == 1.0
         assert self.descend is not None
+        unstable = self._correct(guess, share, final=final)
+        if unstable.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS) or unstable.stable:
+            return unstable
+        begin = self._aside(unstable.point) if unstable.converged else guess.copy()
+        begin[equations.held] = self._at_share(share)[equations.held]
         down, reason, made = self.descend(begin, share)
         self.iterations += made
-        if reason not in (Reason.CONVERGED, Reason.STAGNATED):
+        if reason is Reason.INTERRUPTED:
             return Equilibrated(here, reason, made, False)
         in_space = slice(0, equations.displacements)
-        if np.linalg.norm((down - begin)[in_space]) > SNAP * np.linalg.norm((here.z - self._origin)[in_space]):
+        far = np.linalg.norm((down - begin)[in_space]) > SNAP * np.linalg.norm((here.z - self._origin)[in_space])
+        if far or reason not in (Reason.CONVERGED, Reason.STAGNATED):
             return Equilibrated(here, Reason.LIMIT_POINT, made, False)
-        return self._correct(down, share, final=share == 1.0)
+        return self._correct(down, share, final=final)
 
     def _predicted(self, before: Point | None, here: Point, share: float) -> Floats:
         if before is None:
