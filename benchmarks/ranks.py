@@ -130,8 +130,9 @@ def _spawned(count: int, scene: Scene, repeats: int) -> dict:
 
 
 def without_notices(errors: str) -> str:
-    """What processes have written to stderr, without mpirun's notices between rules, which Open MPI 5 always gives."""
-    return "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
+    """What processes have written to stderr, without mpirun's own notices: between rules, or of processes it ended."""
+    said = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
+    return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", said, flags=re.MULTILINE)
 
 
 def measure_here() -> None:
