@@ -351,7 +351,7 @@ def _convergence_lines(results: Mapping) -> str:
 @click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
 @click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
 def mixed(texts: tuple[str, ...], laws: tuple[str, ...], seed: int, level: int, as_json: bool) -> int:
-    """Solve incompressible heads by quadratic tets with a pressure (FEniCSx, P2P1): ten minutes and more each.
+    """Solve incompressible heads by quadratic tets with a pressure (FEniCSx, P2P1): four to sixteen minutes each.
 
     Exit status 1 if one does not converge or takes more than 8 GB.
     """
