@@ -2,8 +2,7 @@
 
 A volumetric part U(J) is replaced by p (J - 1) - U*(p) with U* its Legendre transform, or kappa/2 g² by
 p g - p²/(2 kappa); both stay finite as the bulk modulus grows, and without U* they enforce J = 1 (Sussman and Bathe
-1987, "A finite element formulation for nonlinear incompressible elastic and inelastic analysis"). J stands for any
-function of J that grows with it.
+1987, "A finite element formulation for nonlinear incompressible elastic and inelastic analysis").
 """
 
 from __future__ import annotations
@@ -32,14 +31,15 @@ MixedDensity = Callable[[Any, Any, Any], Any]
 
 
 def neo_hookean(F, p, law):
-    """lmbda/2 ln²J by p = lmbda ln J, tied by the root of J.
+    """lmbda/2 ln²J by p = lmbda ln J, but for a share of it.
 
-    A tension p > mu on ln J itself would beat -mu ln J as J falls to 0, and crush single points. On J the complement
-    is convex only below J = e, on its root below e².
+    That share, mu/lmbda or a half, stays at the points: alone a tension p > mu would beat -mu ln J as J falls to 0, and
+    crush single points.
     """
     log_J = ufl.ln(ufl.det(F))
-    root = ufl.exp((log_J - p / law.lmbda) / 2)
-    return law.mu / 2 * (ufl.inner(F, F) - 3) - law.mu * log_J + 2 * p * (root - 1) + p**2 / (2 * law.lmbda)
+    share = ufl.conditional(ufl.lt(2 * law.mu, law.lmbda), law.mu / law.lmbda, 0.5)
+    at_points = law.mu / 2 * (ufl.inner(F, F) - 3) - law.mu * log_J + share * law.lmbda / 2 * log_J**2
+    return at_points + (1 - share) * (p * log_J - p**2 / (2 * law.lmbda))
 
 
 def stable(F, p, law):
