@@ -51,7 +51,7 @@ def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
 @bench.command()
 @click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
 @click.option("--match", default="", help="only cases with this in their name or source, such as H5 or twisted")
-@click.option("--laws", is_flag=True, help="also every law on every element of FEniCSx: twenty minutes")
+@click.option("--laws", is_flag=True, help="also every law on every element of FEniCSx: a quarter of an hour")
 @click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
 def hard(solvers: tuple[str, ...], match: str, laws: bool, as_json: bool) -> int:
     """Hard cases (random starts, collapse, crush, twist, long steps) through every solver; exit status 1 if one fails.
@@ -292,7 +292,7 @@ def convergence(texts: tuple[str, ...], seed: int, quadratic: bool, out: Path, a
     "--up-to",
     default=150_000,
     type=click.IntRange(min=1),
-    help="only meshes of at most so many unknowns; 640000 for all: half an hour",
+    help="only meshes of at most so many unknowns; 640000 for all: forty minutes",
 )
 @click.option("--expression", default="mouthSmileLeft+mouthSmileRight", help="as jawOpen*0.5+cheekPuff")
 @click.option("--out", default="out/unknowns", type=AFile, help="folder of the report")

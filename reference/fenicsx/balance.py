@@ -52,7 +52,6 @@ class Balance:
             FollowerPressure.of(term, numbering.face_dofs(term.name, term.triangles)) for term in scene.of(Pressure)
         ]
         self._equations = Equilibrium(problem, np.flatnonzero(nodes | problem.unsupported[:, None]), pressures)
-        self._loads = problem.loads
         self._recorder = Recorder(on_iteration)
         self._assemblies = problem.assemblies
         self._path = LoadPath(
@@ -79,8 +78,8 @@ class Balance:
 
     def _descend(self, z: Floats, share: float) -> tuple[Floats, Reason, int]:
         assert self._descent is not None
-        whole, m = self._loads, self._equations.displacements
-        self._problem.loads = share * whole
+        m = self._equations.displacements
+        self._equations.place(z, share)
         u, p, reason, made = self._descent(z[:m].reshape(-1, 3), z[m:])
         return np.concatenate([u.ravel(), p]), reason, made
 
@@ -91,7 +90,7 @@ class Balance:
     def run(self) -> Solution:
         """Follow the load path to its end."""
         point, reason = self._path.run()
-        self._problem.loads = self._loads  # the path leaves the share that it ended with
+        self._equations.place(point.z, 1.0)  # the path leaves the share that it ended with
         positions = self._positions(point)
         m = self._equations.displacements
         self.end = point.state.u, point.z[m:] if len(point.z) > m else None

@@ -56,7 +56,7 @@ class Equilibrium:
     def at(self, z: Floats, share: float) -> Point:
         """The equations at displacement and pressure z (3n + n_p,) and a share of the loads."""
         problem = self._problem
-        self._place(z, share)
+        self.place(z, share)
         state = problem.at(z[: self.displacements].reshape(-1, 3))
         residual = np.zeros(self.count)
         residual[: self.displacements] = state.gradient().ravel()
@@ -73,14 +73,15 @@ class Equilibrium:
             forms.add_by_pressure(residual[self.displacements :])
         return Point(z, share, residual, energy, state)
 
-    def _place(self, z: Floats, share: float):
+    def place(self, z: Floats, share: float):
+        """Give the problem a share of the loads, and the pressure of z (3n + n_p,)."""
         self._problem.loads = share * self._loads
         if self._problem.pressure is not None:
             self._problem.pressure.x.array[:] = z[self.displacements :]
 
     def derivative(self, point: Point) -> csr_matrix:
         """The residual's derivative, shape (3n + n_p, 3n + n_p)."""
-        self._place(point.z, point.share)
+        self.place(point.z, point.share)
         m = self.displacements
         parts = [matrix_entries(point.state.hessian())]
         for forms in self._problem.mixed_forms:

@@ -192,7 +192,7 @@ class PreparedFenicsx:
                 linear_solver=self._linear_solver,
             )
             path_first = (bool(scene.of(Traction)) or not large) and self._linear_solver != "block"
-            loaded = bool(scene.loads().any())
+            loaded = bool(self._problem.loads.any())
             return self._either(descent, balance(descent.settle), path_first=path_first, loaded=loaded)
         if self._balances:
             path = balance()
@@ -205,10 +205,10 @@ class PreparedFenicsx:
         solve = _Solve(self, scene, begin, poses, tolerance, limit, on_iteration)
         self._end = solve
         solution = solve.run()
-        path = balance(solve.settle)
         doubtful = self._may_snap and solution.converged
         if not doubtful and (solution.reason not in GIVEN_UP or self._rigid is not None):
             return solution
+        path = balance(solve.settle)
         stable = doubtful and path.stable(solve.end[0])
         if stable and solution.iterations <= STRAIGHT_ITERATIONS:
             return solution

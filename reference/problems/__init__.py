@@ -45,7 +45,7 @@ HARD: tuple[HardCase, ...] = (
     *limit_points.CASES,
 )
 LAWS_ON_ELEMENTS: tuple[HardCase, ...] = laws_on_elements.CASES
-"""Hard cases for every law on every element of FEniCSx: twenty minutes."""
+"""Hard cases for every law on every element of FEniCSx: a quarter of an hour."""
 
 __all__ = [
     "ALL",
