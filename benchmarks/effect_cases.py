@@ -5,21 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
-
 from ..lhm.errors import InputError
+from ..lhm.flesh import cheeks, fleshy, on_triangles
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..reference import Parameters
 
-FADE = 12.0
-"""Width [mm], along the skin wrap, over which an effect's share of the face rises from 0 to 1."""
-BROW = 10.0
-"""Height [mm] above the lids' highest point up to which a face is fleshy."""
-CHEEK = 15.0
-"""Radius [mm] of a cheek's middle, seen from the front; its share falls to 0 over as much again."""
 SMILE = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.6, "jawOpen": 0.2}
 BROAD_SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0, "jawOpen": 0.2}
 SNEER = SMILE | {"noseSneerLeft": 0.6, "noseSneerRight": 0.6}
@@ -33,62 +23,13 @@ def _plain(head: LayeredHead) -> Parameters:
 
 @dataclass(frozen=True)
 class Effect:
-    """Parameters `with_it`, and `without` it, of one head; an expression as ARKit weights; what the paper shows.
-
-    `settles` says that the effect changes the neutral face too: then targets follow the neutral face that has come to
-    rest under it, see `effect_run.settled`.
-    """
+    """Parameters `with_it`, and `without` it, of one head; an expression as ARKit weights; what the paper shows."""
 
     name: str
     shown: str
     expression: Mapping[str, float]
     with_it: Callable[[LayeredHead], Parameters]
     without: Callable[[LayeredHead], Parameters] = _plain
-    settles: bool = True
-
-
-def fleshy(head: LayeredHead) -> Floats:
-    """Where a face has fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears."""
-    y = head.skin_wrap.vertices[:, 1]
-    inside = (_region(head, "face") | _region(head, "neck")) & (y < y[_region(head, "lids")].max() + BROW)
-    for name in ("lips", "lids", "mouth", "eyes", "teeth", "ears"):
-        inside = inside & ~_region(head, name)
-    return _smooth_step(_path_from(head, ~inside) / FADE)
-
-
-def cheeks(head: LayeredHead) -> Floats:
-    """The cheeks, shape (n,), 0 to 1: half-way from mouth to lids, and a quarter beyond the mouth's corners."""
-    x = head.skin_wrap.vertices
-    lips, lids = x[_region(head, "lips")], x[_region(head, "lids")]
-    middle, half = 0.5 * (lips[:, 0].max() + lips[:, 0].min()), 0.5 * np.ptp(lips[:, 0])
-    up = x[:, 1] - 0.5 * (lips[:, 1].max() + lids[:, 1].min())
-    off = np.hypot(np.abs(x[:, 0] - middle) - 1.25 * half, up)
-    return fleshy(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
-
-
-def on_triangles(head: LayeredHead, share: Floats) -> Floats:
-    """A share per vertex (n,) as the mean per triangle of the wraps, shape (m,)."""
-    return share[head.skin_wrap.triangles].mean(axis=1)
-
-
-def _region(head: LayeredHead, name: str) -> np.ndarray:
-    if name not in head.regions or not head.regions[name].any():
-        raise InputError(f"head: it has no region {name!r}, which tells where the face has an effect")
-    return head.regions[name]
-
-
-def _path_from(head: LayeredHead, outside: np.ndarray) -> Floats:
-    """Length [mm] of the way along the skin wrap's edges from the vertices `outside`, shape (n,)."""
-    wrap = head.skin_wrap
-    a, b = wrap.triangles.ravel(), np.roll(wrap.triangles, -1, axis=1).ravel()
-    length = np.linalg.norm(wrap.vertices[a] - wrap.vertices[b], axis=1)
-    edges = csr_matrix((length, (a, b)), shape=(len(wrap.vertices),) * 2)
-    return dijkstra(edges, directed=False, indices=np.flatnonzero(outside), min_only=True)
-
-
-def _smooth_step(t: Floats) -> Floats:
-    t = np.clip(t, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
 
 
 def _grown(share: float) -> Callable[[LayeredHead], Parameters]:
@@ -115,7 +56,6 @@ EFFECTS = (
         "Figure 1: one half of the face does not follow the expression",
         BROAD_SMILE,
         lambda head: Parameters(paralysis_left=1.0),
-        settles=False,
     ),
     Effect("weight-20", "Figure 7 g: soft tissue's volume raised by 20 %", SMILE, _grown(0.2)),
     Effect("weight-40", "Figure 7 h: soft tissue's volume raised by 40 %", SMILE, _grown(0.4)),
@@ -146,7 +86,6 @@ EFFECTS = (
         SNEER,
         _stiff_cheeks,
         _loose_cheeks,
-        settles=False,
     ),
 )
 """Weights of expressions and sizes of effects that the paper does not give are this project's.

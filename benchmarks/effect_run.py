@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import spsolve
 
-from ..lhm.head import FREE, LayeredHead
+from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
-from ..reference import Parameters, Scene, Solution, facial_scene, prepare, terms
-from ..reference.bones import scaled_skull
+from ..reference import Scene, Settled, Solution, facial_scene, prepare, settled
 from .differences import distances
-from .effect_cases import Effect, fleshy
+from .effect_cases import Effect
 
 TOLERANCE, TIGHT = 1e-6, 1e-10
 """Gradient norm relative to its start, of what is measured and of what it is compared with."""
@@ -32,43 +29,12 @@ class EffectResult:
     with_it: Floats
 
 
-def neutral_scene(head: LayeredHead, parameters: Parameters) -> Scene:
-    """The neutral face left to come to rest under its parameters: what is fleshy is held by no target.
-
-    The paper is silent about how targets, which hold the old surface, give way to a face that has grown. Here the
-    neutral face settles where its flesh hangs on bone and on the face around alone, bones held at their scaled rest;
-    that displacement is then added to every target.
-    """
-    scene = facial_scene(head, parameters, head.skin.vertices, bones="prescribed")
-    kept = 1.0 - fleshy(head)
-    return replace(
-        scene,
-        terms=tuple(
-            replace(t, stiffness=t.stiffness * kept) if isinstance(t, terms.Target) else t for t in scene.terms
-        ),
-    )
-
-
-def carried_by_bones(head: LayeredHead, parameters: Parameters) -> Floats:
-    """The stacked wraps [mm], shape (3 n, 3), moved with the bones that p scales, smoothly in between.
-
-    All three wraps move by the skull wrap's displacement, harmonic along it where it is no bone: a start without
-    inverted tets, from which the energy can only fall.
-    """
-    moved = scaled_skull(head, parameters) - head.skull_wrap.vertices
-    free = head.bone == FREE
-    if moved.any() and free.any():
-        a, b = head.skull_wrap.triangles.ravel(), np.roll(head.skull_wrap.triangles, -1, axis=1).ravel()
-        n = len(free)
-        near = csr_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(n, n))
-        laplacian = (diags(np.asarray(near.sum(axis=1)).ravel()) - near).tocsr()
-        moved[free] = spsolve(laplacian[free][:, free].tocsc(), -laplacian[free][:, ~free] @ moved[~free])
-    return head.vertices + np.tile(moved, (3, 1))
-
-
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A scene with its targets [mm], shape (skin vertices, 3), where its solve starts, and the answer."""
+    """A scene with its targets [mm], shape (skin vertices, 3), where its solve starts, and the answer.
+
+    `seconds` has preparation and solve.
+    """
 
     scene: Scene
     targets: Floats
@@ -78,29 +44,19 @@ class Solved:
 
 
 def solved(scene: Scene, targets: Floats, start: Floats, *, solver: str = "projective", tolerance=TOLERANCE) -> Solved:
-    """Solve a scene cold; `seconds` has preparation and solve."""
+    """Solve a scene cold."""
     begin = time.perf_counter()
     solution = prepare(scene, solver=solver).solve(start=start, tolerance=tolerance)
     return Solved(scene, targets, start, solution, time.perf_counter() - begin)
 
 
-def with_effect(head: LayeredHead, effect: Effect, expression: Floats) -> tuple[Solved | None, Solved]:
-    """The neutral face at rest under an effect, None if it stays as it is, and the expression that starts from it.
+def with_effect(head: LayeredHead, effect: Effect, expression: Floats) -> tuple[Settled, Solved]:
+    """The neutral face at rest under an effect, and the expression that starts from it.
 
     expression [mm], shape (skin vertices, 3), is that of the head without the effect.
     """
-    parameters = effect.with_it(head)
-    if not effect.settles:
-        scene = facial_scene(head, parameters, expression, bones="rigid")
-        return None, solved(scene, expression, scene.vertices)
-    at_rest = solved(neutral_scene(head, parameters), head.skin.vertices, carried_by_bones(head, parameters))
-    targets = expression + _skin_displacement(head, at_rest.solution.positions)
-    scene = facial_scene(head, parameters, targets, bones="rigid")
-    return at_rest, solved(scene, targets, at_rest.solution.positions)
-
-
-def _skin_displacement(head: LayeredHead, positions: Floats) -> Floats:
-    return head.skin_from_wrap @ (positions[: len(head.bone)] - head.skin_wrap.vertices)
+    at_rest = settled(head, effect.with_it(head))
+    return at_rest, solved(at_rest.scene(expression), at_rest.targets(expression), at_rest.positions)
 
 
 def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, reference: str | None = None) -> EffectResult:
@@ -117,27 +73,24 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
     near = solved(ended.scene, ended.targets, answer, tolerance=TIGHT / TOLERANCE).solution
     compared = None if reference is None else _compared(ended, reference)
     skins = [head.skin_after(run.targets, run.solution.positions[:n]) for run in (plain, ended)]
-    settled_skin = head.skin.vertices + (
-        0.0 if at_rest is None else _skin_displacement(head, at_rest.solution.positions)
-    )
     change = distances(*skins)
     record = {
         "name": effect.name,
         "shown": effect.shown,
         "expression": dict(effect.expression),
         "runs": {
-            name: _figures(head, run)
-            for name, run in (("neutral", at_rest), ("with", ended), ("without", plain))
-            if run is not None
+            name: _figures(head, ended.scene, solution)
+            for name, solution in (("neutral", at_rest.solution), ("with", ended.solution), ("without", plain.solution))
+            if solution is not None
         },
         "to_own_limit_mm": float(distances(answer, near.positions).max()),
         "to_other_start_mm": float(distances(answer, other.positions).max()),
         "other_start": {"iterations": other.iterations, "converged": other.converged, "energy": other.energy},
         "reference": compared,
         "change_mm": {"mean": float(change.mean()), "max": float(change.max())},
-        "neutral_change_mm": float(distances(settled_skin, head.skin.vertices).max()),
+        "neutral_change_mm": float(distances(at_rest.skin, head.skin.vertices).max()),
     }
-    return EffectResult(record, settled_skin, *skins)
+    return EffectResult(record, at_rest.skin, *skins)
 
 
 def displaced(head: LayeredHead, targets: Floats) -> Floats:
@@ -145,17 +98,16 @@ def displaced(head: LayeredHead, targets: Floats) -> Floats:
     return head.vertices + np.tile(head.wrap_targets(targets) - head.skin_wrap.vertices, (3, 1))
 
 
-def _figures(head: LayeredHead, run: Solved) -> dict:
-    solution, history = run.solution, run.solution.history
+def _figures(head: LayeredHead, scene: Scene, solution: Solution) -> dict:
+    history = solution.history
     size = np.maximum(np.abs(history.energy[:-1]), np.finfo(float).tiny)
     rise = float(np.max(np.diff(history.energy) / size, initial=0.0))
     soft = slice(0, len(head.soft.tets))
-    volumes = run.scene.volumes[soft]
+    volumes = scene.volumes[soft]
     first = history.gradient_norm[0]
     return {
         "iterations": solution.iterations,
-        "seconds": run.seconds,
-        "solve_seconds": float(history.time[-1]),
+        "seconds": float(history.time[-1]),
         "converged": solution.converged,
         "reason": str(solution.reason),
         "gradient_ratio": float(history.gradient_norm[-1] / first) if first > 0 else 0.0,

@@ -7,6 +7,7 @@ from .march import march
 from .parameters import ParameterInfo, Parameters
 from .scene import Scene
 from .sequence import Sequence
+from .settling import Settled, settled
 from .solution import History, Reason, Solution
 from .solve import SOLVERS, Prepared, prepare, solve
 from .trajectory import Trajectory
@@ -22,6 +23,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Sequence",
+    "Settled",
     "Solution",
     "Trajectory",
     "facial_scene",
@@ -29,6 +31,7 @@ __all__ = [
     "materials",
     "neo_hookean_scene",
     "prepare",
+    "settled",
     "solve",
     "terms",
 ]

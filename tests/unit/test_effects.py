@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from softdeca.benchmarks import effect_fan, effect_run
-from softdeca.benchmarks.effect_cases import EFFECTS, FADE, Effect, cheeks, fleshy, named_effects, on_triangles
+from softdeca.benchmarks import effect_fan
+from softdeca.benchmarks.effect_cases import EFFECTS, Effect, named_effects
 from softdeca.benchmarks.effect_fan import SUSPECTS, fan
-from softdeca.benchmarks.effect_run import carried_by_bones, neutral_scene, run_effect, with_effect
+from softdeca.benchmarks.effect_run import run_effect, with_effect
 from softdeca.benchmarks.effects import EffectsConfig, effect_gates
 from softdeca.benchmarks.effects_report import page
 from softdeca.lhm.errors import InputError
-from softdeca.reference import Parameters, facial_scene, solve
+from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
+from softdeca.reference import Parameters, Reason, facial_scene, settled, settling, solve
+from softdeca.reference.settling import carried_by_bones, neutral_scene
 
 OTHERS = ("lids", "mouth", "eyes", "teeth", "ears")
 
@@ -122,14 +124,43 @@ def test_flesh_that_grows_is_not_held_by_the_old_surface(head):
     assert 0.0 < gains[0] < gains[1] < 0.2
 
 
+@pytest.mark.parametrize("changes", [{}, {"soft_stiffness": 2.0, "paralysis_left": 1.0}, {"strain_limit": 1.1}])
+def test_what_leaves_the_neutral_face_alone_costs_no_solve(head, changes):
+    at_rest = settled(head, Parameters(**changes))
+    assert at_rest.solution is None and at_rest.converged and at_rest.reason is Reason.CONVERGED
+    np.testing.assert_array_equal(at_rest.skin, head.skin.vertices)
+    np.testing.assert_array_equal(at_rest.positions, at_rest.scene(head.skin.vertices).vertices)
+
+
+@pytest.mark.parametrize("layers", [(1, 1), (2, 1)])
+def test_the_settled_face_moves_with_its_flesh_and_bones(head, layers):
+    heavier = settled(head, Parameters(soft_volume=1.0 + 0.2 * on_triangles(head, fleshy(head))), layers=layers)
+    out = np.einsum("ij,ij->i", heavier.displacement, head.skin.vertices) / 100.0
+    share = head.skin_from_wrap @ fleshy(head)
+    assert heavier.converged and out[share > 0.9].mean() > 0.2
+    assert np.abs(heavier.displacement[share == 0.0]).max() < 0.3 * out.max()
+    longer = settled(head, Parameters(mandible_scale_y=1.15), layers=layers)
+    jaw = head.bone == 2
+    lower = longer.scene(head.skin.vertices).vertices, longer.positions
+    n, first = len(head.bone), sum(layers) * len(head.bone)
+    moved = (lower[1] - lower[0])[first : first + n][jaw, 1]
+    assert moved.min() < -0.5 and longer.displacement[:, 1].min() < 0.9 * moved.min()
+
+
+def test_a_head_without_regions_is_held_everywhere(sphere_head):
+    scene = facial_scene(sphere_head, Parameters(soft_volume=1.2), sphere_head.skin.vertices, bones="prescribed")
+    held = solve(scene, tolerance=1e-6).positions
+    np.testing.assert_allclose(settled(sphere_head, Parameters(soft_volume=1.2)).positions, held, atol=1e-3)
+
+
 def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkeypatch):
     # Where all targets let go, and no bone is free, the settled face is in balance with targets that follow it.
-    monkeypatch.setattr(effect_run, "fleshy", lambda head: np.ones(len(head.bone)))
+    monkeypatch.setattr(settling, "fleshy", lambda head: np.ones(len(head.bone)))
     toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
     effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
     at_rest, ended = with_effect(toothless, effect, head.skin.vertices)
     first = solve(facial_scene(toothless, Parameters(gravity=3.0), head.skin.vertices, bones="rigid"), max_iterations=0)
-    assert at_rest.solution.converged
+    assert at_rest.converged and at_rest.solution.converged
     assert ended.solution.history.gradient_norm[0] < 1e-5 * first.history.gradient_norm[0]
 
 

@@ -1,0 +1,142 @@
+"""The neutral face under p: an effect such as weight, gravity or a longer jaw changes it before anything is expressed.
+
+The paper is silent about how targets, which hold the old surface, give way to a face that has grown. Here the neutral
+face settles first, with the bones at their scaled rest: where it is fleshy its flesh hangs on bone and on the face
+around alone, held by no target; elsewhere skin is held where the bones carry it. That displacement is then added to
+every target, so an expression moves the settled face.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from ..lhm.flesh import LEAN_REGIONS, fleshy
+from ..lhm.head import FREE, LayeredHead
+from ..lhm.mesh import Floats
+from . import terms
+from .bones import scaled_skull
+from .facial import facial_scene
+from .parameters import Parameters
+from .scene import Scene
+from .solution import Reason, Solution
+from .solve import prepare
+from .stack import Stack
+
+TOLERANCE = 1e-6
+"""Gradient norm relative to its start."""
+MOVING = ("soft_volume", "muscle_volume", "skin_growth")
+"""Besides bone scales and added gravity, what changes a neutral face where it differs from 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A head's neutral face at rest under p.
+
+    positions (scene's vertices, 3) [mm]: where the tets come to rest; displacement (skin vertices, 3) [mm]: by how much
+    the neutral skin moved. `solution` is None where p leaves the neutral face as it is. `choices` are those of
+    `facial_scene`, less the bones, which hang free in the expressions' scenes unless these say otherwise.
+    """
+
+    head: LayeredHead
+    parameters: Parameters
+    positions: Floats
+    displacement: Floats
+    solution: Solution | None = None
+    choices: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def skin(self) -> Floats:
+        """The neutral skin [mm] under p, shape (skin vertices, 3)."""
+        return self.head.skin.vertices + self.displacement
+
+    @property
+    def converged(self) -> bool:
+        """Whether it came to rest."""
+        return self.solution is None or self.solution.converged
+
+    @property
+    def reason(self) -> Reason:
+        """Why settling stopped."""
+        return Reason.CONVERGED if self.solution is None else self.solution.reason
+
+    def targets(self, expression: Floats) -> Floats:
+        """What the skin is drawn to [mm] for an expression of the head without p, shape (..., skin vertices, 3)."""
+        return expression + self.displacement
+
+    def scene(self, expression: Floats, **choices: Any) -> Scene:
+        """The scene of an expression [mm], shape (skin vertices, 3), of the settled face; see `facial_scene`."""
+        return facial_scene(self.head, self.parameters, self.targets(expression), **self.choices | choices)
+
+
+def settled(
+    head: LayeredHead,
+    parameters: Parameters,
+    *,
+    solver: str = "projective",
+    tolerance: float = TOLERANCE,
+    max_iterations: int | None = None,
+    **choices: Any,
+) -> Settled:
+    """The neutral face under p, solved for only where p changes it.
+
+    `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
+    answer that has not converged says so by `reason`. Raises what `facial_scene` and the solver raise.
+    """
+    stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
+    if not changes_neutral(parameters):
+        kept = facial_scene(head, parameters, head.skin.vertices, **choices)
+        return Settled(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices)
+    scene = neutral_scene(head, parameters, **choices)
+    start = np.array(scene.vertices)
+    start[: len(stack.vertices)] = carried_by_bones(head, parameters, stack)
+    solution = prepare(scene, solver=solver).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
+    moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
+    return Settled(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices)
+
+
+def changes_neutral(parameters: Parameters) -> bool:
+    """Whether the neutral face is not at rest under p: another volume, area, bone or gravity than it was made with."""
+    scales = np.concatenate([parameters.scale(bone) for bone in ("cranium", "mandible")])
+    grown = any(np.any(np.asarray(getattr(parameters, name)) != 1.0) for name in MOVING)
+    return grown or bool(np.any(scales != 1.0)) or bool(np.any(parameters.added_gravity))
+
+
+def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> Scene:
+    """The scene in which the neutral face settles: bones at their scaled rest, no target where the face is fleshy."""
+    moved = head.skin_from_wrap @ bones_displacement(head, parameters)
+    scene = facial_scene(head, parameters, head.skin.vertices + moved, **choices | {"bones": "prescribed"})
+    kept = 1.0 - (fleshy(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
+    return replace(
+        scene,
+        terms=tuple(
+            replace(t, stiffness=t.stiffness * kept) if isinstance(t, terms.Target) else t for t in scene.terms
+        ),
+    )
+
+
+def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
+    """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
+    moved = scaled_skull(head, parameters) - head.skull_wrap.vertices
+    free = head.bone == FREE
+    if moved.any() and free.any():
+        a, b = head.skull_wrap.triangles.ravel(), np.roll(head.skull_wrap.triangles, -1, axis=1).ravel()
+        n = len(free)
+        near = csr_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(n, n))
+        laplacian = (diags(np.asarray(near.sum(axis=1)).ravel()) - near).tocsr()
+        moved[free] = spsolve(laplacian[free][:, free].tocsc(), -laplacian[free][:, ~free] @ moved[~free])
+    return moved
+
+
+def carried_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:
+    """A stack's vertices [mm], by default the stacked wraps', all three moved by `bones_displacement`.
+
+    A start without inverted tets, from which the energy can only fall.
+    """
+    stack = Stack.of(head, (1, 1), ()) if stack is None else stack
+    moved = bones_displacement(head, parameters)
+    return stack.between(*(wrap.vertices + moved for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)))
