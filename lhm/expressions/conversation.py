@@ -3,8 +3,10 @@
 Turns of talk and of listening follow one another. In talk, 3 to 6 syllables per second each draw the mouth to a
 consonant and then to a vowel; smoothing over 35 ms lets neighbours colour one another (coarticulation). Mood, brows and
 sideways motion are Ornstein-Uhlenbeck processes whose sign chooses the expression, so that of a contradictory pair
-(left or right, smile or frown) one is always zero. The figures are chosen by us, to have the range and speed of a
-recorded take.
+(left or right, smile or frown) one is always zero. Now and then mood rises to a broad smile, during which the lips are
+less rounded. Eyes fixate, mostly ahead and sometimes far aside, and lids follow them down; most blinks close the lids.
+A conversation of 2 s or more holds a blink that closes them in at least one frame, and a broad smile; a shorter one has
+them where there is room. The figures are chosen by us, to have the range and speed of a recorded take.
 """
 
 from __future__ import annotations
@@ -39,9 +41,16 @@ VOWELS: tuple[dict[str, float], ...] = (
     {"jawOpen": 0.3, "mouthLowerDown": 0.2, "mouthShrugLower": 0.1},  # schwa
 )
 REST = {"mouthPress": 0.08, "mouthShrugLower": 0.1, "mouthShrugUpper": 0.08, "mouthRollLower": 0.05}
+ROUNDED = ("mouthPucker", "mouthFunnel", "mouthPress", "mouthRollLower", "mouthRollUpper")
 SYLLABLES = (3.0, 6.0)  # [1/s]
 TALK, LISTEN = (2.0, 7.0), (0.8, 4.0)  # [s]
-BLINK_EVERY, BLINK_LASTS = (2.0, 6.0), (0.1, 0.4)  # [s]
+BLINK_EVERY, BLINK_LASTS = (2.0, 6.0), (0.12, 0.4)  # [s]
+CLOSED_SHARE, PARTLY = 0.8, (0.6, 0.95)  # of the blinks; how far the others go
+FALL, HELD = 0.3, 0.2  # of a blink: lids going down, and staying closed
+SMILE_EVERY, SMILE_LASTS, SMILE_RISES = (6.0, 16.0), (1.0, 3.5), (0.25, 0.5)  # [s]
+BROAD = (0.75, 1.0)
+GLANCES, GLANCE = 0.2, 2.5  # share of fixations far aside, and how much farther they are
+LIDS_FOLLOW = 0.4  # eyeBlink per eyeLookDown; 0.67 over a recorded take, in which lids also close for other reasons
 COARTICULATION = 0.035  # [s]
 UNEVEN = 0.08
 
@@ -58,8 +67,9 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     check_rate(rate)
     face = _Face(rng, frames, rate)
     talking = _turns(rng, face.times)
-    _mouth(face, rng, talking)
-    _mood(face, talking)
+    smile = _smiles(face, rng)
+    _mouth(face, rng, talking, 1.0 - 0.8 * smile)
+    _mood(face, talking, smile)
     _brows_and_nose(face, talking)
     _eyes(face, rng)
     return face.weights()
@@ -113,7 +123,23 @@ def _turns(rng: np.random.Generator, times: Floats) -> Floats:
     return np.array(states, dtype=np.float64)[np.searchsorted(starts, times, side="right") - 1]
 
 
-def _mouth(face: _Face, rng: np.random.Generator, talking: Floats) -> None:
+def _smiles(face: _Face, rng: np.random.Generator) -> Floats:
+    """How broad the smile is, shape (frames,): zero but for some seconds now and then, first within SMILE_EVERY."""
+    broad = np.zeros(face.frames)
+    until = float(face.times[-1])
+    length = min(rng.uniform(*SMILE_LASTS), max(0.75 * until, 1.0 / face.rate))
+    start = rng.uniform(0.0, max(min(until, SMILE_EVERY[1]) - length, 0.0))
+    while start <= until:
+        rise = min(rng.uniform(*SMILE_RISES), 0.4 * length)
+        part = np.clip(np.minimum(face.times - start, start + length - face.times) / rise, 0.0, 1.0)
+        broad = np.maximum(broad, rng.uniform(*BROAD) * part * part * (3.0 - 2.0 * part))
+        start += length + rng.uniform(*SMILE_EVERY)
+        length = rng.uniform(*SMILE_LASTS)
+    return broad
+
+
+def _mouth(face: _Face, rng: np.random.Generator, talking: Floats, rounded: Floats) -> None:
+    """Syllables; `rounded`: to what share lips are pursed where they would be."""
     names = sorted({name for target in (*CONSONANTS, *VOWELS, REST) for name in target})
     at, targets = [-1.0], [REST]
     effort = [1.0]
@@ -128,14 +154,17 @@ def _mouth(face: _Face, rng: np.random.Generator, talking: Floats) -> None:
     full = np.array([[target.get(name, 0.0) for name in names] for target in targets])
     values = full * np.array(effort)[:, None]
     for name, column in zip(names, values.T, strict=True):
-        face.add(name, face.smooth(np.interp(face.times, at, column), COARTICULATION))
+        moved = face.smooth(np.interp(face.times, at, column), COARTICULATION)
+        face.add(name, moved * rounded if name in ROUNDED else moved)
 
 
-def _mood(face: _Face, talking: Floats) -> None:
+def _mood(face: _Face, talking: Floats, smile: Floats) -> None:
     """Smile or frown, and what goes with it; the mouth and jaw to a side."""
-    mood = 0.05 + face.wander(2.0, 0.3)
     loose = (1.0 - 0.4 * face.smooth(talking, 0.2)) * (1.0 - 0.8 * face.values["mouthPucker"])
-    face.split("mouthSmile", "mouthFrown", loose * mood)
+    mood = 0.05 + face.wander(2.0, 0.3)
+    lifted = np.maximum(mood, 0.0) * (1.0 - smile) + np.minimum(mood, 0.0) * np.maximum(1.0 - 2.0 * smile, 0.0)
+    face.split("mouthSmile", "mouthFrown", loose * lifted + smile)
+    mood = lifted + smile
     face.add("cheekSquint", 0.5 * np.maximum(mood, 0.0))
     face.add("eyeSquint", 0.25 * np.maximum(mood, 0.0) + 0.1 * np.maximum(face.wander(1.5, 1.0), 0.0))
     face.add("mouthDimple", 0.2 * np.maximum(mood, 0.0))
@@ -156,13 +185,15 @@ def _brows_and_nose(face: _Face, talking: Floats) -> None:
 
 def _eyes(face: _Face, rng: np.random.Generator) -> None:
     """Gaze that jumps and rests, lids that follow it, and blinks."""
-    up, left = _gaze(face, rng, 0.18), _gaze(face, rng, 0.2)
+    up, left = _gaze(face, rng, 0.14), _gaze(face, rng, 0.16)
     up -= 0.1
     for side, outward in (("Left", left), ("Right", -left)):
         face.split(f"eyeLookOut{side}", f"eyeLookIn{side}", outward)
         face.split(f"eyeLookUp{side}", f"eyeLookDown{side}", up)
-    closed = _blinks(face.times, rng)
-    face.add("eyeBlink", 0.25 * np.maximum(-up, 0.0) * (1.0 - closed) + closed)
+    closed = _blinks(face, rng)
+    face.add("eyeBlink", LIDS_FOLLOW * np.maximum(-up, 0.0))
+    for lids in ("eyeBlinkLeft", "eyeBlinkRight"):
+        face.values[lids] = closed + (1.0 - closed) * face.values[lids]
     brows = face.values["browInnerUp"]
     face.add("eyeWide", (0.4 * np.maximum(brows - 0.15, 0.0) + 0.2 * np.maximum(up, 0.0)) * (1.0 - closed))
 
@@ -171,19 +202,22 @@ def _gaze(face: _Face, rng: np.random.Generator, deviation: float) -> Floats:
     """Fixations of 0.3 to 2 s, and saccades of about 50 ms between them."""
     count = int(face.times[-1] / 0.3) + 2
     until = np.cumsum(rng.uniform(0.3, 2.0, count))
-    held = rng.normal(0.0, deviation, count)[np.searchsorted(until, face.times, side="right").clip(max=count - 1)]
+    points = rng.normal(0.0, deviation, count) * np.where(rng.random(count) < GLANCES, GLANCE, 1.0)
+    held = points[np.searchsorted(until, face.times, side="right").clip(max=count - 1)]
     return face.smooth(held, 0.02)
 
 
-def _blinks(times: Floats, rng: np.random.Generator) -> Floats:
-    """How far the lids are closed by blinks, shape (frames,): down in a third of a blink, up in the rest."""
-    closed = np.zeros(len(times))
-    start = rng.uniform(0.0, BLINK_EVERY[1])
+def _blinks(face: _Face, rng: np.random.Generator) -> Floats:
+    """How far the lids are closed by blinks, shape (frames,): down, closed for a frame or more, and slowly up."""
+    times, closed = face.times, np.zeros(face.frames)
+    shortest = min(1.01 / (HELD * face.rate), BLINK_LASTS[1])
+    length = max(rng.uniform(*BLINK_LASTS), shortest)
+    start, depth = rng.uniform(0.0, max(min(times[-1], BLINK_EVERY[1]) - length, 0.0)), 1.0
     while start <= times[-1]:
-        length, depth = rng.uniform(*BLINK_LASTS), rng.uniform(0.85, 1.0)
         phase = (times - start) / length
-        fall, rise = phase * 3.0, (1.0 - phase) * 1.5
-        part = np.clip(np.minimum(fall, rise), 0.0, 1.0)
+        part = np.clip(np.minimum(phase / FALL, (1.0 - phase) / (1.0 - FALL - HELD)), 0.0, 1.0)
         closed = np.maximum(closed, depth * part * part * (3.0 - 2.0 * part))
         start += length + rng.uniform(*BLINK_EVERY)
+        length = max(rng.uniform(*BLINK_LASTS), shortest)
+        depth = 1.0 if rng.random() < CLOSED_SHARE else rng.uniform(*PARTLY)
     return closed

@@ -74,6 +74,24 @@ def test_blinks_come_every_few_seconds_and_are_short(talk):
     assert closed.max() < 0.4
 
 
+@pytest.mark.parametrize(("seconds", "rate"), [(2.0, 60.0), (2.0, 30.0), (10.0, 60.0)])
+def test_every_conversation_closes_its_lids_and_smiles_broadly(seconds, rate):
+    for seed in range(200):
+        talk = conversation(np.random.default_rng(seed), round(seconds * rate), rate=rate)
+        lids = np.minimum(column(talk, "eyeBlinkLeft"), column(talk, "eyeBlinkRight"))
+        smile = np.minimum(column(talk, "mouthSmileLeft"), column(talk, "mouthSmileRight"))
+        assert lids.max() > 0.999 and smile.max() > 0.6, seed
+
+
+def test_lids_follow_the_gaze_and_gazes_reach_far(talk):
+    """Between blinks, which are a tenth of the time, eyeBlink is 0.4 of eyeLookDown: so its median at any gaze is."""
+    down, lids = column(talk, "eyeLookDownLeft"), column(talk, "eyeBlinkLeft")
+    far = down > 0.2
+    assert np.median(lids[far] / down[far]) == pytest.approx(0.4, abs=0.05)
+    for name in ("eyeLookDownLeft", "eyeLookUpLeft", "eyeLookOutLeft", "eyeLookInLeft"):
+        assert column(talk, name).max() > 0.3, name
+
+
 def test_the_jaw_opens_a_few_times_per_second_of_talk(talk):
     """At most one visible opening per syllable, of which there are 3 to 6 per second."""
     jaw = column(talk, "jawOpen")
