@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ..lhm.errors import InputError, SoftdecaError
-from ..lhm.expressions import Take, conversation, read_take
+from ..lhm.expressions import Take, conversation, read_take, speech
 from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
 from ..lhm.head import LayeredHead
@@ -26,7 +26,7 @@ from .take_store import TakeStore, digest
 
 Format = Literal["vtkhdf", "gltf"]
 FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
-MADE_UP = "conversation"
+MADE_UP, SPOKEN = "conversation", "speech"
 SECONDS, RATE = 10.0, 60.0
 
 
@@ -59,10 +59,14 @@ class TakeResult:
 
 
 def take_from_text(text: str) -> Take:
-    """A file by `read_take`, or "conversation[:SECONDS[:SEED]]", made-up talk at 60 Hz (10 s and seed 0 by default)."""
-    name, *rest = text.split(":")
-    if name != MADE_UP:
-        return read_take(text)
+    """A file by `read_take`, or one made up: "conversation[:SECONDS[:SEED]]" (10 s and seed 0) or "speech:TEXT"."""
+    name, colon, rest = text.partition(":")
+    if name == SPOKEN and colon:
+        return speech(rest)
+    return _conversation(text, rest.split(":") if colon else []) if name == MADE_UP else read_take(text)
+
+
+def _conversation(text: str, rest: list[str]) -> Take:
     try:
         seconds = float(rest[0]) if rest else SECONDS
         seed = int(rest[1]) if len(rest) > 1 else 0
@@ -72,7 +76,7 @@ def take_from_text(text: str) -> Take:
         raise InputError(f"take {text!r}: expected {MADE_UP}[:SECONDS[:SEED]]") from None
     count = max(1, round(seconds * RATE))
     weights = conversation(np.random.default_rng(seed), count, rate=RATE)
-    return Take(weights, RATE, np.arange(count) / RATE)
+    return Take(weights, RATE, np.arange(count) / RATE, synthetic="made-up conversation")
 
 
 def cut(take: Take, text: str) -> Take:
@@ -84,7 +88,7 @@ def cut(take: Take, text: str) -> Take:
     chosen = slice(first, last)
     if not len(take.times[chosen]):
         raise InputError(f"frames {text!r}: none of the take's {len(take.times)}")
-    return Take(take.weights[chosen], take.rate, take.times[chosen], take.clipped, take.missing)
+    return take.part(chosen)
 
 
 def run_take(

@@ -15,7 +15,6 @@ from ..reference.parameter_file import read_parameters
 from .progress import shown
 
 AFile = click.Path(path_type=Path)
-FEW = 5
 
 
 @click.command()
@@ -55,7 +54,7 @@ def simulate(
     tolerance: float | None,
     as_json: bool,
 ) -> int:
-    """Simulate TAKE, a LiveLink Face CSV, a JSON of weights, or 'conversation[:SECONDS[:SEED]]', on a head.
+    """Simulate TAKE: a LiveLink Face CSV, weights.csv, JSON, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
 
     Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (or .mp4) and OUT/log.jsonl, a line per frame. A run that was
     stopped goes on where it was. Exit status 1 if a frame did not converge; those are listed.
@@ -71,9 +70,8 @@ def simulate(
     choices = {"bones": bones} | ({"contact": list(contact)} if contact else {})
     config = TakeConfig(out, kind, preview, dynamic, choices=choices)  # type: ignore[arg-type]
     config = config if tolerance is None else replace(config, tolerance=tolerance)
-    if recorded.clipped or recorded.missing:
-        missing = f"{len(recorded.missing)} expressions are missing ({', '.join(recorded.missing[:FEW])})"
-        click.echo(f"softdeca: {take}: {recorded.clipped} weights outside [0, 1] clipped; {missing}", err=True)
+    if recorded.remarks():
+        click.echo(f"softdeca: {take}: {'; '.join(recorded.remarks())}", err=True)
     try:
         with shown() as progress:
             progress("head", 0.0)

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from ..lhm.errors import InputError
+from ..lhm.expressions import sample_weights
 from ..lhm.identities import IdentitySpace
 from ..lhm.mesh import Floats, Ints, Surface
 from ..reference import Parameters
-from .sampling import sample_weights
 
 Split = Literal["train", "test"]
 IDENTITY, EXPRESSION, PARAMETER, DRAW = range(4)

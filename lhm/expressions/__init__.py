@@ -2,22 +2,33 @@
 
 from ..arkit import ARKIT
 from .blending import blend, checked_weights, index, weights_of
+from .combinations import combinations, sample_weights
 from .conversation import conversation
+from .head_rotation import rotations
+from .recordings import Recording, recordings, starts
 from .rigging import PersonalRig, personalised
+from .speech import speech
 from .take import Take, read_take, resampled
 from .transfer import transfer_expressions
 
 __all__ = [
     "ARKIT",
     "PersonalRig",
+    "Recording",
     "Take",
     "blend",
     "checked_weights",
+    "combinations",
     "conversation",
     "index",
     "personalised",
     "read_take",
+    "recordings",
     "resampled",
+    "rotations",
+    "sample_weights",
+    "speech",
+    "starts",
     "transfer_expressions",
     "weights_of",
 ]

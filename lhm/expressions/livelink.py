@@ -3,6 +3,13 @@
 Columns are found by name, whatever their order and case (JawRight stands before JawLeft). A timecode is
 HH:MM:SS:FF.fff: frames FF.fff since the second, at a rate that the file does not say. It is read as the least usual one
 above the largest FF; in a take without a whole second, whose FF say little, as 60.
+
+HeadYaw, HeadPitch and HeadRoll are read as radians; a head whose angles are all zero was not tracked. In real takes the
+eyes' yaw falls with eyeLookOutLeft and their pitch with eyeLookUp: yaw turns to the subject's right, pitch downward.
+The head's are taken alike, and roll, of which no weight tells, as the same mirrored frame has it.
+
+Where the phone loses the face it writes BlendShapeCount 0, by itself or with values that say nothing. Such lines are
+left out and counted; the frames around keep their times, so that a gap stands where they were.
 """
 
 from __future__ import annotations
@@ -27,6 +34,7 @@ BESIDE = {
     "blendshapecount",
     *(f"{of}{a}".lower() for of in ("Head", "LeftEye", "RightEye") for a in ANGLES),
 }
+MIRRORED = (-1.0, 1.0, -1.0)
 _TIMECODE = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})[:;](\d{1,3}(?:\.\d+)?)")
 _DAY = 24 * 3600
 
@@ -34,8 +42,7 @@ _DAY = 24 * 3600
 def parse_csv(text: str) -> Take:
     """The take in a CSV's text; InputError names line and column.
 
-    Other columns are ignored, unless the name is nearly one of the 52 that the file lacks. Lines that say
-    BlendShapeCount 0 have no face and are left out.
+    Other columns are ignored, unless the name is nearly one of the 52 that the file lacks.
     """
     try:
         rows = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1) if any(row)]
@@ -46,18 +53,37 @@ def parse_csv(text: str) -> Take:
     place = {name.lower(): number for number, name in enumerate(header)}
     if "timecode" not in place:
         raise InputError("line 1: no column Timecode, so its times are not known")
-    counted = place.get("blendshapecount")
-    frames = []
-    for line, row in rows[1:]:
+    frames = [(line, row) for line, row in rows[1:] if not _without_face(row, place)]
+    for line, row in frames:
         if len(row) != len(header):
             raise InputError(f"line {line}: {len(row)} columns, line 1 has {len(header)}")
-        if counted is None or row[counted].strip() != "0":
-            frames.append((line, row))
     if not frames:
-        raise InputError("no frames, only the line of names")
-    lines = [line for line, _ in frames]
-    rate, times = _times(lines, [row[place["timecode"]] for _, row in frames])
-    return take_of(_values(frames, header, list(columns)), list(columns.values()), rate, times)
+        raise InputError("no frames with a face" if rows[1:] else "no frames, only the line of names")
+    rate, times = _times([line for line, _ in rows[1:]], [row[place["timecode"]] for _, row in rows[1:]])
+    found = np.array([not _without_face(row, place) for _, row in rows[1:]])
+    return take_of(
+        _values(frames, header, list(columns)),
+        list(columns.values()),
+        rate,
+        times[found] - times[found][0],
+        head=_head(frames, header, place),
+        lost_at=times[~found] - times[found][0],
+    )
+
+
+def _without_face(row: list[str], place: dict[str, int]) -> bool:
+    """Whether a line says that there is no face: `timecode,0`, or 0 in the column BlendShapeCount."""
+    counted = place.get("blendshapecount")
+    return counted is not None and counted < len(row) and row[counted].strip() == "0"
+
+
+def _head(frames: list[tuple[int, list[str]]], header: list[str], place: dict[str, int]) -> Floats | None:
+    """The head's angles (see `head_rotation`), or None where there are none."""
+    columns = [place.get(f"head{angle}".lower()) for angle in ANGLES]
+    if None in columns:
+        return None
+    angles = _values(frames, header, columns)  # type: ignore[arg-type]
+    return np.unwrap(angles, axis=0) * MIRRORED if angles.any() else None
 
 
 def _columns(header: list[str]) -> dict[int, str]:

@@ -1,9 +1,9 @@
-"""Takes: recorded ARKit weights over time, read from LiveLink Face's CSV or from JSON."""
+"""Takes: recorded ARKit weights over time, read from LiveLink Face's CSV, a recorder's weights.csv, or JSON."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +12,32 @@ from ..arkit import ARKIT
 from ..errors import InputError
 from ..mesh import Floats
 
+FEW = 5
+GAP = 0.1
+"""Frames further apart than this [s] have something missing between them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Take:
     """Weights in ARKit's order, shape (frames, 52), in [0, 1], at `times` [s], shape (frames,), rising.
 
-    `rate` [Hz] is the usual number of frames per second; dropped frames show in `times`. `clipped` says how many values
-    lay outside [0, 1] where they came from, `missing` which of the 52 were not there and are zero. Raises InputError
-    for other shapes, weights outside [0, 1] or not finite, and times that do not rise.
+    `rate` [Hz] is the usual number of frames per second; dropped frames show in `times`. `missing`: which of the 52
+    were not there and are zero. `head` [rad], shape (frames, 3), or None: the head's yaw, pitch and roll (see
+    `head_rotation`). `clipped_at`, `lost_at` [s], shape (k,): when a value lay outside [0, 1] where it came from, and
+    when a frame was left out since it had no face. `gaps` [s], shape (k, 2): from when to when frames were made up
+    between two that were recorded. `synthetic`: what made the take up, or "". Raises InputError for other shapes,
+    weights outside [0, 1] or not finite, angles not finite, and times that do not rise.
     """
 
     weights: Floats
     rate: float
     times: Floats
-    clipped: int = 0
     missing: tuple[str, ...] = ()
+    head: Floats | None = None
+    clipped_at: Floats = field(default_factory=lambda: np.zeros(0))
+    lost_at: Floats = field(default_factory=lambda: np.zeros(0))
+    gaps: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    synthetic: str = ""
 
     def __post_init__(self):
         weights, times = (np.array(values, dtype=np.float64) for values in (self.weights, self.times))
@@ -41,7 +52,12 @@ class Take:
         if (np.diff(times) <= 0).any():
             raise InputError(f"take: time does not rise at frame {np.flatnonzero(np.diff(times) <= 0)[0] + 1}")
         check_rate(self.rate)
-        for name, values in (("weights", weights), ("times", times)):
+        held = {"weights": weights, "times": times}
+        if self.head is not None:
+            held["head"] = np.array(self.head, dtype=np.float64)
+            if held["head"].shape != (len(weights), 3) or not np.isfinite(held["head"]).all():
+                raise InputError(f"take: expected finite angles of shape ({len(weights)}, 3), got {held['head'].shape}")
+        for name, values in held.items():
             values.flags.writeable = False
             object.__setattr__(self, name, values)
 
@@ -49,6 +65,43 @@ class Take:
     def duration(self) -> float:
         """From the first frame to the last [s]."""
         return float(self.times[-1] - self.times[0])
+
+    @property
+    def clipped(self) -> int:
+        """How many values lay outside [0, 1] where they came from."""
+        return len(self.clipped_at)
+
+    @property
+    def lost(self) -> int:
+        """How many frames were left out since they had no face."""
+        return len(self.lost_at)
+
+    def part(self, chosen: slice) -> Take:
+        """Some of the frames, with what is counted in their time alone; InputError if there are none."""
+        times = self.times[chosen]
+        if not len(times):
+            raise InputError(f"take: none of its {len(self.times)} frames")
+        first, last = times[0] - 0.5 / self.rate, times[-1] + 0.5 / self.rate
+        return replace(
+            self,
+            weights=self.weights[chosen],
+            times=times,
+            head=None if self.head is None else self.head[chosen],
+            clipped_at=self.clipped_at[(self.clipped_at >= first) & (self.clipped_at < last)],
+            lost_at=self.lost_at[(self.lost_at >= first) & (self.lost_at < last)],
+            gaps=self.gaps[(self.gaps[:, 1] > times[0]) & (self.gaps[:, 0] < times[-1])],
+        )
+
+    def remarks(self) -> tuple[str, ...]:
+        """What a user should know of the take, a line each; what there is nothing of is left out."""
+        few = ", ".join(self.missing[:FEW]) + (", ..." if len(self.missing) > FEW else "")
+        bridged = "; the weights between are read off a line" if len(self.gaps) else ""
+        said = (
+            (self.clipped, f"{self.clipped} weights outside [0, 1] clipped"),
+            (self.lost, f"{self.lost} frames without a face left out{bridged}"),
+            (self.missing, f"{len(self.missing)} expressions are missing, and zero ({few})"),
+        )
+        return tuple(text for there, text in said if there)
 
 
 def check_rate(rate: float) -> None:
@@ -58,13 +111,15 @@ def check_rate(rate: float) -> None:
 
 
 def read_take(path: str | os.PathLike[str]) -> Take:
-    """A take from a LiveLink Face CSV (see `livelink`) or a JSON file (see `take_json`), by its suffix.
+    """A take from a CSV of LiveLink Face (`livelink`) or of a row per quantity (`weights_csv`), or JSON (`take_json`).
 
-    Values outside [0, 1] are clipped and counted, expressions that the file lacks are zero and named: both stand in the
-    Take. Raises InputError, one line that names the file and, where there are such, line or frame and column.
+    By its suffix, and a CSV by what it holds. Values outside [0, 1] are clipped and counted, frames without a face left
+    out and counted, expressions that the file lacks are zero and named: all stand in the Take. Raises InputError, one
+    line that names the file and, where there are such, line or frame and column.
     """
     from .livelink import parse_csv
     from .take_json import parse_json
+    from .weights_csv import is_transposed, parse_transposed
 
     parsers = {".csv": parse_csv, ".json": parse_json}
     path = Path(path)
@@ -80,46 +135,75 @@ def read_take(path: str | os.PathLike[str]) -> Take:
         raise InputError(f"{path}: cannot be read ({reason})") from None
     if not text.strip():
         raise InputError(f"{path}: the file is empty")
+    if parse is parse_csv and is_transposed(text):
+        parse = parse_transposed
     try:
         return parse(text)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def take_of(columns: Floats, names: list[str], rate: float, times: Floats) -> Take:
+def take_of(
+    columns: Floats,
+    names: list[str],
+    rate: float,
+    times: Floats,
+    *,
+    head: Floats | None = None,
+    lost_at: Floats | None = None,
+) -> Take:
     """A Take of values, shape (frames, len(names)), whose columns are the expressions named; clipped and counted."""
     weights = np.zeros((len(columns), len(ARKIT)))
     weights[:, [ARKIT.index(name) for name in names]] = columns
-    clipped = int(np.count_nonzero((weights < 0.0) | (weights > 1.0)))
-    missing = tuple(name for name in ARKIT if name not in names)
-    return Take(np.clip(weights, 0.0, 1.0), rate, times, clipped, missing)
+    outside = np.count_nonzero((weights < 0.0) | (weights > 1.0), axis=1)
+    return Take(
+        np.clip(weights, 0.0, 1.0),
+        rate,
+        times,
+        tuple(name for name in ARKIT if name not in names),
+        head,
+        clipped_at=np.repeat(times, outside),
+        lost_at=np.zeros(0) if lost_at is None else lost_at,
+    )
 
 
 def resampled(take: Take, rate: float) -> Take:
     """The take at evenly spaced times from its first to its last, `rate` [Hz].
 
-    Between frames the weights are linear in time. Where the rate rises or stays, they are read off there; where it
-    falls, they are averaged exactly over 1/rate around each new time (as much of it as lies within the take), so that
-    what is faster than the new rate fades rather than folds back. Raises InputError for a rate that is not positive.
+    Between frames weights and head are linear in time, also where frames were lost: what is further apart than GAP
+    stands in `gaps`. Where the rate rises or stays, they are read off there; where it falls, they are averaged exactly
+    over 1/rate around each new time (as much of it as lies within the take), so that what is faster than the new rate
+    fades rather than folds back. Raises InputError for a rate that is not positive.
     """
     check_rate(rate)
     start, end = take.times[0], take.times[-1]
     times = start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate
     times = np.minimum(times, end)
+    weights = _at(take, take.weights, times, rate)
+    head = None if take.head is None else _at(take, take.head, times, rate)
+    return replace(take, weights=np.clip(weights, 0.0, 1.0), rate=float(rate), times=times, head=head, gaps=_gaps(take))
+
+
+def _gaps(take: Take) -> Floats:
+    wide = np.flatnonzero(np.diff(take.times) > max(GAP, 1.5 / take.rate))
+    return np.concatenate([take.gaps, np.stack([take.times[wide], take.times[wide + 1]], axis=1)])
+
+
+def _at(take: Take, values: Floats, times: Floats, rate: float) -> Floats:
+    """Values of the take's frames, shape (frames, k), at other times."""
     if rate >= take.rate * (1.0 - 1e-6) or len(take.times) == 1:
-        weights = np.stack([np.interp(times, take.times, column) for column in take.weights.T], axis=1)
-    else:
-        left, right = np.maximum(times - 0.5 / rate, start), np.minimum(times + 0.5 / rate, end)
-        weights = (_integral(take, right) - _integral(take, left)) / (right - left)[:, None]
-    return Take(np.clip(weights, 0.0, 1.0), float(rate), times, take.clipped, take.missing)
+        return np.stack([np.interp(times, take.times, column) for column in values.T], axis=1)
+    left = np.maximum(times - 0.5 / rate, take.times[0])
+    right = np.minimum(times + 0.5 / rate, take.times[-1])
+    return (_integral(take.times, values, right) - _integral(take.times, values, left)) / (right - left)[:, None]
 
 
-def _integral(take: Take, until: Floats) -> Floats:
-    """The integral of the piecewise linear weights from the first frame to each time, shape (times, 52)."""
-    steps = np.diff(take.times)
-    slopes = np.diff(take.weights, axis=0) / steps[:, None]
-    whole = np.cumsum(0.5 * (take.weights[1:] + take.weights[:-1]) * steps[:, None], axis=0)
+def _integral(times: Floats, values: Floats, until: Floats) -> Floats:
+    """The integral of the piecewise linear values from the first time to each of others, shape (others, k)."""
+    steps = np.diff(times)
+    slopes = np.diff(values, axis=0) / steps[:, None]
+    whole = np.cumsum(0.5 * (values[1:] + values[:-1]) * steps[:, None], axis=0)
     before = np.vstack([np.zeros((1, whole.shape[1])), whole])
-    frame = np.clip(np.searchsorted(take.times, until, side="right") - 1, 0, len(steps) - 1)
-    rest = (until - take.times[frame])[:, None]
-    return before[frame] + rest * (take.weights[frame] + 0.5 * rest * slopes[frame])
+    frame = np.clip(np.searchsorted(times, until, side="right") - 1, 0, len(steps) - 1)
+    rest = (until - times[frame])[:, None]
+    return before[frame] + rest * (values[frame] + 0.5 * rest * slopes[frame])

@@ -172,7 +172,17 @@ def test_a_recorded_take_is_simulated(command, data, tmp_path):
         *("simulate", file, "--level", 1, "--frames", "900:906", "--preview", "none", "--out", tmp_path / "take")
     )
     assert ended.status == 0 and "6 frames, 0 failed" in ended.out
-    assert len(ended.errors) == 1 and "weights outside [0, 1] clipped" in ended.errors[0]
+    assert not ended.errors  # the one weight that is clipped lies elsewhere
+
+
+def test_a_spoken_text_is_simulated_and_lost_frames_are_told(command, data, tmp_path):
+    pytest.importorskip("openfacefx")
+    level, none = ("--level", 1), ("--preview", "none")
+    spoken = command("simulate", "speech:Bob.", *level, *none, "--frames", "20:23", "--out", tmp_path / "speech")
+    assert spoken.status == 0 and "3 frames, 0 failed" in spoken.out and not spoken.errors
+    file = data / "arkit_sequences" / "s88_001_lost_face_rows.csv"
+    lost = command("simulate", file, *level, *none, "--frames", "382:386", "--out", tmp_path / "lost")
+    assert lost.status == 0 and len(lost.errors) == 1 and "frames without a face left out" in lost.errors[0]
 
 
 @pytest.mark.parametrize(

