@@ -66,3 +66,27 @@ def _cholespy(matrix: csc_matrix) -> Solve:
         return solution
 
     return solve
+
+
+def factorise_definite(
+    matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Solve | None = None
+) -> Solve:
+    """Factor a matrix that may turn out not to be positive definite: then LinAlgError is raised.
+
+    linear_solver None takes CHOLMOD by supernodes where the system has it, which is what factors of three unknowns per
+    vertex need most, else what `factorise` takes; `like` and errors are as there.
+    """
+    if linear_solver is None and cholmod.library() is not None:
+        linear_solver = "cholmod"
+    if linear_solver == "cholmod" and cholmod.library() is not None:
+        return cholmod.Factor(matrix, like if isinstance(like, cholmod.Factor) else None, definite=True)
+    if linear_solver == "superlu" or (linear_solver is None and CholeskySolverD is None):
+        # LU without pivoting meets the signs of LDLᵀ.
+        lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        if not (lu.U.diagonal() > 0.0).all():
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+        return lu.solve
+    try:
+        return factorise(matrix, linear_solver=linear_solver)
+    except ValueError:
+        raise np.linalg.LinAlgError("the matrix is not positive definite") from None

@@ -1,5 +1,6 @@
 """Projective dynamics on tets and triangles: local projections, one global matrix, L-BFGS (SoftDECA Section 3.2)."""
 
 from .solver import ProjectivePrepared, local_step_seconds, prepare
+from .tangent import Tangent
 
-__all__ = ["ProjectivePrepared", "local_step_seconds", "prepare"]
+__all__ = ["ProjectivePrepared", "Tangent", "local_step_seconds", "prepare"]

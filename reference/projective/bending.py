@@ -24,7 +24,7 @@ FLOOR = 1e-9
 
 
 @njit(**COMPILED)
-def _gather(w, centres, starts, ring, cotangents, edges, sought, u):
+def gather(w, centres, starts, ring, cotangents, edges, sought, u):
     """Put D without its R B, and S, of a block of vertices into the rows D and F."""
     w[D0 : D0 + 3 * LANES] = 0.0
     w[F00 : F00 + 9 * LANES] = 0.0
@@ -76,7 +76,7 @@ def _add_bending(centres, starts, ring, cotangents, edges, sought, laplacians, l
     energy = 0.0
     for first in range(0, len(centres), LANES):
         last = min(first + LANES, len(centres))
-        _gather(w, centres[first:last], starts[first : last + 1], ring, cotangents, edges, sought, u)
+        gather(w, centres[first:last], starts[first : last + 1], ring, cotangents, edges, sought, u)
         decompose(w)
         for v in range(first, last):
             energy += 0.5 * weights[v] * _turn(w, v - first, laplacians[v], least[v], R, D, z)

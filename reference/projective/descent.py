@@ -8,7 +8,7 @@ as they stand, which is exact to second order.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -51,15 +51,15 @@ class Point:
 class Problem:
     """What is minimised: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
-    `untangling`, where given, evaluates an energy that leads out of inverted tets and has the same matrix A. `bounded`
-    says that A bounds the energies of free vertices, so that a plain step never raises them; those of Bending it
-    does not, whose rest shape turns along. `memory` is what L-BFGS starts with and adds to.
+    `untangling`, where given, is the problem of an energy that leads out of inverted tets. `bounded` says that A bounds
+    the energies of free vertices, so that a plain step never raises them; those of Bending it does not, whose rest
+    shape turns along. `memory` is what L-BFGS starts with and adds to.
     """
 
     at: Callable[[Place], Point]
     move: Callable[[Place, Floats], Place]
     precondition: Callable[[Floats, Point], Floats]
-    untangling: Callable[[Place], Point] | None = None
+    untangling: Problem | None = None
     bounded: bool = True
     memory: Memory | None = None
 
@@ -169,8 +169,7 @@ def after_untangling(descend: Descent, problem: Problem, point: Point, watch: Wa
     """
     if problem.untangling is not None:
         other = Untangling(problem, watch)
-        relaxed = replace(problem, at=problem.untangling, untangling=None, memory=None)
-        end, _ = lbfgs(relaxed, relaxed.at(point.place), other)
+        end, _ = lbfgs(problem.untangling, problem.untangling.at(point.place), other)
         point = problem.at(end.place)
         if other.stopped is not None:
             return point, other.stopped

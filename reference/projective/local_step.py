@@ -68,7 +68,7 @@ from .volume_projection import project_volume, settle_doubts
 
 
 @njit(**COMPILED)
-def _gather(w, parameters, corners, u):
+def gather(w, parameters, corners, u):
     """Copy a block's parameters, and put the edges of the displacement u into F: row r, column j is u_j - u_0."""
     for i in range(PARAMETERS * LANES):
         w[i] = parameters[i]
@@ -80,7 +80,7 @@ def _gather(w, parameters, corners, u):
 
 
 @njit(**COMPILED)
-def _deformation_gradient(w):
+def deformation_gradient(w):
     """F = I + Du Dm_inv: from displacements, for differences of positions far from the origin lose digits."""
     for k in range(LANES):
         g00, g01, g02 = w[G00 + k], w[G01 + k], w[G02 + k]
@@ -162,8 +162,8 @@ def add_tets(parameters, corners, has_volume, u, gradient):
     w = np.zeros(ROWS * LANES)
     total = 0.0
     for block in range(len(parameters)):
-        _gather(w, parameters[block], corners[block], u)
-        _deformation_gradient(w)
+        gather(w, parameters[block], corners[block], u)
+        deformation_gradient(w)
         decompose(w)
         if not has_volume[block]:
             w[D0 : D0 + 3 * LANES] = 0.0

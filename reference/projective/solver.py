@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -35,6 +35,7 @@ from .descent import Descent, Point, Problem, Watch, after_untangling, anderson,
 from .energy import Energy
 from .memory import Memory
 from .system import System
+from .tangent import Tangent
 
 if TYPE_CHECKING:
     from .contact import Following
@@ -94,6 +95,13 @@ class _Work:
         self.global_solves += 1
         return self.system.solve(vector, point.place.rotations)
 
+    def by(self, metric: Tangent) -> Callable[[Floats, Point], Floats]:
+        def precondition(vector: Floats, point: Point) -> Floats:
+            self.global_solves += 1
+            return metric.solve(vector)
+
+        return precondition
+
     def counts(self) -> dict[str, float]:
         return {
             "factorisations": float(len(self.system.groups)),
@@ -130,6 +138,8 @@ class ProjectivePrepared:
         warm: Solution | None = None,
         remember: bool = False,
         untangle: bool = True,
+        absolute: float | None = None,
+        metric: Tangent | None = None,
     ) -> ProjectiveSolution:
         """Minimise the energy of the prepared scene, or of one that differs only in the fields of `VARYING`.
 
@@ -138,27 +148,30 @@ class ProjectivePrepared:
         begins with. What is Fixed is put where it is held, and a RigidBody where it fits best, before the first
         iteration. A start with inverted tets is untangled first, unless it is known to need none: not to `untangle` one
         near the answer saves half the iterations.
+        `absolute` [mN] is the gradient norm to stop at, in place of one relative to the start's: what asks the same of
+        every frame, wherever it starts. `metric`, from `tangent`, is the Hessian at an answer near by, in place of the
+        PD matrix: from there to here far fewer iterations are left, each of about twice the price.
         Nothing is factored again. `detail` counts factorisations, evaluations and global solves; with Contact in the
         scene also crossing pairs of triangles and the greatest depth [mm] before and after, and rounds.
-        Raises SceneError if `scene` needs a new preparation, if start or tolerance are out of range, or if loads push
-        a part that nothing holds.
+        Raises SceneError if `scene` needs a new preparation, if start, tolerance or `absolute` are out of range, if the
+        metric is of other unknowns, or if loads push a part that nothing holds.
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
-        limit = _checked_limits(tolerance, max_iterations)
+        limit = _checked_limits(tolerance, absolute, max_iterations)
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
         place = coordinates.start(np.where(held, values, _checked_start(scene, start, warm)) - scene.vertices)
         recorder = Recorder(on_iteration)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
-        work = _Work(self.system)
-        tangled = untangle and bool((volume_ratio(scene, scene.vertices + place.u) <= 0).any())
-        untangling = work.on(energy.untangling(VOLUME_SHARE[self.method])) if tangled else None
-        bounded, memory = energy.bending is None, self._remembered(warm)
-        problem = Problem(work.on(energy), coordinates.move, work.precondition, untangling, bounded, memory)
+        problem = self._problem(work := _Work(self.system), scene, energy, metric, self._remembered(warm))
+        if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
+            relaxed = work.on(energy.untangling(VOLUME_SHARE[self.method]))
+            problem = replace(problem, untangling=Problem(relaxed, coordinates.move, work.precondition))
         first = problem.at(place)
-        watch = Watch(recorder, scene.vertices, stop_threshold(scene, first.norm, tolerance), limit)
+        threshold = stop_threshold(scene, first.norm, tolerance if absolute is None else 0.0)
+        watch = Watch(recorder, scene.vertices, max(threshold, absolute or 0.0), limit)
         point, reason = METHODS[self.method](problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
@@ -174,8 +187,41 @@ class ProjectivePrepared:
             history=recorder.history(),
             volume_ratio=volume_ratio(scene, positions),
             detail=work.counts() | outcome,
-            memory=memory if remember else None,
+            memory=problem.memory if remember else None,
         )
+
+    def tangent(
+        self,
+        solution: Solution,
+        scene: Scene | None = None,
+        *,
+        linear_solver: LinearSolver | None = None,
+        like: Tangent | None = None,
+    ) -> Tangent:
+        """The exact Hessian at a scene's solution, factored: for responses, and as a metric of scenes near by.
+
+        Where it is not positive definite, which no minimum without a flat direction is, each element's
+        eigenvalues are raised to 0, and `Tangent.exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
+        where the system has it (see `lhm.geometry.factor.factorise_definite`); `like`, another tangent of the same
+        topology, such as of another identity, lends its analysis. Raises SceneError for a scene with Contact.
+        """
+        scene = self.scene if scene is None else scene
+        self.scene.check_prepared_for(scene, varying=VARYING)
+        held, values = scene.dirichlet()
+        place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
+        known = (scene, self.energy.for_scene(scene), self.system.coordinates, place)
+        return Tangent.of(*known, linear_solver=linear_solver, like=like)
+
+    def _problem(
+        self, work: _Work, scene: Scene, energy: Energy, metric: Tangent | None, memory: Memory | None
+    ) -> Problem:
+        if metric is not None and metric.coordinates.size != self.system.coordinates.size:
+            raise SceneError(
+                f"metric: it has {metric.coordinates.size} unknowns, the scene {self.system.coordinates.size}"
+            )
+        precondition = work.precondition if metric is None else work.by(metric)
+        bounded = energy.bending is None and metric is None
+        return Problem(work.on(energy), self.system.coordinates.move, precondition, bounded=bounded, memory=memory)
 
     def _remembered(self, warm: Solution | None) -> Memory | None:
         """A memory of its own for a solve, of what a solution of as many unknowns left."""
@@ -240,7 +286,9 @@ def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> fl
     return float(np.median(times))
 
 
-def _checked_limits(tolerance: float, max_iterations: int | None) -> int:
+def _checked_limits(tolerance: float, absolute: float | None, max_iterations: int | None) -> int:
+    if absolute is not None and not (np.isfinite(absolute) and absolute > 0.0):
+        raise SceneError(f"absolute: expected a gradient norm above 0 mN, got {absolute}")
     if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
     if max_iterations is not None and max_iterations < 0:

@@ -82,16 +82,15 @@ class TetBlocks:
             _spread(inverse[:, row // 3, row % 3], LANES * row, every, parameters)
         for corner in range(4):
             _spread(scene.tets[tets, corner], LANES * corner, every, corners)
-        for term, rows in entries:
-            stiffness = term.stiffness * scene.volumes[tets[rows]]
-            _spread(stiffness, STRAIN if isinstance(term, Strain) else VOLUME, rows, parameters)
-        has_volume = (parameters[:, VOLUME // LANES] > 0).any(axis=1)
-        return cls(corners, parameters, has_volume, tuple(rows for _, rows in entries), tets, threads)
+        none = np.zeros(blocks, dtype=bool)
+        return cls(corners, parameters, none, tuple(rows for _, rows in entries), tets, threads).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> TetBlocks:
-        """The same blocks with the limits, growth and target volumes of another scene of the same terms."""
+        """The same blocks with the numbers, one or one per tet, of another scene of the same terms."""
         parameters = self.parameters.copy()
         for term, rows in zip(scene.of(Strain) + scene.of(Volume), self.rows_of, strict=True):
+            stiffness = term.stiffness * scene.volumes[self.tets[rows]]
+            _spread(stiffness, STRAIN if isinstance(term, Strain) else VOLUME, rows, parameters)
             if isinstance(term, Strain) and term.rule == "indicator":
                 _spread(term.limit, ACTIVE, rows, parameters)
             elif isinstance(term, Strain):
@@ -100,7 +99,8 @@ class TetBlocks:
                 _spread(size * term.limit, HIGH, rows, parameters)
             else:
                 _spread(term.target, TARGET, rows, parameters)
-        return replace(self, parameters=parameters)
+        has_volume = (parameters[:, VOLUME // LANES] > 0).any(axis=1)
+        return replace(self, parameters=parameters, has_volume=has_volume)
 
     def untangling(self, volume_share: float) -> TetBlocks:
         """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out."""

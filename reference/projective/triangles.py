@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -71,7 +71,7 @@ def _inverse(edges: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """All triangles of the scene's SurfaceStrain terms, in order; `scale` is √growth.
+    """The triangles of a scene's SurfaceStrain terms; `weights` is stiffness times rest area, `scale` √growth.
 
     `edges` are the scene's, to which the displacement adds; `inverse` is that of the shape sought.
     """
@@ -79,6 +79,7 @@ class Triangles:
     corners: Ints
     edges: Floats
     inverse: Floats
+    areas: Floats
     weights: Floats
     scale: Floats
 
@@ -92,15 +93,17 @@ class Triangles:
         edges = _edges(scene.vertices[corners])
         sought = [(scene.vertices if term.rest is None else term.rest)[term.triangles] for term in terms]
         inverse = _inverse(_edges(np.concatenate(sought)))
-        stiffness = np.concatenate([np.broadcast_to(term.stiffness, len(term.triangles)) for term in terms])
-        weights = stiffness * np.linalg.norm(np.cross(edges[:, :, 0], edges[:, :, 1]), axis=1) / 2.0
-        return cls(corners, edges, inverse, weights, np.ones(len(corners))).for_scene(scene)
+        areas = np.linalg.norm(np.cross(edges[:, :, 0], edges[:, :, 1]), axis=1) / 2.0
+        return cls(corners, edges, inverse, areas, np.ones(0), np.ones(0)).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Triangles:
-        """The same triangles with the growth of another scene of the same terms."""
+        """The same triangles with the stiffness and growth of another scene of the same terms."""
         terms = scene.of(SurfaceStrain)
-        growth = np.concatenate([np.broadcast_to(term.growth, len(term.triangles)) for term in terms])
-        return Triangles(self.corners, self.edges, self.inverse, self.weights, np.sqrt(growth))
+        stiffness, growth = (
+            np.concatenate([np.broadcast_to(getattr(term, name), len(term.triangles)) for term in terms])
+            for name in ("stiffness", "growth")
+        )
+        return replace(self, weights=self.areas * stiffness, scale=np.sqrt(growth))
 
     def add_to(self, u: Floats, gradient: Floats) -> float:
         """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
