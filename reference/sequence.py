@@ -124,13 +124,18 @@ class Sequence:
             self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
         prepared = self._prepared[dynamic]
         start = self._start(scene, _target(scene))
-        norm = prepared.solve(scene, start=start, on_iteration=lambda *_: True).history.gradient_norm[0]
-        tolerance = asked / norm if asked < LOOSEST * norm else LOOSEST
-        return self._minimised(prepared, scene, start, tolerance), scene
+        return self._minimised(prepared, scene, start, self._until(asked, prepared, scene, start)), scene
 
-    def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, tolerance: float) -> Solution:
+    def _until(self, asked: float, prepared: Prepared, scene: Scene, start: Floats) -> dict[str, float]:
+        """What makes the solver stop at a gradient norm [mN], where it knows no such option as a share of the first."""
+        if self._solver == "projective":
+            return {"absolute": asked}
+        norm = prepared.solve(scene, start=start, on_iteration=lambda *_: True).history.gradient_norm[0]
+        return {"tolerance": asked / norm if asked < LOOSEST * norm else LOOSEST}
+
+    def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, until: dict[str, float]) -> Solution:
         """The scene's solution: from a sound frame to a sound one there is nothing to untangle, which costs as much."""
-        asked: dict[str, Any] = {"start": start, "tolerance": tolerance, "max_iterations": self._limit}
+        asked: dict[str, Any] = {"start": start, "max_iterations": self._limit, **until}
         sound = self.state is not None and (volume_ratio(scene, self.state.positions) > 0).all()
         if sound and self._solver == "projective":
             solution = prepared.solve(scene, **asked | {"untangle": False})
