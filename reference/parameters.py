@@ -153,9 +153,9 @@ class Parameters:
     )
     paralysis_right: float = _parameter(0.0, 0.0, 1.0, "1", "the same of the right half")
     frequency: float | Floats = _parameter(
-        4.0, 2.0, 8.0, "Hz", "of the inertia of Eq. 9, whose alpha, beta, gamma follow", local=True
+        4.0, 2.0, 8.0, "Hz", "of loose flesh in Eq. 9, whose alpha, beta, gamma follow", local=True
     )
-    damping: float | Floats = _parameter(0.3, 0.1, 0.7, "1", "damping ratio of Eq. 9", local=True)
+    damping: float | Floats = _parameter(0.3, 0.1, 0.7, "1", "damping ratio of loose flesh in Eq. 9", local=True)
 
     def __post_init__(self):
         for info in self.infos():
