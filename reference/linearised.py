@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lhm.geometry import cholmod
+from ..lhm.geometry.factor import LinearSolver
 from ..lhm.mesh import Floats
 from . import terms
 from .parameters import Parameters
@@ -121,7 +122,7 @@ def spring_norm(scene: Scene) -> float:
 
 def _tangent_of(scene: Scene, start: Floats, like: Linearised | None) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """A scene prepared and solved: roughly by the PD matrix, then by the tangent there; and the tangent in the end."""
-    linear_solver = None if cholmod.library() is None else "cholmod"
+    linear_solver: LinearSolver | None = None if cholmod.library() is None else "cholmod"
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm = spring_norm(scene)
     near = prepared.solve(start=start, absolute=NEAR * norm)
