@@ -12,10 +12,10 @@ import numpy as np
 
 from ..lhm import LayeredHead, fit_head, identities, load_template
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.progress import OnProgress
 from . import machine
-from .alone import alone_in
 from .dynamics_plots import released
 from .dynamics_study import study
 from .report import machine_rows, rendered

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..lhm import check_head, expressions, fit_head, identities, load_template
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import replaced
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
@@ -22,7 +23,6 @@ from ..reference import Parameters, facial_scene
 from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
 from . import learned, machine
-from .alone import alone_in
 from .cases import Case, CaseResult, run_case
 from .differences import difference, distances
 from .gates import gates

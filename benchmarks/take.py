@@ -13,6 +13,7 @@ import numpy as np
 
 from ..lhm.errors import InputError, SoftdecaError
 from ..lhm.expressions import Take, conversation, read_take, speech
+from ..lhm.files.alone import alone_in
 from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
 from ..lhm.head import LayeredHead
@@ -20,7 +21,6 @@ from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
 from ..reference.sequence import TOLERANCE
-from .alone import alone_in
 from .preview import Preview, check_preview, pictures_of, steps_shown, write_preview
 from .take_store import TakeStore, digest
 

@@ -260,8 +260,9 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
 def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
-    mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. Raises SceneError where a layer
-    has no such counterpart: strain limit, growth or target volume other than 1, or stiffnesses that vary within a term.
+    mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. A target volume is the law's
+    growth, by which tissue is at rest when it has reached it, while Strain holds it back. Raises SceneError where a
+    layer has no such counterpart: strain limit or growth other than 1, or stiffnesses that vary within a term.
     """
     strains, volumes = scene.of(terms.Strain), scene.of(terms.Volume)
     others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]
@@ -271,14 +272,12 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     for strain, volume in zip(strains, volumes, strict=True):
         if not np.array_equal(scene.tets_of(strain), scene.tets_of(volume)):
             raise SceneError("neo_hookean_scene: each Strain term needs a Volume term on the same tets")
-        changed = [np.any(value != 1.0) for value in (strain.limit, strain.growth, volume.target)]
-        if any(changed) or strain.rule != "clamp":
+        if np.any(strain.limit != 1.0) or np.any(strain.growth != 1.0) or strain.rule != "clamp":
             raise SceneError(
-                "neo_hookean_scene: a strain limit, growth or target volume other than 1, or the indicator, has no "
-                "counterpart"
+                "neo_hookean_scene: a strain limit or growth other than 1, or the indicator, has no counterpart"
             )
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
             raise SceneError("neo_hookean_scene: stiffnesses that vary within a term are not supported")
         law = NeoHookean(mu=float(np.max(strain.stiffness)) / 2, lmbda=float(np.max(volume.stiffness)) / 3)
-        laws.append(terms.Hyperelastic(law, tets=strain.tets))
+        laws.append(terms.Hyperelastic(law, tets=strain.tets, growth=volume.target))
     return replace(scene, terms=(*laws, *others))

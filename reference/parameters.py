@@ -41,6 +41,13 @@ class ParameterInfo:
         low, high = scale(self.low), scale(self.high)
         return 2.0 * (scale(values) - low) / (high - low) - 1.0
 
+    def denormalise(self, values):
+        """What `normalise` maps to these values; beyond [-1, 1] it is cut to the range."""
+        scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
+        low, high = scale(self.low), scale(self.high)
+        found = back(low + 0.5 * (np.asarray(values, dtype=np.float64) + 1.0) * (high - low))
+        return np.clip(found, self.low, self.high)
+
     def sample(self, rng: np.random.Generator) -> float:
         """A random value, uniform over the range (over its logarithm where `log` holds)."""
         if self.log:

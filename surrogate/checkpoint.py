@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..lhm.errors import InputError
 from ..lhm.files.npz import read_arrays, write_arrays
 from ..lhm.mesh import Floats, Ints, Surface
-from .samples import surface_hash
+from .surface_hash import surface_hash
 
 FORMAT = "softdeca-surrogate-1"
 
