@@ -46,7 +46,7 @@ class Swing:
 
 
 def swing(times: Floats, motion: Floats) -> Swing:
-    """Fit e^(-ζωt) (A cos ω_d t + B sin ω_d t) to a motion (k,) at times [s]."""
+    """Fit e^(-ζωt) (A cos ω_d t + B sin ω_d t) to a motion (k,) at times [s], evenly spaced."""
 
     def miss(rates: Floats) -> Floats:
         omega, decay = rates
@@ -54,8 +54,12 @@ def swing(times: Floats, motion: Floats) -> Swing:
         return waves @ np.linalg.lstsq(waves, motion, rcond=None)[0] - motion
 
     guesses = 2.0 * np.pi / times[-1] * np.array([0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
-    best = min((least_squares(miss, [guess, 0.1 * guess]) for guess in guesses), key=lambda found: found.cost)
-    omega, decay = abs(best.x[0]), best.x[1]
+    # Beyond half the rate of the values there is another ω for each, which fits as well.
+    fastest = np.pi / (times[1] - times[0])
+    bounds = ([0.0, -np.inf], [fastest, np.inf])
+    fits = [least_squares(miss, [guess, 0.1 * guess], bounds=bounds) for guess in guesses if guess < fastest]
+    best = min(fits, key=lambda found: found.cost)
+    omega, decay = best.x
     natural = float(np.hypot(omega, decay))
     return Swing(natural / (2.0 * np.pi), decay / natural, float(np.sqrt(np.mean(best.fun**2)) / abs(motion[0])))
 
