@@ -102,6 +102,8 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
 
 
 def _check_terms(scene: Scene, element: str):
+    if not len(scene.tets):
+        raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
     for term in scene.of(Hyperelastic):
         if element == "P2P1":
