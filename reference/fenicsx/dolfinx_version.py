@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...lhm.errors import MissingDependencyError
+from ...lhm.files import cache
 from ...lhm.mesh import Floats, Ints
 from ..ranks import joined
 
@@ -65,6 +66,9 @@ else:
 _LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
 # Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
 _COMPILER = {_OPTIONS["jit"]: {"cffi_extra_compile_args": ["-O2"]}}
+_DEFAULTS = getattr(dolfinx.jit, f"DOLFINX_DEFAULT_JIT_{'PARAMETERS' if VERSION < (0, 6) else 'OPTIONS'}")
+if not cache.can_be_written(Path(_DEFAULTS["cache_dir"][0])):
+    _DEFAULTS["cache_dir"] = (cache.folder() / "fenics", _DEFAULTS["cache_dir"][1])
 
 
 @contextmanager

@@ -7,7 +7,9 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import h5py
 import pytest
@@ -77,6 +79,42 @@ def test_ctrl_c_ends_a_study_in_one_line(tmp_path):
     assert said == ["softdeca: interrupted; what was finished is kept and used by the next run"]
     assert [p.name for p in (tmp_path / "study").iterdir()] == [".lock"]
     assert seconds < 20
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.1, 0.3])
+def test_ctrl_c_while_modules_are_loaded_is_one_line(seconds):
+    code = "import softdeca.cli; print('begin', flush=True); softdeca.cli.main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        process.stdout.readline()
+        time.sleep(seconds)
+        process.send_signal(signal.SIGINT)
+        out, errors = process.communicate(timeout=60)
+    assert (process.returncode, out, errors) == (130, "", "softdeca: interrupted\n")
+
+
+ONE_TET = """
+from softdeca.reference import Scene, solve, terms
+scene = Scene([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]], [terms.Strain(1.0), terms.Fixed([0, 1, 2])])
+print(solve(scene).reason)
+"""
+OTHERS = all(place.stat().st_mode & 0o005 == 0o005 for place in Path(__file__).resolve().parents)
+
+
+@pytest.mark.skipif(os.getuid() != 0 or not OTHERS, reason="another user, who can read this folder, is needed")
+@pytest.mark.parametrize("words", [[*COMMAND[1:], "--help"], ["-c", ONE_TET]], ids=["help", "solve"])
+def test_where_nothing_can_be_written_a_temporary_cache_is_used_and_said_once(words):
+    nobody = {"user": 65534, "group": 65534, "extra_groups": []}
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o777)
+        environment = {"HOME": "/nonexistent", "TMPDIR": folder, "PATH": os.environ["PATH"]}
+        ended = subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, env=environment, timeout=120, **nobody
+        )
+        assert os.listdir(folder) == ["softdeca-cache-65534"]
+    assert ended.returncode == 0 and ended.stdout, ended.stderr
+    assert ended.stderr.count("cannot be written") == 1
 
 
 def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(tmp_path):
