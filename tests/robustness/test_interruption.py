@@ -15,16 +15,17 @@ import h5py
 import pytest
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
-WITHOUT_DOLFINX = """
+WITHOUT = """
 import sys
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("dolfinx", "basix", "ufl"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        if name.split(".")[0] in {missing}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 sys.meta_path.insert(0, Refuse())
-from softdeca.cli import main
-main()
 """
+MAIN = "from softdeca.cli import main; main()"
+WITHOUT_DOLFINX = WITHOUT.format(missing=("dolfinx", "basix", "ufl")) + MAIN
+BARE = WITHOUT.format(missing=("dolfinx", "basix", "ufl", "torch", "anny"))
 CORPUS = """
 import sys
 from softdeca.surrogate.corpus.folder import Corpus
@@ -216,3 +217,31 @@ def test_without_fenicsx_the_other_solvers_verify():
     assert ended.returncode == 0
     assert "softdeca: fenicsx is not installed: left out" in ended.stderr.splitlines()
     assert ended.stdout.count("skfem") > 20 and "OUT" not in ended.stdout
+
+
+def test_the_bare_package_has_a_head_and_runs_a_trained_surrogate():
+    """What `pip install` brings alone: no torch, no anny, no dolfinx."""
+    code = (
+        BARE
+        + """
+from softdeca.lhm import identities
+from softdeca.surrogate import Surrogate
+print(len(identities.Anny().mean.vertices))
+try:
+    Surrogate.load("no/such/file.npz")
+except ValueError as error:
+    print(error)
+"""
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[0] == "4463" and "`softdeca train` makes it" in ended.stdout
+
+
+@pytest.mark.parametrize("command", ["train", "study"])
+def test_without_torch_what_trains_says_what_to_install(command, tmp_path):
+    words = [command, "--out", tmp_path / "out"]
+    ended = subprocess.run([sys.executable, "-c", BARE + MAIN, *words], capture_output=True, text=True)
+    assert ended.returncode == 1 and not list(tmp_path.iterdir())
+    (said,) = [line for line in ended.stderr.splitlines() if not line.endswith(" s)")]
+    assert said.startswith("softdeca: error: training needs torch") and "softdeca[train]" in said

@@ -229,7 +229,7 @@ def test_bad_frames_are_named(surrogate, weights, blended, message):
 
 def test_files_that_are_no_checkpoint_are_named(checkpoint, tmp_path):
     path = tmp_path / "surrogate.npz"
-    with pytest.raises(InputError, match="no such file; run `softdeca study`"):
+    with pytest.raises(InputError, match="no such file; `softdeca train` makes it"):
         Checkpoint.load(path)
     path.write_text("v 0 0 0\n")
     with pytest.raises(InputError, match="checkpoint of softdeca"):
