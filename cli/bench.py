@@ -111,7 +111,7 @@ def heads(identities: str, count: int, sigma: float, seed: int, workers: int, ou
             click.echo(f"{what:<38} {figures} {gate}".rstrip())
         for asked in results["gates"]:
             click.echo(_gate_line(asked))
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out, "heads.jsonl", "campaign.json")
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -137,7 +137,7 @@ def simulator(parts: str, out: Path, as_json: bool) -> int:
     else:
         for asked in results["gates"]:
             click.echo(_gate_line(asked))
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -162,7 +162,7 @@ def depth(
         results = run_depth(DepthConfig(skin, skulls, regressor, identities, unit, out), progress)
     click.echo((out / "results.json").read_text() if as_json else _depth_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0
 
 
@@ -186,7 +186,7 @@ def effects(names: str, identities: str, seed: int, reference: str, fan: int, ou
         results = run_effects(config, progress)
     click.echo((out / "results.json").read_text() if as_json else _effect_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out, *sorted(path.name for path in out.glob("*.png")))
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -208,7 +208,7 @@ def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_
         results = run_dynamics(DynamicsConfig(identities, seed, level, frames, out), progress)
     click.echo((out / "results.json").read_text() if as_json else _dynamics_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -260,6 +260,11 @@ def _dynamics_lines(results: Mapping) -> str:
     return "\n".join([*lines, *map(_gate_line, results["gates"])])
 
 
+def _say_written(out: Path, *more: str) -> None:
+    for name in ("index.html", "results.json", *more):
+        click.echo(f"wrote {out / name}")
+
+
 def _gate_line(gate: Mapping) -> str:
     value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
     return f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})"
@@ -283,7 +288,7 @@ def convergence(texts: tuple[str, ...], seed: int, quadratic: bool, out: Path, a
         results = run_convergence(config, progress)
     click.echo((out / "results.json").read_text() if as_json else _convergence_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1
 
 
@@ -308,7 +313,7 @@ def unknowns(up_to: int, expression: str, out: Path, as_json: bool) -> int:
         results = run_unknowns(UnknownsConfig(up_to, expression, out), progress)
     click.echo((out / "results.json").read_text() if as_json else _unknowns_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1
 
 

@@ -1,6 +1,7 @@
 """softdeca head: fit and check layered heads."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -60,7 +61,10 @@ def fit(
     picture: Path | None,
     as_json: bool,
 ) -> int:
-    """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate."""
+    """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate.
+
+    A gate is a bound that a figure of the head has to keep, such as no inverted tet; `head check` names them all.
+    """
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
     surface = None if skin is None else read_surface(skin, unit=unit)
@@ -85,13 +89,13 @@ def fit(
         fitted = fit_head(template, surface, regressor=regressor, landmarks=pairs, progress=progress)
         progress("head", 1.0)
     save_head(out, fitted)
-    if vtk is not None:
-        export_vtk(vtk, fitted)
+    written = [out, *(export_vtk(vtk, fitted) if vtk is not None else ())]
     if picture is not None:
         from ..benchmarks.pictures import cut_away
 
         write_whole(picture, cut_away(fitted))
-    _report(check_head(fitted), as_json)
+        written.append(picture)
+    _report(check_head(fitted), as_json, written)
     return 0
 
 
@@ -109,7 +113,7 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
         built = anatomical_template(identities.from_text(space_name), anatomy, level=level, progress=progress)
         progress("template", 1.0)
     save_template(out, built)
-    _report(check_head(built.head), as_json)
+    _report(check_head(built.head), as_json, [out])
     return 0
 
 
@@ -181,7 +185,8 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
     for name, figures in report.items():
         for key, value in figures.items():
             click.echo(f"{name.replace('_', ' ')}, {key.replace('_', ' ')}: {value:.6g}")
-    click.echo(f"{len(vertices)} vertices: {out}")
+    click.echo(f"{len(vertices)} vertices")
+    click.echo(f"wrote {out}")
     return 0
 
 
@@ -201,13 +206,18 @@ def _check_skin(file: Path, surface: Surface, template: Template) -> None:
         raise InputError(f"{file}: {error}") from None
 
 
-def _report(report: HeadReport, as_json: bool) -> None:
+def _report(report: HeadReport, as_json: bool, written: Sequence[Path] = ()) -> None:
+    """Print the figures and the files written; FitError names the gates missed, and what was written all the same."""
     if as_json:
         gates = [asdict(gate) | {"passed": not gate.missed} for gate in report.gates]
-        click.echo(json.dumps(asdict(report) | {"gates": gates, "problems": list(report.problems)}, indent=1))
+        files = {"files": [str(path) for path in written]} if written else {}
+        click.echo(json.dumps(asdict(report) | {"gates": gates, "problems": list(report.problems)} | files, indent=1))
     else:
         for figure in report.figures:
             mark = "" if figure.bound is None else "MISSED" if figure.missed else "ok"
             click.echo(f"{mark:<7}{figure}")
+        for path in written:
+            click.echo(f"wrote {path}")
     if report.problems:
-        raise FitError("; ".join(report.problems))
+        missed = "; ".join(report.problems)
+        raise FitError(f"{written[0]} is written, but misses {missed}" if written else missed)
