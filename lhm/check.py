@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import MeshError
+from .errors import MeshError, expect
 from .geometry.bvh import TriangleTree
 from .geometry.distance import SignedDistance
 from .geometry.fans import fan_crossings
@@ -154,6 +154,7 @@ _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
 def check_head(head: LayeredHead) -> HeadReport:
     """Measure all gates of a head (a quarter of a second)."""
+    expect(LayeredHead, head=head)
     return check_layers(head.skin, (head.skin_wrap, head.muscle_wrap, head.skull_wrap), head.bone, head.regions)
 
 

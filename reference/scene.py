@@ -255,4 +255,4 @@ def refuse_unknown(
             raise SceneError(f"solver {solver!r} cannot model Strain with rule {term.rule!r}: its energy jumps")
         if isinstance(term, Hyperelastic) and not isinstance(term.material, laws):
             names = ", ".join(kind.__name__ for kind in laws)
-            raise SceneError(f"solver {solver!r} cannot model {term.material.name} on linear tets; it models {names}")
+            raise SceneError(f"solver {solver!r} cannot model {term.material.name}; it models {names}")

@@ -10,6 +10,7 @@ import numpy as np
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..materials import Corotated, Incompressible, Material
+from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import (
@@ -40,7 +41,6 @@ from .multipliers import MultiplierDescent, laws_of
 from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem, State
-from .restraint import check_restrained
 from .shared_linear import solver_of
 from .shares import problem_of
 

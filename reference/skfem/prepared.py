@@ -9,6 +9,7 @@ import numpy as np
 from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
 from .. import terms
+from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Recorder, Solution, volume_ratio
 from .carry import carry
@@ -67,12 +68,14 @@ class Prepared:
         Held components are carried to their places first, before the first iteration of the history, and rigid bodies
         to their first ones: that of their shape, or the nearest to a given start. From inverted tets a scene with
         Volume goes down by Strain alone first; its iterations count, and may raise the energy.
-        Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
+        Raises SceneError if `scene` needs a new preparation, if the tolerance or start is out of range, or if loads
+        push a part that nothing holds.
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
         if not 0 < tolerance < 1:
             raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
+        check_restrained(scene, loads=scene.loads())
         recorder = Recorder(on_iteration)
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
