@@ -34,6 +34,7 @@ from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
 from .energy import Energy
 from .memory import Memory
+from .recovery import recover
 from .system import System
 from .tangent import Tangent
 
@@ -189,6 +190,7 @@ class ProjectivePrepared:
             volume_ratio=volume_ratio(scene, positions),
             detail=work.counts() | outcome,
             memory=problem.memory if remember else None,
+            recovery=partial(recover, scene, positions),
         )
 
     def tangent(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from .discretisation import DEGREES, Discretisation
 from .energy import Energy
 from .newton import Scales
 from .parts import MATERIALS
+from .recovery import recover
 from .unknowns import Body, Unknowns
 
 KNOWN = (
@@ -75,10 +77,10 @@ class Prepared:
         self.scene.check_prepared_for(scene, varying=VARYING)
         if not 0 < tolerance < 1:
             raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
-        check_restrained(scene, loads=scene.loads())
         recorder = Recorder(on_iteration)
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
+        check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
         begin = _start(scene, start)
         free = ~at.held(held)
@@ -94,7 +96,15 @@ class Prepared:
         x, reason, iterations = descent.run(x, forces=forces, tolerance=tolerance, limit=limit)
         history = recorder.history()
         answer = x[at.vertex_dofs]
-        return Solution(answer, reason, iterations, float(history.energy[-1]), history, volume_ratio(scene, answer))
+        return Solution(
+            answer,
+            reason,
+            iterations,
+            float(history.energy[-1]),
+            history,
+            volume_ratio(scene, answer),
+            recovery=partial(recover, scene, at.element, x),
+        )
 
 
 def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
