@@ -94,9 +94,9 @@ class HyperelasticForms:
         energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
-        at_points = stress_and_tangent(psi, F, degree, space.mesh)
-        compiled = (seam.compile_form(form) for form in (energy, gradient, tangent))
-        return cls(cells, *compiled, *at_points)
+        P, dP_dF = stress_and_tangent(psi, F, degree, space.mesh)
+        compiled = seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent)
+        return cls(cells, *compiled, P, dP_dF)
 
     def assemble_energy(self) -> float:
         """Energy [µJ]; infinite where the law does not hold in any cell."""
