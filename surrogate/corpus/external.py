@@ -43,6 +43,7 @@ class External:
     laid: Floats = field(repr=False)
     weights: csr_matrix = field(repr=False)
     fit: object = field(repr=False)
+    digest: str = ""
 
     @classmethod
     def of(cls, other: LinearSpace, *, level: int, on_progress: OnProgress = silent) -> External:
@@ -61,7 +62,7 @@ class External:
         found = cached(name, make)
         shape = (len(own.mean.vertices), len(other.mean.vertices))
         ties = csr_matrix((found["data"], found["indices"], found["indptr"]), shape=shape)
-        return cls(own, other, found["laid"], ties, partial(fit_head, template))
+        return cls(own, other, found["laid"], ties, partial(fit_head, template), f"{template.digest}-{name}")
 
     @property
     def name(self) -> str:

@@ -91,7 +91,7 @@ class Corpus:
         self.manifest = {
             "plan": plan.digest,
             "people": people.name,
-            "template": surface_hash(people.mean),
+            "template": f"{surface_hash(people.mean)}{people.digest}",
             "generator": GENERATOR,
             "format": FORMAT,
         }

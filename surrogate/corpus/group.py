@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ...lhm.errors import SceneError, SoftdecaError
+from ...lhm.geometry.bvh import TriangleTree
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
@@ -36,6 +37,7 @@ class Answer:
     residual: float = 0.0
     smallest_volume_ratio: float = 0.0
     inverted: int = 0
+    crossings: int = 0
 
     @classmethod
     def failed(cls, status: str, skin: Surface) -> Answer:
@@ -172,6 +174,7 @@ class Group:
             residual=self._residual(solution),
             smallest_volume_ratio=float(solution.volume_ratio.min()),
             inverted=int(np.count_nonzero(inverted)),
+            crossings=self._crossings(solution.positions),
         )
 
     @cached_property
@@ -187,6 +190,12 @@ class Group:
     @cached_property
     def _springs(self) -> float:
         return spring_norm(self.linear.prepared.scene)
+
+    def _crossings(self, positions: Floats) -> int:
+        wrap = self.head.skin_wrap
+        if not np.isfinite(positions).all():
+            return 0
+        return len(TriangleTree(positions[: len(wrap.vertices)], wrap.triangles).self_crossings())
 
     def _moved(self, corrected: np.ndarray) -> tuple[float, float]:
         size = np.linalg.norm(corrected[self.face].astype(np.float64), axis=1)

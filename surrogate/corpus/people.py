@@ -26,4 +26,4 @@ def people_of(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnProgress 
         return External.of(identities.from_text(other), level=level, on_progress=on_progress)
     space = identities.from_text(text)
     template = load_template(space, level=level, progress=on_progress)
-    return OfSpace(space, space.mean, partial(fit_head, template))
+    return OfSpace(space, space.mean, partial(fit_head, template), template.digest)

@@ -38,6 +38,11 @@ class People(Protocol):
         """The mean neutral skin [mm], whose triangles all share."""
         ...
 
+    @property
+    def digest(self) -> str:
+        """A name for all that heads are made from, such as a template's digest; empty where nobody tells."""
+        ...
+
     def person(self, rng: np.random.Generator) -> Person:
         """Somebody at random."""
         ...
@@ -54,6 +59,7 @@ class OfSpace:
     space: IdentitySpace
     mean: Surface
     fit: object
+    digest: str = ""
 
     @property
     def name(self) -> str:

@@ -30,6 +30,7 @@ class Rolled:
     residual: np.ndarray
     smallest_volume_ratio: np.ndarray
     inverted: np.ndarray
+    crossings: np.ndarray
 
     @classmethod
     def failed(cls, status: str, take: Take, first: int, n: int) -> Rolled:
@@ -37,7 +38,7 @@ class Rolled:
         none = np.zeros(LENGTH)
         motion = np.zeros((LENGTH, n, 3), dtype=np.float16)
         weights, turned = _driven(take, first)
-        return cls(weights, turned, np.zeros((2, n, 3)), motion, status, none, none, none, none)
+        return cls(weights, turned, np.zeros((2, n, 3)), motion, status, none, none, none, none, none)
 
 
 def rolled(
@@ -67,6 +68,7 @@ def rolled(
         residual=np.array([one.residual for one in answers]),
         smallest_volume_ratio=np.array([one.smallest_volume_ratio for one in answers]),
         inverted=np.array([one.inverted for one in answers]),
+        crossings=np.array([one.crossings for one in answers]),
     )
 
 

@@ -71,7 +71,8 @@ class Statics:
     """The F static frames: group (its row), recording and frame of it, weights (F, 52), corrected = T - S (F, n, 3).
 
     moved (F, 2) [mm]: mean and 95 % of |T - S| in the face; of the solve: status, iterations, residual (the gradient's
-    norm over that of springs each 1 mm long), smallest_volume_ratio, inverted (tets).
+    norm over that of springs each 1 mm long), smallest_volume_ratio, inverted (tets), and crossings: pairs of triangles
+    of the simulated skin wrap that cross.
     """
 
     group: Numbers
@@ -85,6 +86,7 @@ class Statics:
     residual: Singles
     smallest_volume_ratio: Singles
     inverted: Numbers
+    crossings: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,7 @@ class Sequences:
     residual: Singles
     smallest_volume_ratio: Singles
     inverted: Numbers
+    crossings: Numbers
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,6 +153,7 @@ def _stacked(answers: list[Answer], person: Person) -> dict[str, Any]:
         "residual": np.array([one.residual for one in answers], dtype=np.float32),
         "smallest_volume_ratio": np.array([one.smallest_volume_ratio for one in answers], dtype=np.float32),
         "inverted": np.array([one.inverted for one in answers], dtype=np.int64),
+        "crossings": np.array([one.crossings for one in answers], dtype=np.int64),
     }
 
 
@@ -187,6 +188,7 @@ def _sequences(plan: CorpusPlan, person: Person, identity: int, made, velocities
         residual=stacked("residual", np.float32, LENGTH),
         smallest_volume_ratio=stacked("smallest_volume_ratio", np.float32, LENGTH),
         inverted=stacked("inverted", np.int64, LENGTH),
+        crossings=stacked("crossings", np.int64, LENGTH),
     )
 
 
@@ -216,10 +218,11 @@ def _parameter_responses(person: Person, made: list[_Made]) -> ParameterResponse
 
 
 def _references(plan: CorpusPlan, person, identity: int, made, answers: list[Answer], clock) -> References:
-    """FEniCSx on the first accepted frames of a person in test, one group after another."""
+    """FEniCSx on the first accepted frames of a person in test, in turns of the groups that have both laws, if any."""
     n, found = len(person.skin.vertices), []
     wanted = plan.references if plan.split(identity) == "test" else 0
-    order = [g * plan.frames + k for k in range(plan.frames) for g in range(len(made))]
+    plain = [g for g, one in enumerate(made) if one.parameters.uniform and "strain_limit" not in one.parameters.names]
+    order = [g * plan.frames + k for k in range(plan.frames) for g in (plain or range(len(made)))]
     with clock("references"):
         for row in [row for row in order if answers[row].status == ACCEPTED][:wanted]:
             group = made[row // plan.frames].group
