@@ -151,6 +151,25 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     return _png(plotter)
 
 
+def views(panels: Sequence[tuple[str, Surface, Sequence[float]]], *, size: int = 520) -> bytes:
+    """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions."""
+    pyvista = _pyvista()
+    shape = (1, len(panels))
+    plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
+    x = panels[0][1].vertices
+    centre, height = (x.max(0) + x.min(0)) / 2, 1.15 * np.ptp(x[:, 1])
+    for column, (caption, surface, view) in enumerate(panels):
+        plotter.subplot(0, column)
+        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        mesh.point_data.active_normals = surface.vertex_normals
+        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.1, specular_power=8, ambient=0.12)
+        actor.prop.interpolation = "Phong"
+        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
+        _look(plotter, centre, height, view)
+    plotter.set_background("white", all_renderers=True)
+    return _png(plotter)
+
+
 def coloured(
     panels: Sequence[tuple[str, Surface, Floats | None, Sequence[float]]],
     *,

@@ -1,6 +1,6 @@
 """The layered head model: surfaces, wraps, fitting, identities and expressions. Geometry only, no physics."""
 
-from . import expressions, identities
+from . import expressions, identities, scans
 from .build import build_template
 from .check import HeadReport, check_head
 from .errors import FitError, InputError, MeshError, SoftdecaError
@@ -25,4 +25,5 @@ __all__ = [
     "fit_head",
     "identities",
     "load_template",
+    "scans",
 ]

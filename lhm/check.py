@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from .errors import MeshError
 from .geometry.bvh import TriangleTree
-from .geometry.distance import SignedDistance
+from .geometry.closing import closed
+from .geometry.distance import SignedDistance, is_closed
 from .geometry.fans import fan_crossings
 from .geometry.quality import aspect_ratios, smallest_dihedrals
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
@@ -154,8 +155,9 @@ def check_layers(
     """Measure all gates of layers that may make no valid head: inverted tets and crossings are counted.
 
     `wraps`: skin, muscle and skull wrap [mm], n vertices each on the same closed triangulation; `bone` (n,) and
-    `regions`, masks (n,), as in LayeredHead. Raises MeshError for an open skin or wrap, wraps of different triangles,
-    and masks of another shape.
+    `regions`, masks (n,), as in LayeredHead. A skin may be open: its openings are closed by fans where a distance needs
+    an inside. Raises MeshError for an open wrap, wraps of different triangles, masks of another shape, and a skin with
+    edges of more than two triangles.
     """
     triangles, n = wraps[0].triangles, len(wraps[0].vertices)
     for name, wrap in zip(_WRAPS, wraps, strict=True):
@@ -166,8 +168,8 @@ def check_layers(
             raise MeshError(f"{name}: expected shape ({n},), got {np.shape(mask)}")
     if "face" in regions and not regions["face"].any():
         raise MeshError("region 'face': no vertex of the wrap belongs to it")
-    for name, surface in (("wraps", wraps[0]), ("skin", skin)):
-        _check_closed(name, surface.triangles)
+    if not is_closed(triangles):
+        raise MeshError("wraps: the triangulation is not one closed surface, consistently oriented")
     inside = [SignedDistance(wrap) for wrap in wraps]
     return HeadReport(
         **_tets(wraps, triangles),
@@ -178,14 +180,6 @@ def check_layers(
         **_openings(wraps[0], regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
     )
-
-
-def _check_closed(name: str, triangles: Ints) -> None:
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    n = int(triangles.max()) + 1
-    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
-    if not np.array_equal(forth, back) or (np.diff(forth) == 0).any():
-        raise MeshError(f"{name}: the triangulation is not one closed surface, consistently oriented")
 
 
 def _tets(wraps: Sequence[Surface], triangles: Ints) -> dict[str, Any]:
@@ -240,7 +234,7 @@ def _fit(
     everywhere = np.ones(len(wraps[0].vertices), bool)
     face = regions.get("face", everywhere)
     pockets = regions.get("mouth", ~everywhere) | regions.get("eyes", ~everywhere)
-    to_skin = SignedDistance(skin)
+    to_skin = SignedDistance(closed(skin))
     signed, _, triangle, weights = to_wrap(skin.vertices)
     # A vertex of the skin belongs to a region if most of the wrap's triangle under it does.
     corners = wraps[0].triangles[triangle]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,10 +12,12 @@ import meshio
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..arkit import ARKIT
 from ..check import HeadReport, check_layers
 from ..errors import InputError, MeshError
 from ..head import LayeredHead
 from ..mesh import Surface, TetMesh
+from ..rig import Rig
 from .atomic import replaced
 from .npz import read_arrays, write_arrays
 
@@ -38,7 +41,29 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     if head.volume is not None:
         arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
         arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
-    write_arrays(path, arrays)
+    arrays |= _arrays_of_rig(head.rig)
+    arrays |= arrays_of_surface("registered", head.registered)
+    write_arrays(path, arrays | {"notes": np.array(json.dumps(head.notes))})
+
+
+def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
+    """A rig as arrays: displacements of the vertices that it moves."""
+    if rig is None:
+        return {}
+    moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
+    about = {"source": rig.source, "missing": rig.missing, "doubtful": dict(rig.doubtful)}
+    shape = np.array(rig.deltas.shape[1])
+    arrays = {"rig_vertices": shape, "rig_moved": moved, "rig_deltas": rig.deltas[:, moved]}
+    return arrays | {"rig_about": np.array(json.dumps(about))}
+
+
+def _rig_in(arrays: Mapping[str, np.ndarray]) -> Rig | None:
+    if "rig_deltas" not in arrays:
+        return None
+    about = json.loads(str(arrays["rig_about"]))
+    deltas = np.zeros((len(ARKIT), int(arrays["rig_vertices"]), 3), dtype=np.float32)
+    deltas[:, arrays["rig_moved"]] = arrays["rig_deltas"]
+    return Rig(deltas, about["source"], tuple(about["missing"]), about["doubtful"])
 
 
 def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
@@ -77,6 +102,9 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
             skin_from_wrap,
             regions,
             volume=_volume(arrays, wraps),
+            rig=_rig_in(arrays),
+            registered=surface_in(arrays, "registered"),
+            notes=tuple(json.loads(str(arrays["notes"]))) if "notes" in arrays else (),
             **inside,
         )
 
@@ -112,7 +140,7 @@ def _named(path: str | os.PathLike[str]) -> Iterator[None]:
         raise InputError(f"{path}: not a layered head, array {error.args[0]!r} is missing") from None
     except InputError:
         raise
-    except (MeshError, ValueError, TypeError) as error:
+    except (MeshError, ValueError, TypeError, IndexError) as error:
         raise InputError(f"{path}: damaged, {error}") from None
 
 

@@ -1,0 +1,19 @@
+"""Scans of heads: read from any usual file, repaired, put upright in millimetres, fitted."""
+
+from .intake import HeadScan, fit_head_scan, fit_scan, read_head_scan, topology_of
+from .placing import AXES, UNITS, Placement, placed
+from .repair import Repaired, repaired
+
+__all__ = [
+    "AXES",
+    "UNITS",
+    "HeadScan",
+    "Placement",
+    "Repaired",
+    "fit_head_scan",
+    "fit_scan",
+    "placed",
+    "read_head_scan",
+    "repaired",
+    "topology_of",
+]
