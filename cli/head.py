@@ -72,7 +72,6 @@ def fit(
     """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate."""
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
-    options = {"unit": unit, "up": up, "front": front, "repair": not no_repair}
     with shown() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
@@ -83,15 +82,15 @@ def fit(
         regressor = None
         if regressor_file is not None:
             regressor = DepthRegressor.load(regressor_file, template.skin_wrap)
-        if skin is not None:
-            surface = scans.topology_of(skin, template, unit=unit)
-        else:
+        if skin is None:
             surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
-        if surface is not None:
             fitted = fit_head(template, surface, regressor=regressor, progress=progress)
+        elif (own := scans.topology_of(skin, template, unit=unit)) is not None:
+            fitted = fit_head(template, own, regressor=regressor, progress=progress)
         else:
             points = None if landmarks is None else read_landmarks(landmarks)
-            scan = scans.read_head_scan(skin, template, landmarks=points, progress=progress, **options)
+            where = scans.Said(unit=unit, up=up, front=front, landmarks=points)
+            scan = scans.read_head_scan(skin, template, where, repair=not no_repair, progress=progress)
             for note in scan.notes:
                 click.echo(f"softdeca: {skin}: {note}", err=True)
             fitted = scans.fit_head_scan(scan, template, regressor=regressor, progress=progress)

@@ -146,7 +146,7 @@ def _attributes(source, out, count, stride):
 @njit(cache=True)
 def _number(source, state):
     """A variable-length number at state[0], which moves on; -1 at the end."""
-    value = 0
+    value = np.int64(0)
     for shift in range(0, 35, 7):
         if state[0] >= len(source):
             return -1

@@ -1,6 +1,6 @@
 """Scans of heads: read from any usual file, repaired, put upright in millimetres, fitted."""
 
-from .intake import HeadScan, fit_head_scan, fit_scan, read_head_scan, topology_of
+from .intake import HeadScan, Said, fit_head_scan, fit_scan, read_head_scan, topology_of
 from .placing import AXES, UNITS, Placement, placed
 from .repair import Repaired, repaired
 
@@ -10,6 +10,7 @@ __all__ = [
     "HeadScan",
     "Placement",
     "Repaired",
+    "Said",
     "fit_head_scan",
     "fit_scan",
     "placed",

@@ -22,6 +22,7 @@ from ..mesh import Floats, Ints, Surface
 from ..progress import OnProgress, silent
 from ..registration.landmarks import Pairs, named_landmarks
 from ..registration.registration import face_of
+from ..regressor import DepthRegressor
 from ..template import Template
 from .placing import Placement, millimetres, placed
 from .repair import Repaired, repaired
@@ -48,27 +49,36 @@ class HeadScan:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Said:
+    """What is said of a scan's place rather than found: `unit`, `up` and `front` as in `placed`.
+
+    `landmarks`: points by the names of `landmark_ids`, in the file's coordinates, or in millimetres along its axes.
+    """
+
+    unit: str | None = None
+    up: str | None = None
+    front: str | None = None
+    landmarks: Mapping[str, Any] | None = None
+
+
 def read_head_scan(
     path: str | os.PathLike[str],
     template: Template,
+    said: Said = Said(),  # noqa: B008 (frozen)
     *,
-    landmarks: Mapping[str, Any] | None = None,
-    unit: str | None = None,
-    up: str | None = None,
-    front: str | None = None,
     repair: bool = True,
     progress: OnProgress = silent,
 ) -> HeadScan:
     """Read a scan (OBJ, PLY, STL, glTF, NPZ) of a head in any unit and orientation.
 
-    `landmarks`: points by the names of `landmark_ids`, in the file's coordinates, or in millimetres along its axes.
-    `unit`, `up`, `front` as in `placed`; without `repair` the mesh is taken as it is. Raises InputError that names the
-    file for what cannot be read, is no head, or needs to be said.
+    What is not `said` is found; without `repair` the mesh is taken as it is. Raises InputError that names the file for
+    what cannot be read, is no head, or needs to be said.
     """
     scan = read_scan(path)
     try:
         done = repaired(scan) if repair else Repaired.of(scan)
-        return _upright(done, template, landmarks, unit, up, front, progress)
+        return _upright(done, template, said, progress)
     except SoftdecaError as error:
         raise InputError(str(error) if str(path) in str(error) else f"{Path(path)}: {error}") from None
 
@@ -87,29 +97,29 @@ def topology_of(path: str | os.PathLike[str], template: Template, *, unit: str |
 
 
 def fit_scan(
-    path: str | os.PathLike[str], template: Template, *, progress: OnProgress = silent, **options: Any
-) -> LayeredHead:
-    """The layered head of a scan with its own expressions: `read_head_scan` with these options, then `fit_head`."""
-    return fit_head_scan(read_head_scan(path, template, progress=progress, **options), template, progress=progress)
-
-
-def _upright(
-    done: Repaired,
+    path: str | os.PathLike[str],
     template: Template,
-    landmarks: Mapping[str, Any] | None,
-    unit: str | None,
-    up: str | None,
-    front: str | None,
-    progress: OnProgress,
-) -> HeadScan:
+    said: Said = Said(),  # noqa: B008 (frozen)
+    *,
+    repair: bool = True,
+    progress: OnProgress = silent,
+) -> LayeredHead:
+    """The layered head of a scan with its own expressions: `read_head_scan`, then `fit_head_scan`."""
+    scan = read_head_scan(path, template, said, repair=repair, progress=progress)
+    return fit_head_scan(scan, template, progress=progress)
+
+
+def _upright(done: Repaired, template: Template, said: Said, progress: OnProgress) -> HeadScan:
     skin = done.scan.surface
     _, face = face_of(template.skin, template.parts)
     points, normals = template.skin.vertices[face], template.skin.vertex_normals[face]
     pairs = None
-    if landmarks is not None:
-        pairs = _in_file(named_landmarks(template.skin, template.parts, landmarks), done.scan, unit)
+    if said.landmarks is not None:
+        pairs = _in_file(named_landmarks(template.skin, template.parts, said.landmarks), done.scan, said.unit)
     known = None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1])
-    where = placed(skin, (points, normals), landmarks=known, unit=unit, up=up, front=front, progress=progress)
+    where = placed(
+        skin, (points, normals), landmarks=known, unit=said.unit, up=said.up, front=said.front, progress=progress
+    )
     notes = [*done.notes, *where.notes, _told_openings(skin)]
     own = {}
     named = arkit_named(done.scan.morphs)
@@ -123,9 +133,11 @@ def _upright(
     return HeadScan(upright, own, pairs, done.origin, where, tuple(notes))
 
 
-def fit_head_scan(scan: HeadScan, template: Template, *, progress: OnProgress = silent, **options: Any) -> LayeredHead:
-    """The head of a scan that was read; `options` go to `fit_head`."""
-    head = fit_head(template, scan.skin, landmarks=scan.landmarks, own=scan.own, progress=progress, **options)
+def fit_head_scan(
+    scan: HeadScan, template: Template, *, regressor: DepthRegressor | None = None, progress: OnProgress = silent
+) -> LayeredHead:
+    """The head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`."""
+    head = fit_head(template, scan.skin, regressor=regressor, landmarks=scan.landmarks, own=scan.own, progress=progress)
     return replace(head, notes=scan.notes)
 
 
