@@ -1,6 +1,7 @@
 """softdeca head: fit and check layered heads."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from ..lhm import HeadReport, Template, check_head, fit_head, identities, load_template, scans
 from ..lhm.errors import FitError, InputError
 from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import check_file, export_vtk, load_head, save_head
+from ..lhm.files.head_file import check_file, export_vtk, load_head, said_of, save_head
 from ..lhm.files.template_file import read_template, save_template
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
@@ -41,6 +42,7 @@ head.add_command(train_regressor)
 @click.option("--up", type=click.Choice(scans.AXES), help="the axis of --skin that is up; default: found")
 @click.option("--front", type=click.Choice(scans.AXES), help="the axis that its face looks along; default: found")
 @click.option("--no-repair", is_flag=True, help="take the mesh as it is, or refuse it; default: repair it and say how")
+@click.option("--keep-sealed", is_flag=True, help="leave a sealed mouth closed; default: open it between the lips")
 @click.option(
     "--landmarks", type=AFile, help="JSON of named points on --skin, in its coordinates or in mm along its axes"
 )
@@ -59,6 +61,7 @@ def fit(
     up: str | None,
     front: str | None,
     no_repair: bool,
+    keep_sealed: bool,
     landmarks: Path | None,
     template_file: Path | None,
     level: int,
@@ -93,7 +96,9 @@ def fit(
             scan = scans.read_head_scan(skin, template, where, repair=not no_repair, progress=progress)
             for note in scan.notes:
                 click.echo(f"softdeca: {skin}: {note}", err=True)
-            fitted = scans.fit_head_scan(scan, template, regressor=regressor, progress=progress)
+            fitted = scans.fit_head_scan(scan, template, regressor=regressor, unseal=not keep_sealed, progress=progress)
+            for note in fitted.notes[len(scan.notes) :]:
+                click.echo(f"softdeca: {skin}: {note}", err=True)
         progress("head", 1.0)
     save_head(out, fitted)
     if vtk is not None:
@@ -102,7 +107,8 @@ def fit(
         from ..benchmarks.pictures import cut_away
 
         write_whole(picture, cut_away(fitted))
-    _report(check_head(fitted), as_json)
+    _warn(skin or out, {} if fitted.rig is None else fitted.rig.doubtful)
+    _report(check_head(fitted), as_json, fitted.notes)
     return 0
 
 
@@ -129,7 +135,9 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
 @as_json_option
 def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
-    _report(check_file(file), as_json)
+    notes, doubtful = said_of(file)
+    _warn(file, doubtful)
+    _report(check_file(file), as_json, notes)
     return 0
 
 
@@ -146,6 +154,10 @@ def show(file: Path, out: Path, expression: str | None, space_name: str | None, 
 
     weights = None if expression is None else parse_expression(expression)
     shown_head = load_head(file)
+    for note in shown_head.notes:
+        click.echo(f"softdeca: {file}: {note}", err=True)
+    if shown_head.rig is not None and space_name is None:
+        _warn(file, shown_head.rig.doubtful)
     with shown() as progress:
         progress("pictures", 0.0)
         pose = None
@@ -212,13 +224,23 @@ def _in_space(template: Template, space: LinearSpace) -> Template:
     return replace(template, space=space) if same else template
 
 
-def _report(report: HeadReport, as_json: bool) -> None:
+def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
+    """A line for each reason why expressions will not look right."""
+    for reason in dict.fromkeys(doubtful.values()):
+        names = ", ".join(name for name, why in doubtful.items() if why == reason)
+        click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
+
+
+def _report(report: HeadReport, as_json: bool, notes: Sequence[str] = ()) -> None:
     if as_json:
         gates = [asdict(gate) | {"passed": not gate.missed} for gate in report.gates]
-        click.echo(json.dumps(asdict(report) | {"gates": gates, "problems": list(report.problems)}, indent=1))
+        more = {"gates": gates, "problems": list(report.problems), "notes": list(notes)}
+        click.echo(json.dumps(asdict(report) | more, indent=1))
     else:
         for figure in report.figures:
             mark = "" if figure.bound is None else "MISSED" if figure.missed else "ok"
             click.echo(f"{mark:<7}{figure}")
+        for note in notes:
+            click.echo(f"{'':<7}{note}")
     if report.problems:
         raise FitError("; ".join(report.problems))

@@ -94,6 +94,18 @@ def fit_head(
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
     else:
         laid = registered_by(template.skin, template.parts, mapping, skin)
+    return fit_registered(template, skin, laid, regressor=regressor, own=own)
+
+
+def fit_registered(
+    template: Template,
+    skin: Surface,
+    laid: Registration,
+    *,
+    regressor: DepthRegressor | None = None,
+    own: Mapping[str, Floats] | None = None,
+) -> LayeredHead:
+    """The layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
     head = _fitted(template, laid.surface, regressor)
     rig = None if template.space is None else own_first(transferred_rig(template.space, laid), own)
     return replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,3 +43,15 @@ class Rig:
             raise InputError(f"weights: expected shape ({len(ARKIT)},), got {values.shape}")
         used = np.flatnonzero(values)
         return np.tensordot(values[used], self.deltas[used].astype(np.float64), axes=1)
+
+    def without(self, still: Mapping[str, str]) -> Rig:
+        """The rig in which some expressions do nothing, each by its ARKit name with the reason."""
+        if not still:
+            return self
+        deltas = np.array(self.deltas)
+        deltas[[ARKIT.index(name) for name in still]] = 0.0
+        return replace(self, deltas=deltas, doubtful={**self.doubtful, **still})
+
+    def doubting(self, doubtful: Mapping[str, str]) -> Rig:
+        """The rig with more expressions named that will not look right, each with its reason."""
+        return replace(self, doubtful={**self.doubtful, **doubtful})

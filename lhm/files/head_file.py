@@ -87,8 +87,7 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
         skin, wraps, bone, regions = _layers(arrays)
         shape = (len(bone), len(skin.vertices))
         wrap_from_skin, skin_from_wrap = (
-            csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
-            for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
+            _weights_in(arrays, name, s) for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
         )
         inside = {name: surface_in(arrays, name) for name in _INSIDE}
         skin_wrap, muscle_wrap, skull_wrap = wraps
@@ -104,9 +103,17 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
             volume=_volume(arrays, wraps),
             rig=_rig_in(arrays),
             registered=surface_in(arrays, "registered"),
-            notes=tuple(json.loads(str(arrays["notes"]))) if "notes" in arrays else (),
+            notes=_notes_in(arrays),
             **inside,
         )
+
+
+def _weights_in(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, int]) -> csr_matrix:
+    return csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=shape)
+
+
+def _notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    return tuple(json.loads(str(arrays["notes"]))) if "notes" in arrays else ()
 
 
 def _volume(arrays: Mapping[str, np.ndarray], wraps: Sequence[Surface]) -> tuple[TetMesh, TetMesh] | None:
@@ -122,7 +129,20 @@ def check_file(path: str | os.PathLike[str]) -> HeadReport:
     InputError names a file that is missing, damaged or something else.
     """
     with _named(path):
-        return check_layers(*_layers(_arrays(path)))
+        arrays = _arrays(path)
+        skin, wraps, bone, regions = _layers(arrays)
+        rig = _rig_in(arrays)
+        shape = (len(skin.vertices), len(bone))
+        rigged = None if rig is None else (rig, _weights_in(arrays, "skin_from_wrap", shape))
+        return check_layers(skin, wraps, bone, regions, rigged=rigged)
+
+
+def said_of(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], Mapping[str, str]]:
+    """What was found on the way to the head in a file, and the expressions that will not look right, with reasons."""
+    with _named(path):
+        arrays = _arrays(path)
+        rig = _rig_in(arrays)
+        return _notes_in(arrays), {} if rig is None else rig.doubtful
 
 
 def _arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:

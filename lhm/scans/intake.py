@@ -14,18 +14,19 @@ from ..errors import InputError, MeshError, SoftdecaError
 from ..expressions.naming import arkit_named
 from ..files.scan_file import Scan, read_scan
 from ..files.surface_file import check_skin
-from ..fit import fit_head
+from ..fit import fit_registered
 from ..geometry.bvh import TriangleTree
 from ..geometry.closing import openings
 from ..head import LayeredHead
 from ..mesh import Floats, Ints, Surface
 from ..progress import OnProgress, silent
 from ..registration.landmarks import Pairs, named_landmarks
-from ..registration.registration import face_of
+from ..registration.registration import face_of, register
 from ..regressor import DepthRegressor
 from ..template import Template
 from .placing import Placement, millimetres, placed
 from .repair import Repaired, repaired
+from .seals import left_sealed, named, opened_up
 
 ENOUGH = 5
 """So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
@@ -102,11 +103,12 @@ def fit_scan(
     said: Said = Said(),  # noqa: B008 (frozen)
     *,
     repair: bool = True,
+    unseal: bool = True,
     progress: OnProgress = silent,
 ) -> LayeredHead:
     """The layered head of a scan with its own expressions: `read_head_scan`, then `fit_head_scan`."""
     scan = read_head_scan(path, template, said, repair=repair, progress=progress)
-    return fit_head_scan(scan, template, progress=progress)
+    return fit_head_scan(scan, template, unseal=unseal, progress=progress)
 
 
 def _upright(done: Repaired, template: Template, said: Said, progress: OnProgress) -> HeadScan:
@@ -134,11 +136,25 @@ def _upright(done: Repaired, template: Template, said: Said, progress: OnProgres
 
 
 def fit_head_scan(
-    scan: HeadScan, template: Template, *, regressor: DepthRegressor | None = None, progress: OnProgress = silent
+    scan: HeadScan,
+    template: Template,
+    *,
+    regressor: DepthRegressor | None = None,
+    unseal: bool = True,
+    progress: OnProgress = silent,
 ) -> LayeredHead:
-    """The head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`."""
-    head = fit_head(template, scan.skin, regressor=regressor, landmarks=scan.landmarks, own=scan.own, progress=progress)
-    return replace(head, notes=scan.notes)
+    """The head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`.
+
+    With `unseal` a mouth that is sealed is opened; closed and solid eyes, and a mouth that stays sealed, are named in
+    the notes with the expressions that will not work, which the head's rig names too.
+    """
+    laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
+    open_ = opened_up if unseal else left_sealed
+    done = open_(template, laid, scan.skin, scan.own)
+    head = fit_registered(template, done.skin, done.laid, regressor=regressor, own=done.own)
+    if head.rig is not None:
+        head = replace(head, rig=named(head.rig, done, head))
+    return replace(head, notes=(*scan.notes, *done.notes))
 
 
 def _in_file(pairs: Pairs, scan: Scan, unit: str | None) -> Pairs:
