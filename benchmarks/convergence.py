@@ -16,6 +16,7 @@ import numpy as np
 
 from ..lhm import expressions
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
@@ -23,7 +24,6 @@ from ..lhm.progress import OnProgress
 from ..lhm.refine import refined_head
 from ..reference import Parameters, Scene, facial_scene, prepare, solve
 from . import machine
-from .alone import alone_in
 from .convergence_report import page
 from .differences import difference
 from .gates import at_most

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..lhm import LayeredHead, fit_head, identities, load_template
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.progress import OnProgress
 from . import machine
-from .alone import alone_in
 from .dynamics_plots import released
 from .dynamics_study import study
 from .report import machine_rows, rendered
@@ -79,11 +79,21 @@ def page(results: Mapping) -> str:
         plot=released(results["traces"], [name for name in results["traces"] if not name.endswith("2 per frame")]),
         release_rows=cells(
             results["release"],
-            *("name", "steps_per_s", "frequency", "damping", "misfit", "lost", "iterations", "factorisations"),
+            *(
+                "name",
+                "steps_per_s",
+                "frequency",
+                "damping",
+                "misfit",
+                "lost",
+                "iterations",
+                "factorisations",
+                "stopped",
+            ),
         ),
         step_rows=cells(results["steps"], "name", "per_frame", "rms_mm", "peak_mm", "order"),
-        own_rows=cells(results["own_mass"], "name", "frequency", "decay", "to_a_tenth_s"),
-        shake_rows=cells(results["shake"]["rows"], "name", "peak_mm", "off_mm"),
+        own_rows=cells(results["own_mass"], "name", "frequency", "decay", "to_a_tenth_s", "stopped"),
+        shake_rows=cells(results["shake"]["rows"], "name", "peak_mm", "off_mm", "stopped"),
         gate_rows=cells(results["gates"], "what", "value", "bound", "passed"),
         machine_rows=[*machine_rows(results["machine"]), ("seconds", results["seconds"])],
     )

@@ -12,13 +12,13 @@ import numpy as np
 
 from ..lhm import expressions, fit_head, identities, load_template
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..reference import SOLVERS, Parameters
 from . import machine
-from .alone import alone_in
 from .effect_cases import BROAD_SMILE, Effect, named_effects
 from .effect_fan import ONE_MINIMUM, fan
 from .effect_run import TOLERANCE, EffectResult, run_effect

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +14,12 @@ import numpy as np
 from .. import lhm
 from ..lhm import Surface, Template, check_head, fit_head, identities, load_template
 from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.identities.space import CLIP, LinearSpace
 from ..lhm.progress import OnProgress
-from ..surrogate.pool import results_of
+from ..surrogate.schedule import results_of, schedule
 from . import machine
-from .alone import alone_in
 from .head_rows import HeadRows
 from .heads_report import page, summary
 
@@ -80,7 +80,7 @@ def run_heads(config: HeadsConfig, progress: OnProgress) -> dict:
         pending = [seed for seed in config.seeds if seed not in rows.by_seed]
         tell = _Rate(config.count, pending, progress)
         task = _Task(space, template, config.sigma)
-        for row in results_of(task, pending, workers=config.workers, name="heads", begin=task.warm):
+        for row in results_of(task, pending, on=schedule(config.workers), name="heads"):
             rows.append(row)
             tell(rows, config)
         results = {
@@ -101,12 +101,16 @@ class _Task:
     space: LinearSpace
     template: Template
     sigma: float
+    warmed: list[bool] = field(default_factory=list)
 
     def warm(self) -> None:
         """What is done once per process, so that no head's time holds it."""
         check_head(fit_head(self.template, self.space.mean))
 
     def __call__(self, seed: int) -> dict:
+        if not self.warmed:
+            self.warmed.append(True)
+            self.warm()
         row: dict = {"seed": seed, "error": None, "problems": [], "figures": None, "seconds": {}}
         begin = time.perf_counter(), time.process_time()
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -13,12 +12,17 @@ import numpy as np
 from ..lhm import fit_head
 from ..lhm.progress import OnProgress
 from ..surrogate.checkpoint import Checkpoint
-from ..surrogate.corpus import Corpus
+from ..surrogate.corpus.folder import Corpus
+from ..surrogate.corpus.person import OfSpace
+from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.evaluate import evaluate
-from ..surrogate.plan import STUDY as PLAN
 from ..surrogate.runtime import Surrogate, default_path
+from ..surrogate.samples import samples_of
+from ..surrogate.schedule import processors, schedule
 from ..surrogate.train import STUDY as TRAINING
 from ..surrogate.train import train
+
+PLAN = PRESETS["study"]
 
 
 def study(space, template, folder: Path, progress: OnProgress) -> tuple[dict, Surrogate]:
@@ -26,15 +30,19 @@ def study(space, template, folder: Path, progress: OnProgress) -> tuple[dict, Su
 
     The default space's checkpoint also becomes the one that `Surrogate.load()` finds.
     """
-    corpus = Corpus(folder / f"corpus-{space.name}-{template.digest}-{PLAN.digest}", PLAN, space)
-    status = corpus.generate(partial(fit_head, template), workers=min(2, os.cpu_count() or 1), on_progress=progress)
-    training = corpus.samples("train")
+    people = OfSpace(space, space.mean, partial(fit_head, template))
+    corpus = Corpus(folder / f"corpus-{space.name}-{template.digest}-{PLAN.digest}", PLAN, people)
+    status = corpus.generate(on=schedule(min(2, processors())), on_progress=progress)
+    training = samples_of(corpus.folder, "train")
     checkpoint = _trained(corpus, training, progress)
     if space.name == "anny":
         checkpoint.save(default_path())
     surrogate = Surrogate(checkpoint)
     result = evaluate(
-        surrogate, corpus.samples("test"), training, expressions=space.expression_deltas(np.zeros(space.code_size))
+        surrogate,
+        samples_of(corpus.folder, "test"),
+        training,
+        expressions=space.expression_deltas(np.zeros(space.code_size)),
     )
     summary = checkpoint.summary
     return {
@@ -43,8 +51,12 @@ def study(space, template, folder: Path, progress: OnProgress) -> tuple[dict, Su
         "training_seconds": summary.seconds,
         "corpus": {
             "plan": asdict(PLAN),
-            "accepted": status.accepted,
-            "rejected": [asdict(rejection) for rejection in status.rejected],
+            "accepted": status.accepted["statics"],
+            "rejected": [
+                {"identity": r.identity, "frame": r.row, "reason": r.reason}
+                for r in status.rejected
+                if r.table == "statics"
+            ],
         },
         "test": asdict(result) | {"gain": result.gain},
         "bind_ms": result.bind_ms,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,26 +10,43 @@ from scipy.optimize import least_squares
 
 from ..lhm import LayeredHead
 from ..lhm.mesh import Floats
-from ..reference import Parameters, Scene, Sequence, Trajectory, facial_scene, march, prepare, solve, terms
+from ..reference import (
+    Parameters,
+    Reason,
+    Scene,
+    Sequence,
+    Solution,
+    Trajectory,
+    facial_scene,
+    march,
+    prepare,
+    solve,
+    terms,
+)
 from ..reference.dynamics import Recurrence
 from ..reference.sequence import State
 
 DRAWN, REACH = 5.0, 25.0  # mm down at the cheek, and the standard deviation of what follows it
 FRAME = 1.0 / 60.0
+REACHED = (Reason.CONVERGED, Reason.STAGNATED)  # at this tolerance rounding may end a frame that begins near its answer
+FEWEST = 4  # values of a motion, beyond which a damped cosine of four unknowns is fitted to it
 TIGHT, FINE = 1e-9, 1e-6  # tolerances where solvers are compared, and where time steps are
 
 
 @dataclass(frozen=True)
 class Swing:
-    """A damped cosine fitted to a motion: frequency [Hz], damping ratio, and the misfit's RMS over the first value."""
+    """A damped cosine fitted to a motion: frequency [Hz], damping ratio, and the misfit's RMS over the first value.
 
-    frequency: float
-    damping: float
-    misfit: float
+    None where the motion was too short to fit one.
+    """
+
+    frequency: float | None
+    damping: float | None
+    misfit: float | None
 
 
 def swing(times: Floats, motion: Floats) -> Swing:
-    """Fit e^(-ζωt) (A cos ω_d t + B sin ω_d t) to a motion (k,) at times [s]."""
+    """Fit e^(-ζωt) (A cos ω_d t + B sin ω_d t) to a motion (k,) at times [s], evenly spaced."""
 
     def miss(rates: Floats) -> Floats:
         omega, decay = rates
@@ -37,10 +54,30 @@ def swing(times: Floats, motion: Floats) -> Swing:
         return waves @ np.linalg.lstsq(waves, motion, rcond=None)[0] - motion
 
     guesses = 2.0 * np.pi / times[-1] * np.array([0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
-    best = min((least_squares(miss, [guess, 0.1 * guess]) for guess in guesses), key=lambda found: found.cost)
-    omega, decay = abs(best.x[0]), best.x[1]
+    # Beyond half the rate of the values there is another ω for each, which fits as well.
+    fastest = np.pi / (times[1] - times[0])
+    bounds = ([0.0, -np.inf], [fastest, np.inf])
+    fits = [least_squares(miss, [guess, 0.1 * guess], bounds=bounds) for guess in guesses if guess < fastest]
+    best = min(fits, key=lambda found: found.cost)
+    omega, decay = best.x
     natural = float(np.hypot(omega, decay))
     return Swing(natural / (2.0 * np.pi), decay / natural, float(np.sqrt(np.mean(best.fun**2)) / abs(motion[0])))
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """A motion by projective dynamics: positions [mm], shape (k + 1, n, 3), and why the frame after the last failed.
+
+    Of a whole motion the reason is CONVERGED.
+    """
+
+    positions: Floats
+    reason: Reason
+
+    @property
+    def converged(self) -> bool:
+        """Whether every frame was made."""
+        return self.reason is Reason.CONVERGED
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,34 +116,37 @@ class Release:
         first = ((self.start if start is None else start) - self.scene.vertices)[:n]
         return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
 
-    def by_recurrence(self, recurrence: Recurrence, frames: int) -> Floats:
-        """Frames of Eq. 9 through projective dynamics, the start first, shape (frames + 1, n, 3) [mm]."""
+    def by_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
+        """Frames of Eq. 9 through projective dynamics, the start first."""
         neutral = self.head.skin.vertices
         sequence = Sequence(
             self.head, self.parameters, time_step=FRAME, dynamic=True, bones="prescribed", tolerance=TIGHT
         )
         sequence.recurrence = recurrence
         sequence.state = State(self.start, self.sought, self.start[: len(self.head.bone)])
-        return np.stack([self.start, *(sequence.frame(neutral).positions for _ in range(frames))])
+        return _frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
 
-    def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Floats:
-        """Frames of implicit Euler with mass on the skin by PD, shape (frames + 1, n, 3) [mm]; see `by_elements`."""
+    def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Frames:
+        """Frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
         wrap = self.head.skin_wrap
         n = len(wrap.vertices)
         springs = terms.Target(np.arange(n), wrap.vertices, self.areal * wrap.vertex_areas / FRAME**2)
         prepared = prepare(replace(self.scene, terms=(*self.scene.terms, springs)))
-        x = self.start if shaken is None else np.array(self.scene.vertices)
-        v, places = np.zeros_like(x), [x]
-        for frame in range(1, frames + 1):
-            ahead = x + FRAME * v
-            if shaken is not None:
-                ahead = ahead - FRAME**2 * shaken(frame * FRAME)
-            step = replace(springs, positions=ahead[:n])
-            scene = replace(self.scene, terms=(*self.scene.terms, step))
-            after = prepared.solve(scene, start=x, tolerance=TIGHT).positions
-            v, x = (after - x) / FRAME, after
-            places.append(x)
-        return np.stack(places)
+        start = self.start if shaken is None else np.array(self.scene.vertices)
+
+        def steps() -> Iterator[Solution]:
+            x, v = start, np.zeros_like(start)
+            for frame in range(1, frames + 1):
+                ahead = x + FRAME * v
+                if shaken is not None:
+                    ahead = ahead - FRAME**2 * shaken(frame * FRAME)
+                step = replace(springs, positions=ahead[:n])
+                scene = replace(self.scene, terms=(*self.scene.terms, step))
+                solution = prepared.solve(scene, start=x, tolerance=TIGHT)
+                yield solution
+                v, x = (solution.positions - x) / FRAME, solution.positions
+
+        return _frames(start, steps())
 
     def by_elements(
         self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
@@ -127,3 +167,13 @@ class Release:
             tolerance=tolerance,
             keep=np.arange(len(self.head.bone)),
         )
+
+
+def _frames(start: Floats, solutions: Iterable[Solution]) -> Frames:
+    """The start and the solutions, up to the first that did not converge."""
+    places = [start]
+    for solution in solutions:
+        if solution.reason not in REACHED:
+            return Frames(np.stack(places), solution.reason)
+        places.append(solution.positions)
+    return Frames(np.stack(places), Reason.CONVERGED)

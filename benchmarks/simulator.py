@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.progress import OnProgress
 from ..lhm.template import LEVELS
 from . import machine
-from .alone import alone_in
 from .minimal_model import measure_minimal
 from .scaling import measure_scaling
 from .simulator_report import gates, page

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..lhm import check_head, expressions, fit_head, identities, load_template
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import replaced
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
@@ -22,8 +23,7 @@ from ..reference import Parameters, facial_scene
 from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
 from . import learned, machine
-from .alone import alone_in
-from .cases import Case, CaseResult, run_case
+from .cases import Case, CaseResult, run_case, warm_up
 from .differences import difference, distances
 from .gates import gates
 from .pictures import Panel, cut_away, strip
@@ -86,6 +86,9 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     head = fit_head(template, space.skin(code))
     shapes = expressions.blend(space, code, np.array([case.weights for case in cases]))
     clock.lap("head")
+    warm_up(head, cases[0], shapes[0], lambda what: progress(f"warm-up: {what}", 0.5))
+    progress("warm-up", 1.0)
+    clock.lap("warm-up, untimed")
     done: list[CaseResult] = []
     for i, (case, shape) in enumerate(zip(cases, shapes, strict=True)):
 

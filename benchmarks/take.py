@@ -13,14 +13,14 @@ import numpy as np
 
 from ..lhm.errors import InputError, SoftdecaError
 from ..lhm.expressions import Take, conversation, read_take, speech
+from ..lhm.files.alone import alone_in
 from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
-from ..reference import Parameters, Sequence, Solution
+from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
 from ..reference.sequence import TOLERANCE
-from .alone import alone_in
 from .preview import Preview, check_preview, pictures_of, steps_shown, write_preview
 from .take_store import TakeStore, digest
 
@@ -49,13 +49,17 @@ class TakeConfig:
 
 @dataclass(frozen=True)
 class TakeResult:
-    """Frames simulated in all, those that failed with their reason, the files written, and the log's medians."""
+    """Frames simulated in all, those that failed with their reason, the files written, and the log's medians.
+
+    `neutral`: why settling the neutral face under p stopped, a Reason's name; without CONVERGED it failed too.
+    """
 
     frames: int
     failed: tuple[tuple[int, str], ...]
     files: tuple[Path, ...]
     median_seconds: float
     median_iterations: float
+    neutral: str = Reason.CONVERGED.name
 
 
 def take_from_text(text: str) -> Take:
@@ -102,20 +106,22 @@ def run_take(
     """Simulate what is missing, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
 
     deltas: what each expression adds to the head's skin [mm], shape (52, n, 3); take: evenly spaced frames, `rate`
-    apart. A frame that does not converge keeps what was reached, one that cannot be simulated its blendshapes; both are
-    listed. InputError if another run works in the folder, or it holds another take.
+    apart. The neutral face settles under p first, and expressions move that one. A frame that does not converge keeps
+    what was reached, one that cannot be simulated its blendshapes; both are listed. InputError if another run works in
+    the folder, or it holds another take.
     """
     check_preview(config.preview)
     with alone_in(config.out, "simulate"):
         store = TakeStore(config.out, _manifest(config, head, deltas, take, parameters))
-        _simulate(config, head, deltas, take, parameters, store, progress)
+        neutral, reason = _neutral(config, head, parameters, store, progress)
+        _simulate(config, neutral, deltas, take, store, progress)
         log = list(store.log())
         files = [_export(config, head, take, store, progress)]
         if config.preview != "none":
             files.append(_preview(config, head, deltas, take, store, progress))
     failed = tuple((row["frame"], row["reason"]) for row in log if row["reason"] != "CONVERGED")
     seconds, iterations = (float(np.median([row[key] for row in log])) for key in ("seconds", "iterations"))
-    return TakeResult(len(log), failed, (*files, config.out / "log.jsonl"), seconds, iterations)
+    return TakeResult(len(log), failed, (*files, config.out / "log.jsonl"), seconds, iterations, reason)
 
 
 def _manifest(
@@ -131,31 +137,49 @@ def _manifest(
         "frames": len(take.times),
         "rate": float(take.rate),
         "parameters": digest(*values),
-        "dynamic": config.dynamic,
+        "neutral": "settled under p",
+        "dynamic": "flesh lags" if config.dynamic else False,
         "tolerance": config.tolerance,
         "choices": json.loads(json.dumps(config.choices)),
     }
 
 
+def _neutral(
+    config: TakeConfig, head: LayeredHead, parameters: Parameters, store: TakeStore, progress: OnProgress
+) -> tuple[Settled, str]:
+    """The neutral face settled under p, from the folder where it is there, and why settling stopped."""
+    kept = store.neutral()
+    if kept is None:
+        progress("settling: neutral face", 0.0)
+        found = settled(head, parameters, **config.choices)
+        kept = {
+            "positions": found.positions,
+            "displacement": found.displacement,
+            "reason": np.array(found.reason.name),
+        }
+        store.keep_neutral(kept)
+        progress("settling: neutral face", 1.0)
+    choices = dict(config.choices)
+    return Settled(head, parameters, kept["positions"], kept["displacement"], choices=choices), str(kept["reason"])
+
+
 def _simulate(
     config: TakeConfig,
-    head: LayeredHead,
+    neutral: Settled,
     deltas: Floats,
     take: Take,
-    parameters: Parameters,
     store: TakeStore,
     progress: OnProgress,
 ) -> None:
     step = 1.0 / take.rate
-    sequence = Sequence(
-        head, parameters, time_step=step, dynamic=config.dynamic, tolerance=config.tolerance, **config.choices
-    )
+    head = neutral.head
+    sequence = Sequence.of(neutral, time_step=step, dynamic=config.dynamic, tolerance=config.tolerance)
     done, sequence.state = store.done()
     count = len(take.times)
     for number in range(done, count):
         begin = time.perf_counter()
         targets = _blended(head, deltas, take.weights[number])
-        skin, record = _frame(sequence, targets)
+        skin, record = _frame(sequence, neutral, targets)
         record = {"frame": number, "time": float(take.times[number]), **record}
         record["seconds"] = round(time.perf_counter() - begin, 4)
         if sequence.state is None:
@@ -164,14 +188,14 @@ def _simulate(
         progress(f"simulation: frame {number + 1} of {count}", (number + 1) / count)
 
 
-def _frame(sequence: Sequence, targets: Floats) -> tuple[Floats, dict[str, Any]]:
+def _frame(sequence: Sequence, neutral: Settled, targets: Floats) -> tuple[Floats, dict[str, Any]]:
     """The next frame's skin [mm], and its line of the log."""
     try:
         solution = sequence.frame(targets)
     except SoftdecaError as error:
-        return targets, _record(str(error))
+        return neutral.targets(targets), _record(str(error))
     if not np.isfinite(solution.positions).all():
-        return targets, _record(solution.reason.name, solution)
+        return neutral.targets(targets), _record(solution.reason.name, solution)
     return sequence.skin(targets, solution), _record(solution.reason.name, solution)
 
 

@@ -18,6 +18,7 @@ from ..lhm.files.npz import read_arrays, write_arrays
 from ..reference.sequence import State
 
 STATE = ("positions", "sought", "before", "drift")
+NEUTRAL = ("positions", "displacement", "reason")
 
 
 def digest(*arrays) -> str:
@@ -32,9 +33,9 @@ def digest(*arrays) -> str:
 class TakeStore:
     """Frames in frames/NNNNNN.npz (`moved`: the skin less its neutral [mm], float32), log.jsonl, state.npz, take.json.
 
-    A frame counts as done once the state after it is written: what a killed run left beyond that is made anew, and the
-    state is kept in full precision, so that a run that goes on makes the bytes of one that was never stopped.
-    InputError if the folder holds a take with another `manifest`.
+    Beside them neutral.npz: the face at rest under p. A frame counts as done once the state after it is written: what a
+    killed run left beyond that is made anew, and the state is kept in full precision, so that a run that goes on makes
+    the bytes of one that was never stopped. InputError if the folder holds a take with another `manifest`.
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]):
@@ -68,6 +69,17 @@ class TakeStore:
         with replaced(self.folder / "log.jsonl") as temporary:
             temporary.write_text("".join(lines))
         return count, state
+
+    def neutral(self) -> dict[str, np.ndarray] | None:
+        """The neutral face under p, arrays NEUTRAL as `keep_neutral` had them; None if missing or damaged."""
+        try:
+            return read_arrays(self.folder / "neutral.npz", *NEUTRAL)
+        except InputError:
+            return None
+
+    def keep_neutral(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write the neutral face under p, from which a run that goes on starts as the first did."""
+        write_arrays(self.folder / "neutral.npz", {name: arrays[name] for name in NEUTRAL})
 
     def add(self, number: int, moved: NDArray[np.float32], record: Mapping[str, Any], state: State) -> None:
         """Write frame `number` (they come in order), its line of the log, and the state after it."""

@@ -16,7 +16,7 @@ from ..lhm.mesh import Floats
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters, Scene, facial_scene, prepare, projective
 from ..reference.sequence import TOLERANCE, Sequence
-from ..surrogate.plan import CorpusPlan
+from ..surrogate.corpus.mixture import FEW
 from . import floor
 from .apart import apart, held_megabytes, peak_megabytes
 from .costs import timed
@@ -35,7 +35,7 @@ HALVINGS = 4
 """Of the sequence's own tolerance, to be tried at most."""
 KINDS = {
     DEFAULT_P: (),
-    "the corpus' p at random": CorpusPlan().parameter_names,
+    "the corpus' p at random": FEW,
     "every p at random": tuple(info.name for info in Parameters.infos()),
 }
 """Which parameters are drawn, each over its whole range; the others are default."""

@@ -18,12 +18,12 @@ import numpy as np
 
 from ..lhm import expressions
 from ..lhm.errors import InputError
+from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..reference import Parameters, Scene, facial_scene, neo_hookean_scene, prepare, terms
 from . import machine
-from .alone import alone_in
 from .apart import apart, forget_peak, peak_megabytes
 from .cases import NEO_HOOKEAN, PD_ENERGY
 from .floor import bandwidth

@@ -6,7 +6,7 @@ import click
 
 from ..lhm.errors import SoftdecaError
 from ..reference import ranks
-from . import bench, head, simulate, study
+from . import bench, corpus, head, simulate, study, train
 
 
 @click.group(context_settings={"show_default": True})
@@ -15,8 +15,10 @@ def app() -> None:
 
 
 app.add_command(study.study)
+app.add_command(train.train)
 app.add_command(head.head)
 app.add_command(simulate.simulate)
+app.add_command(corpus.corpus)
 app.add_command(bench.bench)
 
 

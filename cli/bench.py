@@ -110,10 +110,8 @@ def heads(identities: str, count: int, sigma: float, seed: int, workers: int, ou
             gate = f"({row['limit']}; missed by {row['missed']})" if row["limit"] else ""
             click.echo(f"{what:<38} {figures} {gate}".rstrip())
         for asked in results["gates"]:
-            click.echo(
-                f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
-            )
-        click.echo(f"report: {out / 'index.html'}")
+            click.echo(_gate_line(asked))
+        _say_written(out, "heads.jsonl", "campaign.json")
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -138,9 +136,8 @@ def simulator(parts: str, out: Path, as_json: bool) -> int:
         click.echo((out / "results.json").read_text())
     else:
         for asked in results["gates"]:
-            value = "-" if asked["value"] is None else f"{asked['value']:.3g}"
-            click.echo(f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {value} ({asked['bound']})")
-        click.echo(f"report: {out / 'index.html'}")
+            click.echo(_gate_line(asked))
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -165,7 +162,7 @@ def depth(
         results = run_depth(DepthConfig(skin, skulls, regressor, identities, unit, out), progress)
     click.echo((out / "results.json").read_text() if as_json else _depth_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0
 
 
@@ -189,7 +186,7 @@ def effects(names: str, identities: str, seed: int, reference: str, fan: int, ou
         results = run_effects(config, progress)
     click.echo((out / "results.json").read_text() if as_json else _effect_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out, *sorted(path.name for path in out.glob("*.png")))
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -211,7 +208,7 @@ def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_
         results = run_dynamics(DynamicsConfig(identities, seed, level, frames, out), progress)
     click.echo((out / "results.json").read_text() if as_json else _dynamics_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
@@ -253,16 +250,24 @@ def _rank_lines(results: Mapping) -> str:
 
 
 def _dynamics_lines(results: Mapping) -> str:
-    lines = [
-        f"{row['name']:<38} {row['steps_per_s']:4.0f} steps/s  "
-        f"{row['frequency']:6.3f} Hz  damping ratio {row['damping']:.4f}"
-        for row in results["release"]
-    ]
-    for asked in results["gates"]:
-        lines.append(
-            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
-        )
-    return "\n".join(lines)
+    lines = []
+    for row in results["release"]:
+        swings = "" if row["frequency"] is None else f"{row['frequency']:6.3f} Hz  damping ratio {row['damping']:.4f}"
+        lines.append(f"{row['name']:<38} {row['steps_per_s']:4.0f} steps/s  {swings}")
+    marches = {"release": results["release"], "own mass": results["own_mass"], "shaken": results["shake"]["rows"]}
+    for what, rows in marches.items():
+        lines += [f"STOPPED {what}, {row['name']}: {row['stopped']}" for row in rows if row["stopped"]]
+    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+
+
+def _say_written(out: Path, *more: str) -> None:
+    for name in ("index.html", "results.json", *more):
+        click.echo(f"wrote {out / name}")
+
+
+def _gate_line(gate: Mapping) -> str:
+    value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
+    return f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})"
 
 
 @bench.command()
@@ -283,7 +288,7 @@ def convergence(texts: tuple[str, ...], seed: int, quadratic: bool, out: Path, a
         results = run_convergence(config, progress)
     click.echo((out / "results.json").read_text() if as_json else _convergence_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1
 
 
@@ -308,7 +313,7 @@ def unknowns(up_to: int, expression: str, out: Path, as_json: bool) -> int:
         results = run_unknowns(UnknownsConfig(up_to, expression, out), progress)
     click.echo((out / "results.json").read_text() if as_json else _unknowns_lines(results))
     if not as_json:
-        click.echo(f"report: {out / 'index.html'}")
+        _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1
 
 
@@ -322,11 +327,7 @@ def _unknowns_lines(results: Mapping) -> str:
         )
     for row in results["exponents"]:
         lines.append(f"{row['law']:<12} {row['element']} grows as unknowns^{row['cpu_seconds']:.2f}")
-    for asked in results["gates"]:
-        lines.append(
-            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
-        )
-    return "\n".join(lines)
+    return "\n".join([*lines, *map(_gate_line, results["gates"])])
 
 
 def _convergence_lines(results: Mapping) -> str:
@@ -337,11 +338,7 @@ def _convergence_lines(results: Mapping) -> str:
             f"{row['name']:<40} error mean {own['mean']:.3f}  95 % {own['p95']:.3f}  max {own['max']:.3f} mm  "
             f"order across layers {'-' if order is None else f'{order:.2f}'}"
         )
-    for asked in results["gates"]:
-        lines.append(
-            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
-        )
-    return "\n".join(lines)
+    return "\n".join([*lines, *map(_gate_line, results["gates"])])
 
 
 @bench.command()
@@ -376,11 +373,7 @@ def _effect_lines(results: Mapping) -> str:
             f"{row['name']:<12} {run['iterations']:>4} iterations {run['seconds']:6.2f} s  "
             f"moves {row['change_mm']['max']:5.2f} mm at most  {other}"
         )
-    for asked in results["gates"]:
-        lines.append(
-            f"{'ok  ' if asked['passed'] else 'MISS'} {asked['what']}: {asked['value']:.3g} ({asked['bound']})"
-        )
-    return "\n".join(lines)
+    return "\n".join([*lines, *map(_gate_line, results["gates"])])
 
 
 def _depth_lines(results: Mapping) -> str:

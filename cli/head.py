@@ -72,7 +72,10 @@ def fit(
     picture: Path | None,
     as_json: bool,
 ) -> int:
-    """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate."""
+    """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate.
+
+    A gate is a bound that a figure of the head has to keep, such as no inverted tet; `head check` names them all.
+    """
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
     with shown() as progress:
@@ -101,14 +104,14 @@ def fit(
                 click.echo(f"softdeca: {skin}: {note}", err=True)
         progress("head", 1.0)
     save_head(out, fitted)
-    if vtk is not None:
-        export_vtk(vtk, fitted)
+    written = [out, *(export_vtk(vtk, fitted) if vtk is not None else ())]
     if picture is not None:
         from ..benchmarks.pictures import cut_away
 
         write_whole(picture, cut_away(fitted))
+        written.append(picture)
     _warn(skin or out, {} if fitted.rig is None else fitted.rig.doubtful)
-    _report(check_head(fitted), as_json, fitted.notes)
+    _report(check_head(fitted), as_json, written, notes=fitted.notes)
     return 0
 
 
@@ -126,7 +129,7 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
         built = anatomical_template(identities.from_text(space_name), anatomy, level=level, progress=progress)
         progress("template", 1.0)
     save_template(out, built)
-    _report(check_head(built.head), as_json)
+    _report(check_head(built.head), as_json, [out])
     return 0
 
 
@@ -137,7 +140,7 @@ def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
     notes, doubtful = said_of(file)
     _warn(file, doubtful)
-    _report(check_file(file), as_json, notes)
+    _report(check_file(file), as_json, notes=notes)
     return 0
 
 
@@ -206,7 +209,8 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
     for name, figures in report.items():
         for key, value in figures.items():
             click.echo(f"{name.replace('_', ' ')}, {key.replace('_', ' ')}: {value:.6g}")
-    click.echo(f"{len(vertices)} vertices: {out}")
+    click.echo(f"{len(vertices)} vertices")
+    click.echo(f"wrote {out}")
     return 0
 
 
@@ -231,16 +235,21 @@ def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
         click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
 
 
-def _report(report: HeadReport, as_json: bool, notes: Sequence[str] = ()) -> None:
+def _report(report: HeadReport, as_json: bool, written: Sequence[Path] = (), *, notes: Sequence[str] = ()) -> None:
+    """Print the figures and the files written; FitError names the gates missed, and what was written all the same."""
     if as_json:
         gates = [asdict(gate) | {"passed": not gate.missed} for gate in report.gates]
+        files = {"files": [str(path) for path in written]} if written else {}
         more = {"gates": gates, "problems": list(report.problems), "notes": list(notes)}
-        click.echo(json.dumps(asdict(report) | more, indent=1))
+        click.echo(json.dumps(asdict(report) | more | files, indent=1))
     else:
         for figure in report.figures:
             mark = "" if figure.bound is None else "MISSED" if figure.missed else "ok"
             click.echo(f"{mark:<7}{figure}")
         for note in notes:
             click.echo(f"{'':<7}{note}")
+        for path in written:
+            click.echo(f"wrote {path}")
     if report.problems:
-        raise FitError("; ".join(report.problems))
+        missed = "; ".join(report.problems)
+        raise FitError(f"{written[0]} is written, but misses {missed}" if written else missed)

@@ -28,7 +28,7 @@ AFile = click.Path(path_type=Path)
 @click.option("--preview", type=click.Choice(["mp4", "gif", "none"]), default="gif", help="a rendered picture of it")
 @click.option("--fps", type=float, help="frames per second; default: the take's own")
 @click.option("--frames", "chosen", metavar="A:B", help="only these frames, B left out, counted at --fps")
-@click.option("--dynamic", is_flag=True, help="with inertia (Eq. 9) by p's frequency and damping")
+@click.option("--dynamic", is_flag=True, help="with inertia (Eq. 9): flesh lags, lips and bone do not")
 @click.option(
     "--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="how a jaw moves"
 )
@@ -55,8 +55,11 @@ def simulate(
 ) -> int:
     """Simulate TAKE: a LiveLink Face CSV, weights.csv, JSON, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
 
+    What p makes of the neutral face (weight, gravity, bones) settles first; the take moves that face.
+
     Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (or .mp4) and OUT/log.jsonl, a line per frame. A run that was
-    stopped goes on where it was. Exit status 1 if a frame did not converge; those are listed.
+    stopped goes on where it was. Exit status 1 if a frame, or the neutral face, did not converge; those are
+    listed.
     """
     from ..benchmarks.head_pictures import deltas_of
     from ..benchmarks.take import TakeConfig, cut, run_take, take_from_text
@@ -91,10 +94,12 @@ def simulate(
     if as_json:
         click.echo(json.dumps(asdict(result), indent=1, default=str))
     else:
+        if result.neutral != "CONVERGED":
+            click.echo(f"FAILED neutral face: {result.neutral}")
         for frame, reason in result.failed:
             click.echo(f"FAILED frame {frame}: {reason}")
         medians = f"median {result.median_seconds:.3g} s and {result.median_iterations:g} iterations a frame"
         click.echo(f"{result.frames} frames, {len(result.failed)} failed; {medians}")
         for path in result.files:
             click.echo(path)
-    return 1 if result.failed else 0
+    return 1 if result.failed or result.neutral != "CONVERGED" else 0

@@ -39,5 +39,6 @@ def study(identities: str, out: Path, expressions: str, as_json: bool) -> int:
         for gate in results["gates"]:
             value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
             click.echo(f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})")
-        click.echo(f"report: {out / 'index.html'}")
+        for name in ("index.html", "results.json"):
+            click.echo(f"wrote {out / name}")
     return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1

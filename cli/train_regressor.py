@@ -67,6 +67,7 @@ def train_regressor(
         "registered_skin_off_mm": {pair.name: pair.off for pair in measured},
         "published": [{"model": model, "mean_mm": mean, "data": data} for model, mean, data in SKULL_PLACES],
         "regressor": str(out),
+        "files": [str(path) for path in (out, picture) if path is not None],
     }
     click.echo(json.dumps(report, indent=1) if as_json else _lines(report, tested, measured))
     return 0
@@ -82,7 +83,7 @@ def _lines(report: dict, tested: regressor.LeaveOneOut, measured: tuple[regresso
     lines.append(f"{'pairs, best to worst':<42} {tested.per_pair.min():.2f} to {tested.per_pair.max():.2f} mm")
     lines += [f"{name:<42} {mean:5.2f} mm" for name, mean in report["leave_one_out_by_region_mm"].items()]
     lines += [_measured(pair) for pair in measured]
-    return "\n".join([*lines, f"regressor: {report['regressor']}"])
+    return "\n".join([*lines, *(f"wrote {path}" for path in report["files"])])
 
 
 def _measured(pair: regressor.PairReport) -> str:

@@ -1,13 +1,17 @@
 """The layered head model: surfaces, wraps, fitting, identities and expressions. Geometry only, no physics."""
 
-from . import expressions, identities, scans
-from .build import build_template
-from .check import HeadReport, check_head
-from .errors import FitError, InputError, MeshError, SoftdecaError
-from .fit import fit_head
-from .head import LayeredHead
-from .mesh import Surface, TetMesh
-from .template import Template, load_template
+from .files.cache import keep_compiled_functions
+
+keep_compiled_functions()
+
+from . import expressions, identities, scans  # noqa: E402
+from .build import build_template  # noqa: E402
+from .check import HeadReport, check_head  # noqa: E402
+from .errors import FitError, InputError, MeshError, SoftdecaError  # noqa: E402
+from .fit import fit_head  # noqa: E402
+from .head import LayeredHead  # noqa: E402
+from .mesh import Surface, TetMesh  # noqa: E402
+from .template import Template, load_template  # noqa: E402
 
 __all__ = [
     "FitError",

@@ -10,7 +10,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
+from .errors import InputError, expect
 from .expressions.transfer import transfer_expressions
+from .geometry.rigid import rigid_motion
 from .geometry.warp import TriharmonicWarp, farthest_points
 from .head import LayeredHead
 from .identities.space import LinearSpace
@@ -30,6 +32,8 @@ LEAST_DEPTH = 2.0
 """[mm] A skull wrap is wanted at least this deep; less only where there is no room for more."""
 RATIO = 0.1
 """How much of a column's growth its muscle takes (SoftDECA 3.1.2: ten percent)."""
+LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 60.0
+"""Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
 LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
 """Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
 
@@ -82,12 +86,16 @@ def fit_head(
     2004), but for those in `own`: displacements [mm], shape (n, 3), of this skin by ARKit names.
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
-    and what `register` and `registered_by` raise.
+    InputError for a skin of the template's triangles that is not of its size or does not look its way; and what
+    `register` and `registered_by` raise.
     """
+    expect(Template, template=template)
+    expect(Surface, skin=skin)
     same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
         skin.triangles, template.skin.triangles
     )
     if same and mapping is None:
+        _check_place(template.skin.vertices, skin.vertices)
         rig = None if template.space is None else own_first(space_rig(template.space), own)
         return replace(_fitted(template, skin, regressor), rig=rig)
     if mapping is None:
@@ -139,6 +147,17 @@ def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
         deltas[ARKIT.index(name)] = delta
     source = f"{len(own)} of its own" + (f", the others {rig.source}" if len(own) < len(ARKIT) else "")
     return Rig(deltas, source, tuple(name for name in rig.missing if name not in own), rig.doubtful)
+
+
+def _check_place(rest: Floats, skin: Floats) -> None:
+    """Raise InputError for a skin that is turned far from where the template looks, or of another unit's size."""
+    rotation, _ = rigid_motion(rest, skin)
+    turned = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
+    size = float(skin.std() / rest.std())
+    if not LEAST_SIZE <= size <= MOST_SIZE:
+        raise InputError(f"skin: {size:.3g} times as large as the template's [mm]; are its units off?")
+    if turned > MOST_TURNED:
+        raise InputError(f"skin: turned by {turned:.0f} degrees from the template, which looks along +z with +y up")
 
 
 def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None) -> LayeredHead:

@@ -19,16 +19,16 @@ CHEEK = 15.0
 LEAN_REGIONS = ("lips", "lids", "mouth", "eyes", "teeth", "ears")
 
 
-def fleshy(head: LayeredHead) -> Floats:
+def fleshy(head: LayeredHead, *, fade: float = FADE) -> Floats:
     """Where a face has fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears.
 
-    Raises InputError for a head that lacks one of these regions.
+    The share rises over `fade` [mm] along the skin. Raises InputError for a head that lacks one of these regions.
     """
     y = head.skin_wrap.vertices[:, 1]
     inside = (_region(head, "face") | _region(head, "neck")) & (y < y[_region(head, "lids")].max() + BROW)
     for name in LEAN_REGIONS:
         inside = inside & ~_region(head, name)
-    return _smooth_step(_path_from(head, ~inside) / FADE)
+    return _smooth_step(_path_from(head, ~inside) / fade)
 
 
 def cheeks(head: LayeredHead) -> Floats:

@@ -10,6 +10,8 @@ from .errors import InputError
 from .mesh import Floats, Ints, TetMesh
 from .untangle import untangled
 
+MOST = 32
+"""Sub-layers of one gap: of the finest template's some 4 million tets, a gigabyte of them."""
 SMALLEST = 0.1
 """Of a sub-layer's tet: its least volume over the even share of its prism's smallest tet."""
 
@@ -53,11 +55,12 @@ def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) 
     `wraps`: arrays (n, 3) [mm] from the outermost to the innermost over `triangles` (m, 3). The meshes share their
     vertices: the wraps and those between them, stacked from outside to inside. With counts of one they are a
     head's `soft` and `muscle`. Between twisted prisms' wraps, vertices are moved off their even places until all tets
-    are upright. Raises InputError for counts below one, MeshError for wraps whose prisms have an inverted tet, and
-    where no such places are found.
+    are upright. Raises InputError for counts outside 1 to 32, MeshError for wraps whose prisms have an inverted tet,
+    and where no such places are found.
     """
-    if len(counts) != len(wraps) - 1 or min(counts) < 1:
-        raise InputError(f"sub-layers {tuple(counts)}: expected {len(wraps) - 1} counts of at least 1")
+    whole = len(counts) == len(wraps) - 1 and all(isinstance(count, (int, np.integer)) for count in counts)
+    if not whole or not all(1 <= count <= MOST for count in counts):
+        raise InputError(f"sub-layers {tuple(counts)}: expected {len(wraps) - 1} counts from 1 to {MOST}")
     n, vertices = len(wraps[0]), stacked(wraps, counts)
     firsts = np.concatenate([[0], np.cumsum(counts)])
     if max(counts) > 1:

@@ -19,7 +19,7 @@ def as_points(name: str, values, *, columns: int = 3) -> Floats:
     try:
         points = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise MeshError(f"{name}: expected numbers of shape (n, {columns})") from None
+        raise MeshError(f"{name}: expected numbers of shape (n, {columns}), got {type(values).__name__}") from None
     if points.ndim != 2 or points.shape[1] != columns:
         raise MeshError(f"{name}: expected shape (n, {columns}), got {points.shape}")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
@@ -31,7 +31,10 @@ def as_points(name: str, values, *, columns: int = 3) -> Floats:
 
 def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
     """Return a read-only int64 copy of shape (m, corners) whose indices lie in [0, n_vertices)."""
-    raw = np.asarray(values)
+    try:
+        raw = np.asarray(values)
+    except ValueError:
+        raise MeshError(f"{name}: expected integers of shape (m, {corners}), rows of one length") from None
     if raw.ndim != 2 or raw.shape[1] != corners:
         raise MeshError(f"{name}: expected shape (m, {corners}), got {raw.shape}")
     if raw.size and not np.issubdtype(raw.dtype, np.integer):
@@ -63,6 +66,32 @@ def tet_volumes(vertices: Floats, tets: Ints) -> Floats:
         wx, wy, wz = vertices[d, 0] - vertices[a, 0], vertices[d, 1] - vertices[a, 1], vertices[d, 2] - vertices[a, 2]
         volumes[i] = ((uy * vz - uz * vy) * wx + (uz * vx - ux * vz) * wy + (ux * vy - uy * vx) * wz) / 6.0
     return volumes
+
+
+@njit(cache=True)
+def repeated_tet(tets: Ints) -> tuple[int, int]:
+    """The first tet of the same corners as one before it, and that one; (-1, -1) if all differ. Linear in time."""
+    size = 1
+    while size < 2 * len(tets):
+        size *= 2
+    slots = np.full(size, -1)
+    corners = np.empty_like(tets)
+    for i in range(len(tets)):
+        a, b, c, d = tets[i]
+        a, b, c, d = min(a, b), max(a, b), min(c, d), max(c, d)
+        a, c, b, d = min(a, c), max(a, c), min(b, d), max(b, d)
+        b, c = min(b, c), max(b, c)
+        corners[i, 0], corners[i, 1], corners[i, 2], corners[i, 3] = a, b, c, d
+        mixed = np.uint64(a * 73856093) ^ np.uint64(b * 19349663) ^ np.uint64(c * 83492791) ^ np.uint64(d * 39916801)
+        mixed = (mixed ^ (mixed >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
+        slot = np.int64((mixed >> np.uint64(32)) & np.uint64(size - 1))
+        while slots[slot] >= 0:
+            o = slots[slot]
+            if corners[o, 0] == a and corners[o, 1] == b and corners[o, 2] == c and corners[o, 3] == d:
+                return i, o
+            slot = (slot + 1) & (size - 1)
+        slots[slot] = i
+    return -1, -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +148,8 @@ class Surface:
 class TetMesh:
     """A tetrahedral mesh: vertices [mm], shape (n, 3), and positively oriented tets, shape (m, 4).
 
-    Raises MeshError for values that are not finite, indices out of range, and inverted or flat tets (by index).
+    Raises MeshError for values that are not finite, indices out of range, and tets that are inverted, flat or there
+    twice (by index).
     """
 
     vertices: Floats
@@ -140,5 +170,8 @@ class TetMesh:
                 f"tets: {bad.size} are inverted or flat, the first is number {first} "
                 f"(vertices {self.tets[first].tolist()}, volume {volumes[first]:.3g} mm³; it must be positive)"
             )
+        again, first = repeated_tet(self.tets)
+        if again >= 0:
+            raise MeshError(f"tets: number {again} is number {first} again (vertices {self.tets[again].tolist()})")
         volumes.flags.writeable = False
         object.__setattr__(self, "volumes", volumes)

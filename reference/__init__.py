@@ -9,6 +9,7 @@ from .scene import Scene
 from .sequence import Sequence
 from .settling import Settled, settled
 from .solution import History, Reason, Solution
+from .solution_file import write_solution
 from .solve import SOLVERS, Prepared, prepare, solve
 from .trajectory import Trajectory
 
@@ -34,4 +35,5 @@ __all__ = [
     "settled",
     "solve",
     "terms",
+    "write_solution",
 ]

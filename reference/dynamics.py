@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ..lhm.errors import InputError
 from ..lhm.mesh import Floats
@@ -42,6 +43,15 @@ class Recurrence:
         alpha, beta, gamma = (_column(c) for c in (self.alpha, self.beta, self.gamma))
         return gamma * target + 2.0 * alpha * last - beta * before
 
+    def at(self, weights: csr_matrix) -> Recurrence:
+        """The recurrence at other vertices, means by `weights` (other, n) not negative, rows summing to one.
+
+        A mean of stable ones is stable. With a head's `skin_from_wrap` it is that of its skin's vertices.
+        """
+        n = weights.shape[1]
+        alpha, beta = (weights @ np.broadcast_to(np.asarray(c, dtype=np.float64), n) for c in (self.alpha, self.beta))
+        return _recurrence(alpha, beta)
+
     def stiffness(self, stiffness: float | Floats) -> Floats:
         """Stiffness of the springs in dynamic frames from that of statics, k/γ; any unit, a number or shape (n,)."""
         return np.asarray(stiffness / np.asarray(self.gamma))
@@ -56,19 +66,28 @@ class Recurrence:
         return np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s)
 
 
-def coefficients(frequency: float | Floats, damping: float | Floats, time_step: float) -> Recurrence:
+def coefficients(
+    frequency: float | Floats, damping: float | Floats, time_step: float, *, loose: float | Floats = 1.0
+) -> Recurrence:
     """The recurrence whose free motion is that of an oscillator of this frequency [Hz] and damping ratio.
 
     β = e^(-2ζωh), α = e^(-ζωh) cos(ω √(1 - ζ²) h), γ = 1 - 2α + β, with ω = 2π frequency and time_step h [s]: the poles
-    are the continuous ones, without numerical damping. Numbers, or one per vertex. InputError names what is out of
-    range: frequency above 0 and below half of 1 / time_step, damping in (0, 1), time_step above 0.
+    are the continuous ones, without numerical damping. Numbers, or one per vertex. Where skin is `loose` in part only,
+    a share in [0, 1], it swings at frequency / loose, and damping rises to critical with what is not; at 0 there is no
+    inertia, α = β = 0. InputError names what is out of range: frequency above 0 and below half of 1 / time_step,
+    damping in (0, 1), time_step above 0.
     """
     time_step = _step(time_step)
     f, zeta = np.asarray(frequency, dtype=np.float64), np.asarray(damping, dtype=np.float64)
     _within("frequency", f, 0.0, 0.5 / time_step, f"Hz at {1.0 / time_step:g} frames per second; raise the frame rate")
     _within("damping", zeta, 0.0, 1.0, "as a ratio to critical damping")
-    omega = 2.0 * np.pi * f * time_step
-    decay = np.exp(-zeta * omega)
+    share = np.asarray(loose, dtype=np.float64)
+    if not np.all((share >= 0.0) & (share <= 1.0)):
+        raise InputError("loose: expected shares in [0, 1]")
+    moving = share > 0.0
+    omega = 2.0 * np.pi * f * time_step / np.where(moving, share, 1.0)
+    zeta = zeta + (1.0 - zeta) * (1.0 - share)
+    decay = np.where(moving, np.exp(-zeta * omega), 0.0)
     alpha, beta = decay * np.cos(omega * np.sqrt(1.0 - zeta**2)), np.square(decay)
     return _recurrence(alpha, beta)
 

@@ -12,7 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from ..lhm.errors import SceneError
+from ..lhm.errors import SceneError, expect
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ..lhm.mesh import Floats, Ints
 from . import terms
@@ -37,6 +37,8 @@ OF_TETS = (
 )
 GAP = 0.1
 """What contact leaves between surfaces [mm]: where it may be nothing, touching triangles still cross by rounding."""
+FARTHEST = 200.0
+"""[mm] that an expression may be from the neutral skin: a chin goes down by some 50."""
 WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
@@ -65,8 +67,11 @@ def facial_scene(
     its tets. `contact` names regions whose triangles are kept apart. `attached` things
     are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is the soft tissue's beyond
     its strain limit: see `terms.Strain`.
-    Raises SceneError for targets of another shape or that are not finite, and for unknown or contradicting choices.
+    Raises SceneError for targets of another shape, that are not finite or more than 200 mm from the skin, and for
+    unknown or contradicting choices.
     """
+    expect(LayeredHead, head=head)
+    expect(Parameters, parameters=parameters)
     targets = _checked_targets(head, targets)
     _check_choices(bones, without, attached)
     wrap_targets = head.wrap_targets(targets)
@@ -239,11 +244,20 @@ def _touching(head: LayeredHead, names: Sequence[str]) -> Ints:
 
 
 def _checked_targets(head: LayeredHead, targets) -> Floats:
-    targets = np.asarray(targets, dtype=np.float64)
+    try:
+        targets = np.asarray(targets, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"targets: expected numbers of shape {head.skin.vertices.shape}") from None
     if targets.shape != head.skin.vertices.shape:
         raise SceneError(f"targets: expected the skin's shape {head.skin.vertices.shape}, got {targets.shape}")
     if not np.isfinite(targets).all():
         raise SceneError(f"targets: {np.count_nonzero(~np.isfinite(targets))} values are not finite")
+    away = np.linalg.norm(targets - head.skin.vertices, axis=1)
+    if away.max() > FARTHEST:
+        raise SceneError(
+            f"targets: vertex {away.argmax()} is {away.max():.4g} mm from the neutral skin, expected at most "
+            f"{FARTHEST:g} mm; are its units off, or its place?"
+        )
     return targets
 
 
@@ -260,9 +274,11 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
 def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
-    mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. Raises SceneError where a layer
-    has no such counterpart: strain limit, growth or target volume other than 1, or stiffnesses that vary within a term.
+    mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. A target volume is the law's
+    growth, by which tissue is at rest when it has reached it, while Strain holds it back. Raises SceneError where a
+    layer has no such counterpart: strain limit or growth other than 1, or stiffnesses that vary within a term.
     """
+    expect(Scene, scene=scene)
     strains, volumes = scene.of(terms.Strain), scene.of(terms.Volume)
     others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]
     laws: list[terms.Term] = []
@@ -271,14 +287,12 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     for strain, volume in zip(strains, volumes, strict=True):
         if not np.array_equal(scene.tets_of(strain), scene.tets_of(volume)):
             raise SceneError("neo_hookean_scene: each Strain term needs a Volume term on the same tets")
-        changed = [np.any(value != 1.0) for value in (strain.limit, strain.growth, volume.target)]
-        if any(changed) or strain.rule != "clamp":
+        if np.any(strain.limit != 1.0) or np.any(strain.growth != 1.0) or strain.rule != "clamp":
             raise SceneError(
-                "neo_hookean_scene: a strain limit, growth or target volume other than 1, or the indicator, has no "
-                "counterpart"
+                "neo_hookean_scene: a strain limit or growth other than 1, or the indicator, has no counterpart"
             )
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
             raise SceneError("neo_hookean_scene: stiffnesses that vary within a term are not supported")
         law = NeoHookean(mu=float(np.max(strain.stiffness)) / 2, lmbda=float(np.max(volume.stiffness)) / 3)
-        laws.append(terms.Hyperelastic(law, tets=strain.tets))
+        laws.append(terms.Hyperelastic(law, tets=strain.tets, growth=volume.target))
     return replace(scene, terms=(*laws, *others))

@@ -132,6 +132,8 @@ def _checked(
 ) -> Motion:  # fmt: skip
     if not isinstance(scene, Scene):
         raise SceneError(f"march: expected a Scene, got {type(scene).__name__}")
+    if not len(scene.tets):
+        raise SceneError("march: the scene has no tets")
     if scene.of(Inertia):
         raise SceneError("march: the scene has an Inertia term; mass is given by density and skin_density")
     step = np.asarray(time_step, dtype=np.float64)

@@ -41,6 +41,13 @@ class ParameterInfo:
         low, high = scale(self.low), scale(self.high)
         return 2.0 * (scale(values) - low) / (high - low) - 1.0
 
+    def denormalise(self, values):
+        """What `normalise` maps to these values; beyond [-1, 1] it is cut to the range."""
+        scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
+        low, high = scale(self.low), scale(self.high)
+        found = back(low + 0.5 * (np.asarray(values, dtype=np.float64) + 1.0) * (high - low))
+        return np.clip(found, self.low, self.high)
+
     def sample(self, rng: np.random.Generator) -> float:
         """A random value, uniform over the range (over its logarithm where `log` holds)."""
         if self.log:
@@ -153,9 +160,9 @@ class Parameters:
     )
     paralysis_right: float = _parameter(0.0, 0.0, 1.0, "1", "the same of the right half")
     frequency: float | Floats = _parameter(
-        4.0, 2.0, 8.0, "Hz", "of the inertia of Eq. 9, whose alpha, beta, gamma follow", local=True
+        4.0, 2.0, 8.0, "Hz", "of loose flesh in Eq. 9, whose alpha, beta, gamma follow", local=True
     )
-    damping: float | Floats = _parameter(0.3, 0.1, 0.7, "1", "damping ratio of Eq. 9", local=True)
+    damping: float | Floats = _parameter(0.3, 0.1, 0.7, "1", "damping ratio of loose flesh in Eq. 9", local=True)
 
     def __post_init__(self):
         for info in self.infos():

@@ -33,7 +33,6 @@ AWAKE = 2e-3  # seconds of waiting for work, after which a process sleeps betwee
 NAP, LONGEST_NAP = 5e-5, 2e-3
 
 _team: Team | None = None
-_joined = False
 
 
 @dataclass(frozen=True)
@@ -164,7 +163,7 @@ def join() -> Team | None:
     Only the first process returns; the others work for it, and end when it ends or calls `leave`. Raises
     MissingDependencyError, in the first process, where mpi4py is missing or belongs to another MPI than mpirun.
     """
-    global _team, _joined
+    global _team
     started = int(next((os.environ[name] for name in SIZES if name in os.environ), "1"))
     if started < 2:
         return None
@@ -181,7 +180,6 @@ def join() -> Team | None:
         of = mpi.Get_library_version().split(",")[0].strip()
         _refuse(place, f"mpirun has started {started} processes, but mpi4py knows {world.size}: use mpirun of {of}")
     comm = pkl5.Intracomm(world)
-    _joined = True
     if comm.rank > 0:
         _serve(comm)
         sys.exit(0)
@@ -196,11 +194,6 @@ def join() -> Team | None:
 def team() -> Team | None:
     """The processes that have joined this one; None in a process of its own, as a child of the first is."""
     return _team if _team is not None and _team._pid == os.getpid() else None
-
-
-def joined() -> bool:
-    """Whether this process has joined others, be it as the first or as one that works for it."""
-    return _joined
 
 
 def leave(status: int = 0):

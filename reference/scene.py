@@ -34,8 +34,8 @@ ON_TRIANGLES = (SurfaceStrain, Bending, Traction, Pressure, Contact)
 class Scene:
     """Rest vertices [mm], shape (n, 3), tets (m, 4) and terms; checked when made.
 
-    Raises SceneError for a tet that is inverted or flat (by index), and for a term that names vertices, tets or
-    triangles that are not there, or that is no term.
+    Raises SceneError for a tet that is inverted, flat or there twice (by index), where nothing is there to be deformed,
+    and for a term that names vertices, tets or triangles that are not there, or that is no term.
     """
 
     vertices: Floats
@@ -51,7 +51,12 @@ class Scene:
         object.__setattr__(self, "vertices", mesh.vertices)
         object.__setattr__(self, "tets", mesh.tets)
         object.__setattr__(self, "volumes", mesh.volumes)
-        object.__setattr__(self, "terms", tuple(self.terms))
+        try:
+            object.__setattr__(self, "terms", tuple(self.terms))
+        except TypeError:
+            raise SceneError(f"terms: expected a list of terms, got {type(self.terms).__name__}") from None
+        if not len(self.tets) and not any(isinstance(term, ON_TRIANGLES) for term in self.terms):
+            raise SceneError("scene: tets: there are none, and no term acts on triangles")
         for position, term in enumerate(self.terms):
             self._check(position, term)
         held, _ = self.dirichlet()
@@ -65,6 +70,10 @@ class Scene:
             ("tets", len(self.tets)),
             ("triangles", len(self.vertices)),
         ):
+            if term.masks.get(what, count) != count:
+                raise SceneError(
+                    f"term {position} ({term.name}): {what} is a mask of {term.masks[what]} for {count} {what}"
+                )
             ids = getattr(term, what, None)
             if ids is None or ids.size == 0:
                 continue
@@ -246,4 +255,4 @@ def refuse_unknown(
             raise SceneError(f"solver {solver!r} cannot model Strain with rule {term.rule!r}: its energy jumps")
         if isinstance(term, Hyperelastic) and not isinstance(term.material, laws):
             names = ", ".join(kind.__name__ for kind in laws)
-            raise SceneError(f"solver {solver!r} cannot model {term.material.name} on linear tets; it models {names}")
+            raise SceneError(f"solver {solver!r} cannot model {term.material.name}; it models {names}")

@@ -12,11 +12,12 @@ from ..lhm.errors import SceneError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from .bones import carried
-from .dynamics import Recurrence, coefficients
+from .dynamics import Recurrence
 from .facial import facial_scene
-from .local import on_vertices
+from .inertia import recurrence
 from .parameters import Parameters
 from .scene import Scene
+from .settling import Settled
 from .solution import Solution, volume_ratio
 from .solve import Prepared, prepare
 from .stack import Stack
@@ -45,11 +46,12 @@ class Sequence:
     """Simulates a head's expressions in their order, `time_step` [s] apart; `frame` is called for each.
 
     In statics a frame depends on its expression alone, the last frame is only where to begin. With `dynamic` the skin
-    has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping; bones that are prescribed stay so.
+    has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping where it is loose flesh (see `inertia`);
+    bones that are prescribed stay so.
     `tolerance` is the gradient norm relative to that of springs of statics each 1 mm long: unlike one
     relative to a frame's own start it asks the same of every frame.
     `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
-    time step at which the frequency cannot be followed.
+    time step at which the frequency cannot be followed. `of` makes one whose neutral face has settled under p.
     """
 
     def __init__(
@@ -68,12 +70,23 @@ class Sequence:
         if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
             raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
         self.head, self.parameters, self.time_step = head, parameters, float(time_step)
-        self.recurrence = _recurrence(head, parameters, time_step) if dynamic else None
+        self.recurrence = recurrence(head, parameters, time_step) if dynamic else None
         self.state: State | None = None
         self._tolerance, self._limit = tolerance, max_iterations
         self._solver, self._options, self._choices = solver, dict(options or {}), choices
         self._stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
         self._prepared: dict[bool, Prepared] = {}
+        self._neutral: Settled | None = None
+
+    @classmethod
+    def of(cls, neutral: Settled, **options: Any) -> Sequence:
+        """Frames of a face settled under its p: expressions stay those of the head without p.
+
+        `options` are a sequence's, `choices` among them over those of `neutral`; the first frame starts from its tets.
+        """
+        sequence = cls(neutral.head, neutral.parameters, **neutral.choices | options)
+        sequence._neutral = neutral
+        return sequence
 
     def begin(self, targets: Floats, *, velocity: Floats | None = None) -> Solution:
         """Put the head at rest in an expression [mm], shape (skin vertices, 3), but moving at `velocity` [mm/s].
@@ -111,10 +124,14 @@ class Sequence:
 
     def skin(self, targets: Floats, solution: Solution) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
-        return self.head.skin_after(targets, solution.positions[: len(self.head.bone)])
+        return self.head.skin_after(self._drawn(targets), solution.positions[: len(self.head.bone)])
+
+    def _drawn(self, targets: Floats) -> Floats:
+        """What the skin is drawn to [mm] for an expression of the head without p."""
+        return targets if self._neutral is None else self._neutral.targets(targets)
 
     def _solved(self, targets: Floats, *, dynamic: bool) -> tuple[Solution, Scene]:
-        scene = facial_scene(self.head, self.parameters, targets, **self._choices)
+        scene = facial_scene(self.head, self.parameters, self._drawn(targets), **self._choices)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
         asked = self._tolerance * float(np.linalg.norm(springs))
@@ -136,7 +153,8 @@ class Sequence:
     def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, until: dict[str, float]) -> Solution:
         """The scene's solution: from a sound frame to a sound one there is nothing to untangle, which costs as much."""
         asked: dict[str, Any] = {"start": start, "max_iterations": self._limit, **until}
-        sound = self.state is not None and (volume_ratio(scene, self.state.positions) > 0).all()
+        last = self._last()
+        sound = last is not None and (volume_ratio(scene, last.positions) > 0).all()
         if sound and self._solver == "projective":
             solution = prepared.solve(scene, **asked | {"untangle": False})
             if (solution.volume_ratio > 0).all():
@@ -147,11 +165,21 @@ class Sequence:
         """The last frame, and on it the change that the expression makes and what the last change had beyond that."""
         ahead = self._carried(target.positions)
         start = np.array(scene.vertices)
-        if self.state is not None:
-            start[:] = self.state.positions
-            ahead += self._beyond(start, self.state.sought) + self.state.drift
+        last = self._last()
+        if last is not None:
+            if last.positions.shape != start.shape:
+                raise SceneError(f"start: {len(last.positions)} vertices before, {len(start)} in this scene")
+            start[:] = last.positions
+            ahead += self._beyond(start, last.sought) + last.drift
         start[: len(ahead)] = ahead
         return start
+
+    def _last(self) -> State | None:
+        """What the next frame starts from: the last, or the neutral face settled under p."""
+        if self.state is not None or self._neutral is None or not self._neutral.displacement.any():
+            return self.state
+        positions, n = self._neutral.positions, len(self.head.bone)
+        return State(positions, self.head.wrap_targets(self._neutral.skin), positions[:n])
 
     def _beyond(self, positions: Floats, sought: Floats) -> Floats:
         """How far [mm] the wraps' vertices are from where the expression alone takes them."""
@@ -161,13 +189,6 @@ class Sequence:
     def _carried(self, wrap_targets: Floats) -> Floats:
         """The scene's vertices of the wraps [mm] where an expression takes them without physics."""
         return self._stack.between(*carried(self.head, self.parameters, wrap_targets))
-
-
-def _recurrence(head: LayeredHead, parameters: Parameters, time_step: float) -> Recurrence:
-    frequency, damping = (
-        on_vertices(name, getattr(parameters, name), head.skin_wrap) for name in ("frequency", "damping")
-    )
-    return coefficients(frequency, damping, time_step)
 
 
 def _target(scene: Scene) -> Target:

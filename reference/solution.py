@@ -6,10 +6,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
+from ..lhm.errors import SceneError
 from ..lhm.mesh import Floats, tet_volumes
+from .recovered import Recovered, von_mises
 from .scene import Scene
 
 
@@ -49,7 +52,8 @@ class Solution:
 
     positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made; energy [µJ],
     with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail` holds counts that only one
-    solver has, such as linear iterations.
+    solver has, such as linear iterations. Stresses [kPa], one per tet, and reactions [mN] are worked out by the same
+    solver when they are first asked for, from its own nodes and integration points.
     """
 
     positions: Floats
@@ -59,11 +63,42 @@ class Solution:
     history: History
     volume_ratio: Floats
     detail: dict[str, float] = field(default_factory=dict)
+    recovery: Callable[[], Recovered] | None = field(default=None, repr=False)
 
     @property
     def converged(self) -> bool:
         """Whether the tolerance was reached."""
         return self.reason is Reason.CONVERGED
+
+    @property
+    def first_piola(self) -> Floats:
+        """P, force per area at rest [kPa], shape (m, 3, 3): the mean over each tet of all its solids' terms."""
+        return self._recovered.first_piola
+
+    @property
+    def cauchy(self) -> Floats:
+        """σ = P Fᵀ / J, force per present area [kPa], shape (m, 3, 3): the mean over each deformed tet."""
+        return self._recovered.cauchy
+
+    @property
+    def von_mises(self) -> Floats:
+        """Von Mises' equivalent of `cauchy` [kPa], shape (m,)."""
+        return von_mises(self.cauchy)
+
+    @property
+    def reactions(self) -> Floats:
+        """Forces [mN], shape (n, 3), by which Fixed terms hold their components in place; zero elsewhere.
+
+        With all loads and springs' pulls they add up to nothing. Nodes on edges give half to each end. The forces of
+        Contact are not among those that they balance.
+        """
+        return self._recovered.reactions
+
+    @cached_property
+    def _recovered(self) -> Recovered:
+        if self.recovery is None:
+            raise SceneError("stress: this solution was not made by a solver")
+        return self.recovery()
 
 
 OnIteration = Callable[[int, Floats, float, float], "bool | None"]

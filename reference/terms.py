@@ -18,9 +18,20 @@ from .materials import Guccione, Incompressible, Material
 StrainRule = Literal["clamp", "indicator"]
 
 
+def _numbers(name: str, values) -> np.ndarray:
+    """Values as float64; SceneError for what are no numbers."""
+    try:
+        raw = np.asarray(values)
+        if raw.dtype.kind not in "iufO":
+            raise TypeError
+        return np.array(raw, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name}: expected numbers, got {values!r:.60}") from None
+
+
 def _per_item(name: str, values, count: int | None, low: float, *, strict: bool = False):
     """A finite number or a read-only array (count,), each at least (strict: above) low."""
-    array = np.array(values, dtype=np.float64)
+    array = _numbers(name, values)
     if array.ndim > 1 or (array.ndim == 1 and count is not None and array.shape != (count,)):
         raise SceneError(f"{name}: expected one number or shape ({count},), got shape {array.shape}")
     bad = ~np.isfinite(array) | ((array <= low) if strict else (array < low))
@@ -34,10 +45,13 @@ def _per_item(name: str, values, count: int | None, low: float, *, strict: bool 
 
 def _ids(name: str, values) -> np.ndarray:
     """Unique indices, shape (k,), from indices or a mask."""
-    array = np.asarray(values)
-    if array.dtype == bool:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise SceneError(f"{name}: expected indices of shape (k,) or a mask") from None
+    if array.dtype == bool and array.ndim == 1:
         array = np.flatnonzero(array)
-    if array.size == 0:
+    if array.size == 0 and array.ndim == 1:
         array = array.astype(np.int64)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
         raise SceneError(f"{name}: expected indices of shape (k,), got shape {array.shape} of {array.dtype}")
@@ -66,7 +80,7 @@ def _triangles(name: str, values):
 
 
 def _vector(name: str, values):
-    vector = np.array(values, dtype=np.float64)
+    vector = _numbers(name, values)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise SceneError(f"{name}: expected three finite numbers, got {values!r}")
     vector.flags.writeable = False
@@ -81,6 +95,19 @@ class Term:
     def name(self) -> str:
         """The term's class name."""
         return type(self).__name__
+
+    @property
+    def masks(self) -> dict[str, int]:
+        """Of `vertices` and `tets` that were given as a mask the length that it had, by name."""
+        return vars(self).get("_masks", {})
+
+    def _chosen(self, key: str) -> np.ndarray:
+        """The indices that `vertices` or `tets` name; the length of a mask is kept for the scene to check."""
+        values = getattr(self, key)
+        ids = _ids(f"{self.name}.{key}", values)
+        if np.asarray(values).dtype == bool:
+            object.__setattr__(self, "_masks", {**self.masks, key: len(values)})
+        return ids
 
     def _set(self, **values):
         for key, value in values.items():
@@ -105,7 +132,7 @@ class Hyperelastic(Term):
             raise SceneError(f"Hyperelastic: expected a material, got {type(self.material).__name__}")
         if not self.material.resists_volume_change:
             raise SceneError(f"Hyperelastic: {self.material.name} without kappa must be made Incompressible")
-        tets = None if self.tets is None else _ids("Hyperelastic.tets", self.tets)
+        tets = None if self.tets is None else self._chosen("tets")
         count = None if tets is None else len(tets)
         self._set(tets=tets, growth=_per_item("Hyperelastic.growth", self.growth, count, 0.0, strict=True))
 
@@ -138,7 +165,7 @@ class Strain(Term):
     def __post_init__(self):
         if self.rule not in get_args(StrainRule):
             raise SceneError(f"Strain.rule: expected clamp or indicator, got {self.rule!r}")
-        tets = None if self.tets is None else _ids("Strain.tets", self.tets)
+        tets = None if self.tets is None else self._chosen("tets")
         count = None if tets is None else len(tets)
         self._set(
             tets=tets,
@@ -162,7 +189,7 @@ class Volume(Term):
     tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
-        tets = None if self.tets is None else _ids("Volume.tets", self.tets)
+        tets = None if self.tets is None else self._chosen("tets")
         count = None if tets is None else len(tets)
         self._set(
             tets=tets,
@@ -206,7 +233,7 @@ class Target(Term):
     stiffness: float | np.ndarray
 
     def __post_init__(self):
-        vertices = _ids("Target.vertices", self.vertices)
+        vertices = self._chosen("vertices")
         self._set(
             vertices=vertices,
             positions=_scene_points("Target.positions", self.positions, len(vertices)),
@@ -226,9 +253,12 @@ class Fixed(Term):
     components: tuple[int, ...] = (0, 1, 2)
 
     def __post_init__(self):
-        vertices = _ids("Fixed.vertices", self.vertices)
+        vertices = self._chosen("vertices")
         components = (self.components,) if isinstance(self.components, (int, np.integer)) else self.components
-        components = tuple("xyz".index(str(c)) if c in ("x", "y", "z") else c for c in components)
+        try:
+            components = tuple("xyz".index(str(c)) if c in ("x", "y", "z") else c for c in components)
+        except (TypeError, ValueError):
+            components = ()
         if not components or any(c not in (0, 1, 2) for c in components) or len(set(components)) != len(components):
             raise SceneError(f"Fixed.components: expected some of 0, 1, 2, got {self.components!r}")
         values = None if self.values is None else _scene_points("Fixed.values", self.values, len(vertices))
@@ -244,7 +274,7 @@ class Gravity(Term):
     tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
-        tets = None if self.tets is None else _ids("Gravity.tets", self.tets)
+        tets = None if self.tets is None else self._chosen("tets")
         count = None if tets is None else len(tets)
         self._set(
             acceleration=_vector("Gravity.acceleration", self.acceleration),
@@ -301,7 +331,7 @@ class RigidBody(Term):
     rest: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
-        vertices = _ids("RigidBody.vertices", self.vertices)
+        vertices = self._chosen("vertices")
         if len(vertices) < 3:
             raise SceneError(f"RigidBody.vertices: a body needs at least 3 vertices, got {len(vertices)}")
         rest = None if self.rest is None else _scene_points("RigidBody.rest", self.rest, len(vertices))
@@ -340,9 +370,9 @@ class Inertia(Term):
     tets: np.ndarray | None = field(default=None, repr=False)
 
     def __post_init__(self):
-        tets = None if self.tets is None else _ids("Inertia.tets", self.tets)
+        tets = None if self.tets is None else self._chosen("tets")
         count = None if tets is None else len(tets)
-        step = np.asarray(self.time_step, dtype=np.float64)
+        step = _numbers("Inertia.time_step", self.time_step)
         if step.shape != () or not (np.isfinite(step) and step > 0):
             raise SceneError(f"Inertia.time_step: must be finite and above 0 s, got {self.time_step!r}")
         places = {

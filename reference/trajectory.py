@@ -34,11 +34,12 @@ class Energies:
 class Trajectory:
     """The steps made, and why the march ended: CONVERGED if all were made, else what ended the last one.
 
-    times [s], shape (k + 1,), from the start; positions [mm] and velocities [mm/s] of the kept vertices, shape
-    (k + 1, kept, 3); `vertices` (kept,) are their numbers; iterations (k,) and factorisations (k,) per step.
-    A step that failed is not among them.
+    time_step [s]; times [s], shape (k + 1,), from the start; positions [mm] and velocities [mm/s] of the kept
+    vertices, shape (k + 1, kept, 3); `vertices` (kept,) are their numbers; iterations (k,) and factorisations (k,) per
+    step. A step that failed is not among them.
     """
 
+    time_step: float
     times: Floats
     positions: Floats
     velocities: Floats

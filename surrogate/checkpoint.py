@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..lhm.errors import InputError
 from ..lhm.files.npz import read_arrays, write_arrays
 from ..lhm.mesh import Floats, Ints, Surface
-from .samples import surface_hash
+from .surface_hash import surface_hash
 
 FORMAT = "softdeca-surrogate-1"
 
@@ -115,7 +115,7 @@ class Checkpoint:
         """Read what `save` wrote; InputError for a file that is missing, damaged, or something else."""
         path = Path(path)
         if not path.is_file():
-            raise InputError(f"checkpoint {path}: no such file; run `softdeca study`")
+            raise InputError(f"checkpoint {path}: no such file; `softdeca train` makes it, as does the study")
         try:
             arrays = read_arrays(path, of="a checkpoint of softdeca")
             meta = json.loads(str(arrays.pop("meta")))

@@ -11,13 +11,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
-from torch import nn
-from torch.nn.functional import elu
 
 from ..lhm.geometry.deformation import DeformationTransfer
 from ..lhm.mesh import Surface
 from .checkpoint import HypernetworkConfig
+from .learning import elu, nn, torch
 from .samples import Floats32
 
 WEIGHTS = 52

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,11 @@ from numpy.typing import NDArray
 from ..lhm.errors import InputError
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
+from .corpus.mixture import INFOS, NAMES
+from .corpus.plan import Split
+from .corpus.reading import Table
 
 Floats32 = NDArray[np.float32]
-
-
-def surface_hash(surface: Surface) -> str:
-    """A name for a template: its triangles, and its vertices to 0.01 mm, as 16 hexadecimal digits."""
-    digest = hashlib.sha256(np.ascontiguousarray(surface.triangles, dtype="<i8").tobytes())
-    digest.update(np.round(surface.vertices * 100.0).astype("<i8").tobytes())
-    return digest.hexdigest()[:16]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,3 +75,31 @@ def normalise_parameters(names: tuple[str, ...], values: Floats) -> Floats32:
             )
         columns.append(info.normalise(value))
     return np.stack(columns, axis=-1).astype(np.float32)
+
+
+def samples_of(folder: str | PathLike[str], split: Split) -> Samples:
+    """The accepted static frames of a corpus whose parameters are uniform; InputError where there are none of these."""
+    table = Table(folder, "statics", split)
+    rows = [row for row in (table[index] for index in range(len(table))) if not row["coefficients"][:, 1:].any()]
+    if not rows:
+        raise InputError(
+            f"corpus {folder}: all its frames of the {split} split have parameters that vary over the face"
+        )
+    varied = np.any([row["varied"] for row in rows], axis=0)
+    names = tuple(name for name, is_varied in zip(NAMES, varied, strict=True) if is_varied)
+    normalised = np.stack([row["coefficients"][varied, 0] for row in rows]).astype(np.float64)
+    moved = [np.tensordot(row["weights"], table.shapes(row["identity"]), axes=1) for row in rows]
+    blended = np.stack(
+        [table.skin(row["identity"]).vertices + move for row, move in zip(rows, moved, strict=True)]
+    ).astype(np.float32)
+    return Samples(
+        reference=table.template.mean,
+        space=table.people,
+        parameter_names=names,
+        identity=np.array([row["identity"] for row in rows]),
+        codes=np.stack([row["code"] for row in rows]).astype(np.float32),
+        weights=np.stack([row["weights"] for row in rows]),
+        parameters=np.column_stack([INFOS[name].denormalise(normalised[:, k]) for k, name in enumerate(names)]),
+        blended=blended,
+        simulated=blended + np.stack([row["corrected"] for row in rows]).astype(np.float32),
+    )

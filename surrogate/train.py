@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import write_whole
@@ -19,6 +18,7 @@ from ..lhm.progress import OnProgress, silent
 from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary
 from .hypernetwork import Hypernetwork, smooth_positions, transfer_delta
+from .learning import torch
 from .principal import principal_gradients
 from .samples import Samples
 

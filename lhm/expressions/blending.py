@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..errors import InputError
+from ..errors import InputError, expect
 from ..identities.space import LinearSpace
 from ..mesh import Floats
 
@@ -18,6 +18,8 @@ def index(name: str) -> int:
     """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
     if name in ARKIT:
         return ARKIT.index(name)
+    if not isinstance(name, str):
+        raise InputError(f"unknown ARKit expression {name!r:.40}")
     by_lower = {known.lower(): known for known in ARKIT}
     near = difflib.get_close_matches(name.lower(), by_lower, n=3)
     hint = f"; did you mean {' or '.join(by_lower[match] for match in near)}?" if near else ""
@@ -25,9 +27,17 @@ def index(name: str) -> int:
 
 
 def weights_of(named: Mapping[str, float]) -> Floats:
-    """Weights in ARKit's order, shape (52,), of the expressions named; the rest are zero."""
+    """Weights in ARKit's order, shape (52,), of the expressions named; the rest are zero.
+
+    Raises InputError for a name that is unknown and a weight that is no number in [0, 1].
+    """
+    if not isinstance(named, Mapping):
+        raise InputError(f"weights: expected names with numbers, as {{'jawOpen': 0.8}}, got {type(named).__name__}")
     weights = np.zeros(len(ARKIT))
     for name, weight in named.items():
+        number = isinstance(weight, (int, float, np.number)) and not isinstance(weight, bool)
+        if not (number and 0.0 <= weight <= 1.0):
+            raise InputError(f"the weight of {name} is {weight!r:.40}, expected a number in [0, 1]")
         weights[index(name)] = weight
     return weights
 
@@ -59,6 +69,7 @@ def blend(space: LinearSpace, code, weights) -> Floats:
     `code` as in `space.skin`, `weights` (frames, 52) or (52,) in [0, 1] (clipped with a warning that counts them);
     returns (frames, n, 3). Raises InputError for another shape and for weights that are not finite.
     """
+    expect(LinearSpace, space=space)
     values = np.atleast_2d(checked_weights(weights))
     deltas = space.expression_deltas(code)
     used = np.flatnonzero(values.any(axis=0))

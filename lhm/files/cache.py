@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import os
+import stat
+import tempfile
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numba
 import numpy as np
 import platformdirs
 
@@ -16,14 +21,53 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def folder() -> Path:
-    """The cache folder: $SOFTDECA_CACHE, or the user's cache folder of this platform."""
-    return Path(os.environ.get("SOFTDECA_CACHE") or platformdirs.user_cache_dir("softdeca"))
+    """The cache folder: $SOFTDECA_CACHE, or the user's cache folder of this platform; it is there and can be written.
+
+    Where neither can be, a temporary folder of this user takes its place, and a warning says so once.
+    """
+    wanted = Path(os.environ.get("SOFTDECA_CACHE") or platformdirs.user_cache_dir("softdeca"))
+    return wanted if can_be_written(wanted) else _temporary(wanted)
+
+
+def can_be_written(path: Path) -> bool:
+    """Whether files can be put into a folder, which is made if missing."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(path, os.W_OK | os.X_OK)
+
+
+@functools.cache
+def _temporary(wanted: Path) -> Path:
+    found = Path(tempfile.gettempdir()) / f"softdeca-cache-{os.getuid()}"
+    try:
+        found.mkdir(mode=0o700, exist_ok=True)
+        state = found.lstat()
+        # What is compiled is run: the folder has to be this user's own.
+        own = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid() and not state.st_mode & 0o022
+    except OSError:
+        own = False
+    found = found if own else Path(tempfile.mkdtemp(prefix="softdeca-cache-"))
+    warnings.warn(f"{wanted} cannot be written; what is kept for the next run goes to {found}", stacklevel=3)
+    return found
+
+
+def keep_compiled_functions() -> None:
+    """Give numba a folder for what it compiles, where it can write neither beside the source nor in the user's cache.
+
+    To be called before the first function that is to be kept: numba refuses to define one.
+    """
+    try:
+        numba.njit(cache=True)(can_be_written)
+    except RuntimeError:
+        numba.config.CACHE_DIR = str(folder() / "numba")
 
 
 def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
     """The arrays stored as `name`.npz, or made and stored if the file is missing, damaged or cannot be read.
 
-    Where the folder cannot be written the arrays are made each time.
+    Where the disk is full the arrays are made each time.
     """
     path = folder() / f"{name}.npz"
     try:

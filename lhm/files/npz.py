@@ -13,6 +13,9 @@ import numpy as np
 from ..errors import InputError
 from .atomic import write_whole
 
+MOST_BYTES = 2_000_000_000
+"""What a file may unpack to: far above the largest template, and below what a small machine has."""
+
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays by name, compressed; InputError if the file cannot be written, and then it is as it was."""
@@ -31,6 +34,10 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
     if not zipfile.is_zipfile(path):
         raise InputError(f"{path}: not {of}, or damaged (no .npz file, or its end is missing)")
     try:
+        with zipfile.ZipFile(path) as whole:
+            size = sum(part.file_size for part in whole.infolist())
+        if size > MOST_BYTES:
+            raise ValueError(f"it unpacks to {size / 1e9:.1f} GB, expected at most {MOST_BYTES / 1e9:.0f} GB")
         with np.load(path, allow_pickle=False) as file:
             missing = [name for name in names if name not in file.files]
             arrays = {} if missing else {name: file[name] for name in names or file.files}

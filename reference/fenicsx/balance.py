@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...lhm.mesh import Floats
+from ..restraint import drifts
 from ..scene import Scene
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import Pressure
@@ -15,7 +16,6 @@ from .follower import FollowerPressure
 from .load_path import LoadPath
 from .numbering import Numbering
 from .problem import Problem
-from .restraint import drifts
 
 MAX_ITERATIONS = 1000
 

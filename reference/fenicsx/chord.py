@@ -98,6 +98,7 @@ class Chord:
             state,
             threshold=lambda _: threshold,
             max_iterations=self._limit - made,
+            near=True,  # a thirtieth of its first gradient norm, which is small, may be less than what is asked
         )
         self._made = False
         assert isinstance(end, MovingState)

@@ -7,7 +7,6 @@ is evaluated. Everything lives on COMM_SELF.
 from __future__ import annotations
 
 import fcntl
-import importlib
 import logging
 import os
 import tempfile
@@ -20,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from ...lhm.errors import MissingDependencyError
+from ...lhm.files import cache
 from ...lhm.mesh import Floats, Ints
-from ..ranks import joined
 
 for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -31,16 +30,18 @@ INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
 try:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources
-        if joined():
+        from mpi4py import MPI
+
+        if MPI.COMM_WORLD.size > 1:
             import petsc4py
 
-            petsc4py.init(comm=importlib.import_module("mpi4py.MPI").COMM_SELF)  # which others need not take part in
+            # Of all processes it would wait for those that solve nothing. A PETSc that is there already stays.
+            petsc4py.init(comm=MPI.COMM_SELF)
         import basix
         import dolfinx
         import ufl
         from dolfinx import fem, mesh
         from dolfinx.fem import petsc
-        from mpi4py import MPI
         from petsc4py import PETSc
 except ImportError as error:
     raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
@@ -65,6 +66,9 @@ else:
 _LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
 # Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
 _COMPILER = {_OPTIONS["jit"]: {"cffi_extra_compile_args": ["-O2"]}}
+_DEFAULTS = getattr(dolfinx.jit, f"DOLFINX_DEFAULT_JIT_{'PARAMETERS' if VERSION < (0, 6) else 'OPTIONS'}")
+if not cache.can_be_written(Path(_DEFAULTS["cache_dir"][0])):
+    _DEFAULTS["cache_dir"] = (cache.folder() / "fenics", _DEFAULTS["cache_dir"][1])
 
 
 @contextmanager

@@ -247,6 +247,7 @@ class _Record:
         rows = np.array(self._rows)
         counts: Ints = np.array(self._counts, dtype=np.int64).reshape(-1, 2)
         return Trajectory(
+            self._owner.h,
             self._owner.h * np.arange(len(rows)),
             np.array(self._places),
             np.array(self._speeds),

@@ -50,25 +50,35 @@ def elastic_part(F, growth: Floats | float, domain, cells: Ints):
     return F * ratio ** (-1 / 3), ratio
 
 
-def evaluated_when_asked(psi, F, degree: int, domain) -> Callable[[], Callable[[Ints], Floats]]:
-    """What gives the function of cells for dP/dF at a rule's points; its code is large, not every solve needs it."""
+WhenAsked = Callable[[], Callable[[Ints], Floats]]
+
+
+def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
+    """What gives the function of cells for an expression at a rule's points; the code may be large, and not needed."""
 
     @cache
     def evaluator() -> Callable[[Ints], Floats]:
-        return seam.evaluator(ufl.diff(ufl.diff(psi, F), F), seam.quadrature_rule(degree)[0], domain)
+        return seam.evaluator(expression, seam.quadrature_rule(degree)[0], domain)
 
     return evaluator
 
 
+def stress_and_tangent(psi, F, degree: int, domain) -> tuple[WhenAsked, WhenAsked]:
+    """P and dP/dF of a density, evaluated when asked."""
+    P = ufl.diff(psi, F)
+    return evaluated_when_asked(P, degree, domain), evaluated_when_asked(ufl.diff(P, F), degree, domain)
+
+
 @dataclass(frozen=True, eq=False)
 class HyperelasticForms:
-    """Compiled energy, gradient and tangent of a law on some cells (k,), and dP/dF there."""
+    """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there."""
 
     cells: Ints
     energy: Any
     gradient: Any
     tangent: Any
-    _dP_dF: Callable[[], Callable[[Ints], Floats]]
+    _P: WhenAsked
+    _dP_dF: WhenAsked
 
     @classmethod
     def of(
@@ -76,7 +86,7 @@ class HyperelasticForms:
     ) -> HyperelasticForms:
         """Forms for the displacement function [mm] on cells (k,), which a law's vectors and growth go by.
 
-        Integrals and dP/dF are by the rule of a degree.
+        Integrals, P and dP/dF are by the rule of a degree.
         """
         space = displacement.function_space
         psi, F = density(displacement, cells, material, growth)
@@ -84,8 +94,9 @@ class HyperelasticForms:
         energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
         tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
-        dP_dF = evaluated_when_asked(psi, F, degree, space.mesh)
-        return cls(cells, seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent), dP_dF)
+        P, dP_dF = stress_and_tangent(psi, F, degree, space.mesh)
+        compiled = seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent)
+        return cls(cells, *compiled, P, dP_dF)
 
     def assemble_energy(self) -> float:
         """Energy [µJ]; infinite where the law does not hold in any cell."""
@@ -95,6 +106,10 @@ class HyperelasticForms:
     def add_gradient(self, into: Floats):
         """Add the gradient [mN] to an array of dofs (3n,)."""
         seam.add_vector(self.gradient, into)
+
+    def point_stress(self) -> Floats:
+        """P [kPa] at the points, shape (k q, 3, 3)."""
+        return self._P()(self.cells).reshape(-1, 3, 3)
 
     def point_tangent(self) -> Floats:
         """dP/dF [kPa] at the points, shape (k q, 9, 9)."""

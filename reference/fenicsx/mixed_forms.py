@@ -12,7 +12,7 @@ from ...lhm.mesh import Floats, Ints
 from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc
-from .hyperelastic import HyperelasticForms, elastic_part, evaluated_when_asked, symbols
+from .hyperelastic import HyperelasticForms, elastic_part, stress_and_tangent, symbols
 from .mixed_densities import mixed_density
 
 
@@ -45,13 +45,12 @@ class MixedForms(HyperelasticForms):
         by_pressure = ufl.derivative(energy, pressure, ufl.TestFunction(pressures))
         coupling = ufl.derivative(gradient, pressure, ufl.TrialFunction(pressures))
         compliance = ufl.derivative(by_pressure, pressure, ufl.TrialFunction(pressures))
-        dP_dF = evaluated_when_asked(psi, F, degree, domain)
         return cls(
             cells,
             seam.compile_form(energy),
             seam.compile_form(gradient),
             seam.compile_form(tangent),
-            dP_dF,
+            *stress_and_tangent(psi, F, degree, domain),
             seam.compile_form(by_pressure),
             _with_matrix(coupling),
             _with_matrix(compliance),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..materials import Corotated, Incompressible, Material
+from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import (
@@ -40,7 +43,7 @@ from .multipliers import MultiplierDescent, laws_of
 from .newton import AnyState, Newton, Work
 from .numbering import Numbering
 from .problem import Problem, State
-from .restraint import check_restrained
+from .recovery import recover
 from .shared_linear import solver_of
 from .shares import problem_of
 
@@ -102,6 +105,8 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
 
 
 def _check_terms(scene: Scene, element: str):
+    if not len(scene.tets):
+        raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
     for term in scene.of(Hyperelastic):
         if element == "P2P1":
@@ -162,6 +167,19 @@ class PreparedFenicsx:
         See `softdeca.reference.Prepared.solve`.
         """
         scene = self.scene if scene is None else scene
+        solution = self._solve(scene, start, tolerance, max_iterations, on_iteration)
+        assert self._end is not None
+        recovery = partial(recover, scene, self._numbering.degree, *self._end.end, self._force)
+        return replace(solution, recovery=recovery)
+
+    def _solve(
+        self,
+        scene: Scene,
+        start: Floats | None,
+        tolerance: float,
+        max_iterations: int | None,
+        on_iteration: OnIteration | None,
+    ) -> Solution:
         self.scene.check_prepared_for(scene, varying=VARYING)
         begin = _checked_start(scene, start)
         limit = MAX_ITERATIONS if max_iterations is None else max_iterations

@@ -247,6 +247,19 @@ class State:
             total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
         return total
 
+    def stresses(self) -> tuple[Floats, Floats, Quadrature]:
+        """F and P [kPa] at the quadrature's points, shape (k q, 3, 3), of all laws together, and the quadrature."""
+        problem = self._problem
+        self._place()
+        F = problem._quadrature.deformation_gradient(self.u)
+        P = np.zeros_like(F)
+        if problem._laws:
+            U, _, V = self._svd()
+            P += principal.stress(U, V, self._p)
+        for forms in problem._hyperelastic:
+            P[problem._points(forms.cells)] += forms.point_stress()
+        return F, P, problem._quadrature
+
     def hessian(self) -> PETSc.Mat:
         """The exact Hessian [mN/mm], in the problem's matrix."""
         self._begin()

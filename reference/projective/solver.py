@@ -34,6 +34,7 @@ from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
 from .energy import Energy
 from .memory import Memory
+from .recovery import recover
 from .system import System
 from .tangent import Tangent
 
@@ -73,6 +74,7 @@ VARYING: dict[type[Term], tuple[str, ...]] = {
 # expressions of a head 54, 29 and 39 iterations to 0.01 mm instead of 77, 49 and 60 with a share of 1.
 VOLUME_SHARE: dict[Method, float] = {"lbfgs": 0.3, "anderson": 1.0, "plain": 1.0}
 MAX_ITERATIONS = 5000
+MOST_THREADS = 256
 
 
 @dataclass
@@ -188,6 +190,7 @@ class ProjectivePrepared:
             volume_ratio=volume_ratio(scene, positions),
             detail=work.counts() | outcome,
             memory=problem.memory if remember else None,
+            recovery=partial(recover, scene, positions),
         )
 
     def tangent(
@@ -252,8 +255,8 @@ def prepare(
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-        raise SceneError(f"projective: threads must be at least 1, got {threads!r}")
+    if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
+        raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
     energy = Energy.of(scene, threads)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
     known = None if like is None else like.system

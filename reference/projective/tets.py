@@ -102,6 +102,14 @@ class TetBlocks:
         has_volume = (parameters[:, VOLUME // LANES] > 0).any(axis=1)
         return replace(self, parameters=parameters, has_volume=has_volume)
 
+    def apart(self) -> TetBlocks:
+        """The same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
+        corners = np.zeros_like(self.corners)
+        every = np.arange(len(self.tets))
+        for corner in range(4):
+            _spread(4 * every + corner, LANES * corner, every, corners)
+        return replace(self, corners=corners, threads=1)
+
     def untangling(self, volume_share: float) -> TetBlocks:
         """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out."""
         parameters = self.parameters.copy()

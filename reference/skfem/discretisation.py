@@ -22,11 +22,12 @@ class Discretisation:
 
     `dofs` (nodes, 3) is where scikit-fem numbers the components of each node, `vertex_dofs` (n, 3) the vertices' part,
     and `ends` (nodes, 2) the vertices that a node lies between, twice the same at a vertex. scikit-fem does not count
-    vertices behind the last one of a tet: their dofs follow after its own. `tets` are the elements.
+    vertices behind the last one of a tet: their dofs follow after its own. `tets` are the elements, `element` their
+    name.
     """
 
     def __init__(self, scene: Scene, element: str = "P1"):
-        self._degree = DEGREES[element]
+        self.element, self._degree = element, DEGREES[element]
         self._scene = scene
         points, corners = (np.ascontiguousarray(array.T) for array in (scene.vertices, scene.tets))
         self.basis = Basis(

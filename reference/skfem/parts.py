@@ -60,11 +60,15 @@ class Tets:
 
     def gradient(self, x: Floats) -> Floats:
         """See Part."""
+        return self._elements.forces(self.stress(x)[1])
+
+    def stress(self, x: Floats) -> tuple[Floats, Floats]:
+        """F and P [kPa] at the points, shape (m q, 3, 3), where the energy is finite."""
         F = self._elements.deformation_gradients(x)
         P = np.zeros_like(F)
         for law, points in self._laws:
             P[points] += law.stress(F[points])
-        return self._elements.forces(P)
+        return F, P
 
     def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
         """See Part."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
 from .. import terms
+from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Recorder, Solution, volume_ratio
 from .carry import carry
@@ -17,6 +19,7 @@ from .discretisation import DEGREES, Discretisation
 from .energy import Energy
 from .newton import Scales
 from .parts import MATERIALS
+from .recovery import recover
 from .unknowns import Body, Unknowns
 
 KNOWN = (
@@ -67,7 +70,8 @@ class Prepared:
         Held components are carried to their places first, before the first iteration of the history, and rigid bodies
         to their first ones: that of their shape, or the nearest to a given start. From inverted tets a scene with
         Volume goes down by Strain alone first; its iterations count, and may raise the energy.
-        Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
+        Raises SceneError if `scene` needs a new preparation, if the tolerance or start is out of range, or if loads
+        push a part that nothing holds.
         """
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
@@ -76,6 +80,7 @@ class Prepared:
         recorder = Recorder(on_iteration)
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
+        check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
         begin = _start(scene, start)
         free = ~at.held(held)
@@ -91,7 +96,15 @@ class Prepared:
         x, reason, iterations = descent.run(x, forces=forces, tolerance=tolerance, limit=limit)
         history = recorder.history()
         answer = x[at.vertex_dofs]
-        return Solution(answer, reason, iterations, float(history.energy[-1]), history, volume_ratio(scene, answer))
+        return Solution(
+            answer,
+            reason,
+            iterations,
+            float(history.energy[-1]),
+            history,
+            volume_ratio(scene, answer),
+            recovery=partial(recover, scene, at.element, x),
+        )
 
 
 def prepare(scene: Scene, *, element: str = "P1") -> Prepared:

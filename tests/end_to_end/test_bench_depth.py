@@ -75,7 +75,8 @@ def test_the_fitted_skull_wrap_is_no_distance_from_itself(command, space, person
     for row in results["regions_mm"].values():
         assert row["skull_wrap"]["max"] < 1e-6 < row["depth"]["mean"]
     assert "n = 1" in ended.out and "3.83 mm" in ended.out and "1.98 mm" in ended.out
-    assert ended.out.splitlines()[-1] == f"report: {tmp_path / 'out' / 'index.html'}"
+    wrote = [f"wrote {tmp_path / 'out' / name}" for name in ("index.html", "results.json")]
+    assert ended.out.splitlines()[-2:] == wrote
 
 
 def _skull(folder, name, change):

@@ -11,6 +11,7 @@ from softdeca.benchmarks import machine
 from softdeca.benchmarks.dynamics import DynamicsConfig, page
 from softdeca.benchmarks.dynamics_study import study
 from softdeca.benchmarks.release import swing
+from softdeca.cli.bench import _dynamics_lines
 from softdeca.lhm import InputError
 
 
@@ -25,6 +26,13 @@ def test_a_swing_is_found_by_its_frequency_and_damping():
             pytest.approx(damping, abs=1e-6),
         )
         assert found.misfit < 1e-6
+
+
+def test_a_swing_of_few_values_is_not_taken_for_a_faster_one():
+    """At 60 values a second 3.88 Hz and 56.2 Hz are the same; implicit Euler damps the former by 0.200."""
+    left = np.array([1.0, 0.85, 0.594, 0.288, -0.016, -0.271, -0.447, -0.53, -0.52])
+    found = swing(np.arange(9) / 60, left)
+    assert found.frequency == pytest.approx(3.88, abs=0.01) and found.damping == pytest.approx(0.2, abs=0.01)
 
 
 def test_what_the_study_shows_on_a_small_sphere(spheres, tmp_path):
@@ -57,3 +65,19 @@ def test_a_configuration_outside_its_range_is_refused(choice, why):
 def test_the_command_says_what_it_cannot_do(command):
     ended = command("bench", "dynamics", "--identities", "nobody")
     assert ended.status != 0 and len(ended.errors) == 1
+
+
+def test_a_march_that_stops_is_a_row_with_its_reason(spheres, monkeypatch):
+    monkeypatch.setattr("softdeca.reference.fenicsx.dynamics.MAX_ITERATIONS", 2)
+    results = study(spheres(1), 0, 8, lambda *_: None)
+    marches = results["release"] + results["own_mass"] + results["shake"]["rows"]
+    stopped = [row for row in marches if not row["converged"]]
+    assert stopped and all("steps: iteration limit" in row["stopped"] for row in stopped)
+    assert len(stopped) < len(marches)
+    missed = {gate["what"]: gate["value"] for gate in results["gates"] if not gate["passed"]}
+    assert missed["marches that did not reach what was asked"] == len(stopped)
+    assert missed["shaken: PD to implicit Euler by FEM, of the largest displacement"] is None
+    html = page({"title": "dynamics", **results, "seconds": 1.0, "machine": machine.describe()})
+    assert "iteration limit" in html
+    assert "STOPPED shaken" in _dynamics_lines(results) and "not measured" in _dynamics_lines(results)
+    json.dumps(results, allow_nan=False)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -35,7 +36,9 @@ def test_a_head_that_is_fitted_is_accepted_and_drawn(command, tmp_path):
     fitted = command("head", "fit", "--seed", 3, "--out", file, "--vtk", tmp_path, "--picture", picture, "--json")
     checked = command("head", "check", file, "--json")
     assert fitted.status == checked.status == 0 and fitted.errors == checked.errors == []
-    assert json.loads(checked.out) == json.loads(fitted.out)
+    said = json.loads(fitted.out)
+    assert {Path(file).name for file in said.pop("files")} == {path.name for path in tmp_path.iterdir()}
+    assert json.loads(checked.out) == said
     assert json.loads(checked.out)["problems"] == [] and json.loads(checked.out)["tets"] == 58080
     assert picture.read_bytes().startswith(b"\x89PNG") and picture.stat().st_size > 50_000
     surfaces = {"skin.vtu", "skin_wrap.vtu", "muscle_wrap.vtu", "skull_wrap.vtu", "tissue.vtu"}
@@ -60,3 +63,22 @@ def test_a_head_that_misses_a_gate_is_not_accepted(command, tmp_path, sphere_hea
     ended = command("head", "check", tmp_path / "thin.npz")
     assert ended.status == 1 and len(ended.errors) == 1
     assert "least thickness: 0.1 mm (at least 0.2 mm)" in ended.errors[0]
+
+
+def test_a_coarse_head_keeps_its_own_gates_and_is_said_to_be_written(command, tmp_path):
+    ended = command("head", "fit", "--level", 1, "--out", tmp_path / "head.npz", "--vtk", tmp_path / "vtk")
+    assert ended.status == 0 and ended.errors == [] and "MISSED" not in ended.out
+    said = {line.removeprefix("wrote ") for line in ended.out.splitlines() if line.startswith("wrote ")}
+    assert said == {str(path) for path in tmp_path.rglob("*") if path.is_file()}
+    assert "share below 5 degrees" in ended.out and "(below 0.05)" in ended.out
+
+
+def test_a_head_that_misses_a_gate_is_said_to_be_written(command, tmp_path, monkeypatch, sphere_head):
+    wrap = sphere_head.skin_wrap
+    muscle, skull = (wrap.with_vertices(wrap.vertices * factor) for factor in (0.9995, 0.999))
+    thin = replace(sphere_head, muscle_wrap=muscle, skull_wrap=skull)
+    monkeypatch.setattr("softdeca.cli.head.load_template", lambda space, **_: None)
+    monkeypatch.setattr("softdeca.cli.head.fit_head", lambda *_, **__: thin)
+    ended = command("head", "fit", "--out", tmp_path / "thin.npz")
+    assert ended.status == 1 and f"wrote {tmp_path / 'thin.npz'}" in ended.out
+    assert ended.errors[0].startswith(f"softdeca: error: {tmp_path / 'thin.npz'} is written, but misses ")

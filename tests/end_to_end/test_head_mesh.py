@@ -42,7 +42,8 @@ def test_a_size_makes_free_tets(command, file, tmp_path):
     ("arguments", "told"),
     [
         (("--layers", "2"), "layers '2': expected two counts"),
-        (("--layers", "0,1"), "at least 1"),
+        (("--layers", "0,1"), "from 1 to 32"),
+        (("--layers", "1000000,1"), "from 1 to 32"),
         (("--size", "0"), "size: expected 0.2 to 1000 mm"),
         (("--layers", "2,2", "--size", "3"), "give one"),
         (("--out", "head.obj"), "expected one of .msh"),

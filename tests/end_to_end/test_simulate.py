@@ -16,7 +16,7 @@ from PIL import Image
 from softdeca.benchmarks.take import TakeConfig, cut, run_take, take_from_text
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.progress import silent
-from softdeca.reference import Parameters, SceneError, Sequence
+from softdeca.reference import Parameters, SceneError, Sequence, settled, solve
 from softdeca.reference.parameter_file import read_parameters
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
@@ -49,7 +49,7 @@ def contents(folder):
 
 @pytest.mark.parametrize(("dynamic", "bones"), [(False, "prescribed"), (True, "prescribed"), (True, "rigid")])
 def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_path, dynamic, bones):
-    p = Parameters(gravity=1.5)
+    p = Parameters(gravity=1.5, soft_volume=1.2)
 
     def run(name, progress=silent):
         config = TakeConfig(tmp_path / name, dynamic=dynamic, choices={"bones": bones})
@@ -76,11 +76,26 @@ def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_pa
     with h5py.File(tmp_path / "whole" / "take.vtkhdf") as file:
         played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
     assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
-    sequence = Sequence(sphere_head, p, dynamic=dynamic, bones=bones)
+    sequence = Sequence.of(settled(sphere_head, p, bones=bones), dynamic=dynamic)
     for k in range(8):
         targets = sphere_head.skin.vertices + np.tensordot(take().weights[k], deltas, axes=1)
         skin = sequence.skin(targets, sequence.frame(targets))
         assert moved[k] == pytest.approx(skin - sphere_head.skin.vertices, abs=1e-5)
+
+
+def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
+    """At zero weights the skin is the settled neutral face's, which goes on from disk; a bad one fails."""
+    p, still = Parameters(soft_volume=1.4), replace(take(2), weights=np.zeros((2, 52)))
+    neutral = settled(sphere_head, p, bones="prescribed")
+    config = TakeConfig(tmp_path, choices={"bones": "prescribed"})
+    assert run_take(config, sphere_head, deltas, still, p, silent).neutral == "CONVERGED"
+    moved = np.load(tmp_path / "frames" / "000001.npz")["moved"]
+    rest = solve(neutral.scene(sphere_head.skin.vertices), start=neutral.positions).positions
+    assert moved == pytest.approx(rest[: len(moved)] - sphere_head.skin.vertices, abs=1e-4)
+    assert np.abs(moved).max() > 0.1
+    kept = dict(np.load(tmp_path / "neutral.npz"))
+    np.savez(tmp_path / "neutral.npz", **kept | {"reason": np.array("STALLED")})
+    assert run_take(config, sphere_head, deltas, still, p, silent).neutral == "STALLED"
 
 
 @pytest.mark.parametrize("harm", ["frame", "log", "state"])
@@ -258,8 +273,5 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert process.returncode == 130
     assert said == [f"softdeca: interrupted; the same command goes on after the frames in {tmp_path / 't'}"]
     names = {p.name for p in (tmp_path / "t").iterdir()}
-    assert (
-        {".lock", "take.json", "frames", "log.jsonl"}
-        <= names
-        <= {".lock", "take.json", "frames", "log.jsonl", "state.npz"}
-    )
+    sure = {".lock", "take.json", "neutral.npz", "frames", "log.jsonl"}
+    assert sure <= names <= sure | {"state.npz"}

@@ -1,45 +1,54 @@
 """Ctrl-C, a full disk and missing packages: one line, the right exit status, and no file left half-written."""
 
+import logging
 import os
 import re
 import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import h5py
 import pytest
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
-WITHOUT_DOLFINX = """
+WITHOUT = """
 import sys
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("dolfinx", "basix", "ufl"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        if name.split(".")[0] in {missing}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 sys.meta_path.insert(0, Refuse())
-from softdeca.cli import main
-main()
 """
+MAIN = "from softdeca.cli import main; main()"
+WITHOUT_DOLFINX = WITHOUT.format(missing=("dolfinx", "basix", "ufl")) + MAIN
+BARE = WITHOUT.format(missing=("dolfinx", "basix", "ufl", "torch", "anny"))
 CORPUS = """
 import sys
-from softdeca.surrogate.corpus import Corpus
-from softdeca.surrogate.plan import CorpusPlan
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.schedule import schedule
 from softdeca.surrogate.sphere import Spheres
 if __name__ == "__main__":
     space = Spheres(2)
-    plan = CorpusPlan(identities=(60, 20), expressions=(40, 20), parameter_sets=(10, 10), frames=40)
-    Corpus(sys.argv[1], plan, space).generate(
-        space.fit, workers=2, on_progress=lambda what, share: print(what, file=sys.stderr, flush=True)
+    plan = CorpusPlan(
+        identities=60, groups=1, frames=4, sequences=0, responses=0.0, conversations=4, random=4, seconds=4.0
+    )
+    on = schedule(2, sys.argv[2] if len(sys.argv) > 2 else None)
+    Corpus(sys.argv[1], plan, OfSpace(space, space.mean, space.fit)).generate(
+        on=on, on_progress=lambda what, share: print(what, file=sys.stderr, flush=True)
     )
 """
-POOL = """
+WORK = """
 import sys, time
-from softdeca.surrogate.pool import results_of
+from softdeca.surrogate.schedule import Schedule, results_of
 if __name__ == "__main__":
     print("begin", file=sys.stderr, flush=True)
-    for _ in results_of(time.sleep, [0.01] * 5000, workers=2, name="pool"):
+    for _ in results_of(time.sleep, [0.01] * 5000, on=Schedule("processes", 2)):
         print("done", file=sys.stderr, flush=True)
 """
 
@@ -73,30 +82,94 @@ def test_ctrl_c_ends_a_study_in_one_line(tmp_path):
     assert seconds < 20
 
 
+@pytest.mark.parametrize("seconds", [0.02, 0.1, 0.3])
+def test_ctrl_c_while_modules_are_loaded_is_one_line(seconds):
+    code = "import softdeca.cli; print('begin', flush=True); softdeca.cli.main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        process.stdout.readline()
+        time.sleep(seconds)
+        process.send_signal(signal.SIGINT)
+        out, errors = process.communicate(timeout=60)
+    assert (process.returncode, out, errors) == (130, "", "softdeca: interrupted\n")
+
+
+ONE_TET = """
+from softdeca.reference import Scene, solve, terms
+scene = Scene([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]], [terms.Strain(1.0), terms.Fixed([0, 1, 2])])
+print(solve(scene).reason)
+"""
+OTHERS = all(place.stat().st_mode & 0o005 == 0o005 for place in Path(__file__).resolve().parents)
+
+
+@pytest.mark.skipif(os.getuid() != 0 or not OTHERS, reason="another user, who can read this folder, is needed")
+@pytest.mark.parametrize("words", [[*COMMAND[1:], "--help"], ["-c", ONE_TET]], ids=["help", "solve"])
+def test_where_nothing_can_be_written_a_temporary_cache_is_used_and_said_once(words):
+    nobody = {"user": 65534, "group": 65534, "extra_groups": []}
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o777)
+        environment = {"HOME": "/nonexistent", "TMPDIR": folder, "PATH": os.environ["PATH"]}
+        ended = subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, env=environment, timeout=120, **nobody
+        )
+        assert os.listdir(folder) == ["softdeca-cache-65534"]
+    assert ended.returncode == 0 and ended.stdout, ended.stderr
+    assert ended.stderr.count("cannot be written") == 1
+
+
 def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(tmp_path):
     (tmp_path / "make.py").write_text(CORPUS)
     arguments = [sys.executable, tmp_path / "make.py", tmp_path / "corpus"]
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        rest, seconds = interrupted(process, "corpus: identity")
+        rest, seconds = interrupted(process, "corpus: 3 of")
     assert process.returncode != 0 and rest.rstrip().endswith("KeyboardInterrupt") and rest.count("Traceback") == 1
     assert seconds < 20
     left = sorted(p.name for p in (tmp_path / "corpus").iterdir())
-    assert left[0] == "corpus.json" and 1 < len(left) < 60
-    for name in left[1:]:
-        assert name.startswith("identity-")
+    left = [name for name in left if not name.startswith(".")]
+    assert left[0] == "corpus.json" and left[-1] == "template.npz" and 3 < len(left) < 60
+    for name in left[1:-1]:
+        assert name.startswith("person-")
         with h5py.File(tmp_path / "corpus" / name) as shard:
             assert shard.keys()
 
 
-@pytest.mark.parametrize("moment", ["begin", "done"])
-def test_ctrl_c_ends_a_pool_whose_workers_start_or_run(moment, tmp_path):
-    (tmp_path / "pool.py").write_text(POOL)
-    arguments = [sys.executable, tmp_path / "pool.py"]
+def test_ctrl_c_ends_processes_that_work(tmp_path):
+    (tmp_path / "work.py").write_text(WORK)
+    arguments = [sys.executable, tmp_path / "work.py"]
     with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        rest, seconds = interrupted(process, moment)
+        rest, seconds = interrupted(process, "done")
     said = rest.replace("done\n", "")
     assert process.returncode != 0 and said.rstrip().endswith("KeyboardInterrupt") and said.count("Traceback") == 1
     assert seconds < 20, "stderr ends with the last process that holds it"
+
+
+def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(tmp_path):
+    """On a Dask cluster of two processes, beside a run that was killed outright, and went on."""
+    from distributed import LocalCluster
+
+    (tmp_path / "make.py").write_text(CORPUS)
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+    ) as cluster:
+        arguments = [sys.executable, tmp_path / "make.py", tmp_path / "one", cluster.scheduler_address]
+        with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
+            for line in process.stderr:
+                if line.startswith("corpus: 5 of"):
+                    os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+        assert process.returncode == 0
+    arguments = [sys.executable, tmp_path / "make.py", tmp_path / "other"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
+        for line in process.stderr:
+            if line.startswith("corpus: 20 of"):
+                process.kill()
+    assert process.returncode == -signal.SIGKILL
+    assert subprocess.run(arguments, capture_output=True, timeout=300).returncode == 0
+    one, other = (sorted((tmp_path / name).glob("person-*.h5")) for name in ("one", "other"))
+    assert len(one) == len(other) == 60
+    for a, b in zip(one, other, strict=True):
+        with h5py.File(a) as first, h5py.File(b) as second:
+            assert first.attrs["checksum"] == second.attrs["checksum"]
 
 
 def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
@@ -115,8 +188,10 @@ def test_a_corpus_on_a_full_disk_keeps_whole_shards_only(tmp_path):
     arguments = ["bash", "-c", f"ulimit -f 20; exec {sys.executable} {tmp_path}/make.py {tmp_path}/corpus"]
     ended = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
     last = ended.stderr.rstrip().splitlines()[-1]
-    assert ended.returncode == 1 and re.search(r"InputError: .*identity-\d+\.h5: cannot be written \(File too", last)
-    assert [p.name for p in (tmp_path / "corpus").iterdir()] == ["corpus.json"]
+    assert ended.returncode == 1 and re.search(
+        r"InputError: .*(person-\d+\.h5|template\.npz): cannot be written \(File too", last
+    )
+    assert sorted(p.name for p in (tmp_path / "corpus").iterdir()) == [".lock", "corpus.json"]
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full on this system")
@@ -142,3 +217,31 @@ def test_without_fenicsx_the_other_solvers_verify():
     assert ended.returncode == 0
     assert "softdeca: fenicsx is not installed: left out" in ended.stderr.splitlines()
     assert ended.stdout.count("skfem") > 20 and "OUT" not in ended.stdout
+
+
+def test_the_bare_package_has_a_head_and_runs_a_trained_surrogate():
+    """What `pip install` brings alone: no torch, no anny, no dolfinx."""
+    code = (
+        BARE
+        + """
+from softdeca.lhm import identities
+from softdeca.surrogate import Surrogate
+print(len(identities.Anny().mean.vertices))
+try:
+    Surrogate.load("no/such/file.npz")
+except ValueError as error:
+    print(error)
+"""
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines()[0] == "4463" and "`softdeca train` makes it" in ended.stdout
+
+
+@pytest.mark.parametrize("command", ["train", "study"])
+def test_without_torch_what_trains_says_what_to_install(command, tmp_path):
+    words = [command, "--out", tmp_path / "out"]
+    ended = subprocess.run([sys.executable, "-c", BARE + MAIN, *words], capture_output=True, text=True)
+    assert ended.returncode == 1 and not list(tmp_path.iterdir())
+    (said,) = [line for line in ended.stderr.splitlines() if not line.endswith(" s)")]
+    assert said.startswith("softdeca: error: training needs torch") and "softdeca[train]" in said

@@ -4,15 +4,18 @@ import base64
 import copy
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
+from softdeca.benchmarks import cases, study
 from softdeca.benchmarks.cases import first_below
 from softdeca.benchmarks.differences import difference, distances
 from softdeca.benchmarks.gates import gates
 from softdeca.benchmarks.report import page
+from softdeca.reference import Parameters, prepare, terms
 
 # A PNG of one pixel.
 PIXEL = base64.b64decode(
@@ -224,3 +227,40 @@ def test_the_report_marks_what_was_missed(results):
     assert text.count("<span class=no>NO</span>") == 3
     words = " ".join(Links(text).words)
     assert "Not reached: solver runs that did not reach what was asked; blendshapes' error over" in words
+
+
+def test_whatever_a_case_times_was_warmed_up_before(sphere_head, monkeypatch):
+    """Compilation, seconds of it, is no solver's time: the first scene was slower than the others by that."""
+    pytest.importorskip("dolfinx")
+    head = replace(sphere_head, regions={"lips": np.arange(len(sphere_head.bone)) < 5})
+    case = cases.Case("none", np.zeros(52), Parameters(gravity=3.0))
+    prepared = []
+
+    def noted(scene, *, solver, **options):
+        law = "neo-Hookean" if scene.of(terms.Hyperelastic) else "PD"
+        prepared.append((solver, options.get("method", "lbfgs"), law))
+        return prepare(scene, solver=solver, **options)
+
+    monkeypatch.setattr(cases, "prepare", noted)
+    cases.warm_up(head, case, head.skin.vertices, lambda _: None)
+    warmed = set(prepared)
+    prepared.clear()
+    cases.run_case(head, case, head.skin.vertices, lambda _: None)
+    assert len(set(prepared)) == 6 and set(prepared) <= warmed
+
+
+def test_a_study_warms_up_before_its_first_case(sphere_head, monkeypatch, tmp_path):
+    class FirstCase(Exception):
+        pass
+
+    def first(*_):
+        raise FirstCase
+
+    called = []
+    monkeypatch.setattr(study, "load_template", lambda *_, **__: None)
+    monkeypatch.setattr(study, "fit_head", lambda *_: sphere_head)
+    monkeypatch.setattr(study, "warm_up", lambda head, *_: called.append(head))
+    monkeypatch.setattr(study, "run_case", first)
+    with pytest.raises(FirstCase):
+        study.run_study(study.StudyConfig(out=tmp_path, expressions=("jawOpen",)), lambda *_: None)
+    assert called == [sphere_head]

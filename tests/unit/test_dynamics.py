@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_matrix
 
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, Scene, terms
@@ -147,3 +148,43 @@ def test_a_recurrence_that_grows_or_drifts_is_refused():
         Recurrence(0.9, 1.0, 0.2)
     with pytest.raises(InputError, match="would drift"):
         Recurrence(0.5, 0.5, 0.6)
+
+
+def test_skin_that_is_loose_in_part_swings_faster_and_nearer_to_critical_until_it_only_follows():
+    """At a share s: frequency f/s, damping 1 - s (1 - ζ); at 1 what it was to the bit, at 0 the target itself."""
+    share = np.array([1.0, 0.5, 0.25])
+    found = coefficients(4.0, 0.3, STEP / 8, loose=share)  # at 480 Hz 16 Hz is well resolved
+    frequency, damping = found.oscillation(STEP / 8)
+    assert frequency == pytest.approx([4.0, 8.0, 16.0], rel=1e-9)
+    assert damping == pytest.approx([0.3, 0.65, 0.825], rel=1e-9)
+    whole, none = coefficients(4.0, 0.3, STEP), coefficients(4.0, 0.3, STEP, loose=np.array([1.0, 0.0]))
+    assert none.alpha[0] == whole.alpha and none.beta[0] == whole.beta and none.gamma[0] == whole.gamma
+    assert (none.alpha[1], none.beta[1], none.gamma[1]) == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("rate", [24.0, 30.0, 60.0])
+def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_is_followed_behind(rate):
+    """By 2 (α - β) / γ frames at every corner of p's range; not at all where nothing is loose."""
+    share = np.linspace(0.0, 1.0, 201)
+    for f, zeta in CORNERS:
+        found = coefficients(f, zeta, 1 / rate, loose=share)  # Recurrence itself refuses what grows or drifts
+        assert np.abs(found.gamma + 2 * found.alpha - found.beta - 1).max() < 1e-14
+        lag = 2 * (found.alpha - found.beta) / found.gamma
+        assert lag[0] == 0.0
+        even = np.arange(600)[:, None, None] * np.ones((201, 3))
+        ends = rolled(found, even, *np.zeros((2, 201, 3)))[-1, :, 0]
+        assert 599 - ends == pytest.approx(lag, abs=1e-3)
+
+
+def test_a_recurrence_at_other_vertices_is_the_mean():
+    found = coefficients(np.array([2.0, 8.0]), 0.3, STEP)
+    between = found.at(csr_matrix([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]))
+    assert between.alpha == pytest.approx(np.array([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]) @ found.alpha, abs=1e-15)
+    assert between.gamma[[0, 2]] == pytest.approx(found.gamma, abs=1e-15)
+    assert coefficients(4.0, 0.3, STEP).at(csr_matrix(np.eye(3))).beta.shape == (3,)
+
+
+@pytest.mark.parametrize("loose", [-0.1, 1.1, np.nan])
+def test_a_share_out_of_range_is_refused(loose):
+    with pytest.raises(InputError, match="loose: expected shares"):
+        coefficients(4.0, 0.3, STEP, loose=np.array([0.5, loose]))

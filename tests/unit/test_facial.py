@@ -75,8 +75,11 @@ def test_neo_hookean_counterpart_has_the_same_small_strain_moduli(sphere_head):
     soft, muscle = neo_hookean_scene(scene).of(terms.Hyperelastic)
     assert (soft.material.mu, soft.material.lmbda) == (2.0, 20.0)
     assert muscle.material.mu == pytest.approx(0.3 * 2.0)
+    grown = facial_scene(sphere_head, Parameters(soft_volume=1.2), sphere_head.skin.vertices)
+    assert [np.max(law.growth) for law in neo_hookean_scene(grown).of(terms.Hyperelastic)] == [1.2, 1.0]
+    limited = facial_scene(sphere_head, Parameters(strain_limit=1.1), sphere_head.skin.vertices)
     with pytest.raises(SceneError, match="no counterpart"):
-        neo_hookean_scene(facial_scene(sphere_head, Parameters(soft_volume=1.2), sphere_head.skin.vertices))
+        neo_hookean_scene(limited)
 
 
 def test_targets_of_another_skin_are_refused(sphere_head):

@@ -288,6 +288,24 @@ def test_what_fails_in_one_process_ends_all(how, status, said, error, tmp_path):
     assert error in done.stderr and "Traceback" not in done.stderr
 
 
+FIRST_ALONE = """
+from mpi4py import MPI
+from softdeca.reference import Scene, solve, terms
+corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+scene = Scene(corners, [[0, 1, 2, 3]], [terms.Strain(1.0), terms.Fixed([0, 1, 2]), terms.Gravity((0, 0, -1), 1.0)])
+if MPI.COMM_WORLD.rank == 0:
+    print(solve(scene, solver="fenicsx").converged)
+MPI.COMM_WORLD.Barrier()
+"""
+
+
+@needs_mpirun
+def test_a_script_whose_first_process_alone_solves_goes_on(tmp_path):
+    """PETSc of all processes waited for those at the barrier, in silence."""
+    done = run_together(tmp_path, FIRST_ALONE, count=2, timeout=60)
+    assert done.returncode == 0 and done.stdout == "True\n"
+
+
 @needs_mpirun
 def test_an_interruption_reaches_the_first_process_and_ends_all(tmp_path):
     (tmp_path / "part.py").write_text(FAILING)
@@ -340,7 +358,7 @@ def test_counts_that_are_no_numbers_are_refused(command):
 def test_a_process_alone_has_no_team(monkeypatch):
     for name in ranks.SIZES:
         monkeypatch.delenv(name, raising=False)
-    assert ranks.join() is None and ranks.team() is None and not ranks.joined()
+    assert ranks.join() is None and ranks.team() is None
 
 
 def test_mpirun_of_another_mpi_is_refused(monkeypatch):

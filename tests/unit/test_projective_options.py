@@ -138,5 +138,5 @@ def test_threads_share_the_local_step_and_change_nothing(sphere_head):
     assert np.array_equal(shared[0], shared[1])
     assert shared[0] == pytest.approx(alone.positions, abs=1e-7) == shared[2]
     for wrong in (0, 1.5, True):
-        with pytest.raises(SceneError, match="threads must be at least 1"):
+        with pytest.raises(SceneError, match="threads must be from 1 to 256"):
             prepare(scene, threads=wrong)

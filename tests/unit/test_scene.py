@@ -1,11 +1,14 @@
 """Meshes, scenes and terms are checked when made, and errors name the thing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from softdeca.lhm import MeshError, Surface, TetMesh
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Scene, SceneError, materials, prepare, terms
+from softdeca.reference.problems.meshes import box
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 TETS = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
@@ -132,3 +135,50 @@ def test_unknown_solvers_and_options_are_named():
         prepare(scene, solver="abaqus")
     with pytest.raises(SceneError, match="no option 'mesh'"):
         prepare(scene, solver="projective", mesh="fine")
+
+
+@pytest.mark.parametrize("again", [[0, 1, 2, 3], [1, 2, 0, 3]])
+def test_a_tet_listed_twice_is_refused_before_any_solver_sees_it(again):
+    """FEniCSx ended in malloc's abort, and scikit-fem counted its energy twice."""
+    with pytest.raises(SceneError, match="number 2 is number 0 again"):
+        Scene(CORNERS, [*TETS.tolist(), again], [terms.Strain(1.0)])
+
+
+def test_no_tet_is_overlooked_among_many():
+    vertices, tets = box((6, 5, 4), (1.0, 1.0, 1.0))
+    assert len(TetMesh(vertices, tets).tets) == len(tets)
+    rng = np.random.default_rng(0)
+    for first in rng.integers(len(tets), size=50):
+        even = [[0, 1, 2, 3], [1, 2, 0, 3], [3, 2, 1, 0]][rng.integers(3)]
+        with pytest.raises(MeshError, match=f"number {len(tets)} is number {first} again"):
+            TetMesh(vertices, np.vstack([tets, tets[first][even]]))
+
+
+def test_a_scene_of_nothing_to_deform_is_refused():
+    with pytest.raises(SceneError, match="there are none"):
+        Scene(CORNERS, np.zeros((0, 4), int), [terms.Gravity((0, 0, -9810), 1e-6)])
+    sheet = Scene(CORNERS, np.zeros((0, 4), int), [terms.SurfaceStrain([[0, 1, 2]], 1.0)])
+    for solver in ("skfem", "fenicsx"):
+        pytest.importorskip({"skfem": "skfem", "fenicsx": "dolfinx"}[solver])
+        with pytest.raises(SceneError, match="the scene has no tets"):
+            prepare(sheet, solver=solver)
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        lambda mask, _: terms.Fixed(mask),
+        lambda mask, _: terms.Target(mask, CORNERS[:2], 1.0),
+        lambda mask, _: terms.RigidBody(mask),
+        lambda _, mask: terms.Strain(1.0, tets=mask),
+        lambda _, mask: terms.Gravity((0, 0, 1), 1.0, tets=mask),
+    ],
+)
+def test_a_mask_of_another_length_is_refused(term):
+    """A short one names vertices that are there, and was taken."""
+    for vertices, tets in (([True, True], [True]), ([True, True, False, False, False, False], [True, False, False])):
+        with pytest.raises(SceneError, match="is a mask of|at least 3"):
+            Scene(CORNERS, TETS, [term(np.array(vertices), np.array(tets))])
+    whole = terms.Fixed(np.arange(5) < 2)
+    assert Scene(CORNERS, TETS, [whole]).terms[0].vertices.tolist() == [0, 1]
+    assert Scene(CORNERS, TETS, [replace(whole, vertices=[0, 4])]).terms[0].vertices.tolist() == [0, 4]

@@ -8,7 +8,7 @@ import trimesh
 from scipy.sparse import identity
 
 from softdeca.lhm import InputError, LayeredHead, Surface
-from softdeca.reference import Parameters, SceneError, solve
+from softdeca.reference import Parameters, SceneError, settled, solve
 from softdeca.reference.facial import facial_scene
 from softdeca.reference.sequence import Sequence
 
@@ -114,7 +114,7 @@ def test_an_initial_velocity_carries_the_skin_on(sphere_head):
     sequence = Sequence(sphere_head, STIFF, time_step=STEP, dynamic=True, tolerance=1e-9, bones="rigid")
     start = sequence.begin(rest, velocity=velocity).positions[: len(rest)]
     moved = sequence.frame(rest).positions[: len(rest)] - start
-    free = sequence.recurrence.beta * STEP * velocity
+    free = sequence.recurrence.beta[:, None] * STEP * velocity
     assert np.linalg.norm(moved - free) < 0.15 * np.linalg.norm(free)
     assert np.linalg.norm(moved) > 0.5
     still = Sequence(sphere_head, STIFF, time_step=STEP, dynamic=True, bones="rigid")
@@ -178,3 +178,39 @@ def test_what_a_sequence_cannot_do_is_said(sphere_head):
         Sequence(sphere_head, LOOSE).begin(sphere_head.skin.vertices, velocity=np.zeros((3, 3)))
     with pytest.raises(SceneError, match="parameter damping: 7 values for"):
         Sequence(sphere_head, Parameters(damping=np.full(7, 0.3)), dynamic=True)
+
+
+@pytest.mark.parametrize("bones", ["prescribed", "rigid"])
+def test_frames_of_a_settled_face_are_those_of_its_scenes(sphere_head, bones):
+    """Expressions are those of the head without p, the answers those that the settled scene has alone."""
+    p = Parameters(soft_volume=1.4, mandible_scale_y=1.1, gravity=2.0)
+    neutral = settled(sphere_head, p, bones=bones)
+    frames = talk(sphere_head, 4)
+    sequence = Sequence.of(neutral, tolerance=1e-9)
+    for s in frames:
+        solution = sequence.frame(s)
+        alone = solve(neutral.scene(s), start=neutral.positions, tolerance=1e-10).positions
+        assert np.abs(solution.positions - alone).max() < 1e-6
+    n = len(sphere_head.bone)
+    assert np.abs(neutral.displacement).max() > 0.5
+    assert sequence.skin(s, solution) == pytest.approx(solution.positions[:n], abs=1e-9)  # skin and wrap are one here
+
+
+def test_a_face_that_p_leaves_as_it_is_has_the_frames_it_had(sphere_head):
+    plain, same = Sequence(sphere_head, LOOSE, dynamic=True), Sequence.of(settled(sphere_head, LOOSE), dynamic=True)
+    for s in talk(sphere_head, 4):
+        assert np.array_equal(plain.frame(s).positions, same.frame(s).positions)
+
+
+def test_a_settled_face_is_where_its_dynamics_rest(sphere_head):
+    neutral = settled(sphere_head, Parameters(soft_volume=1.2))
+    sequence = Sequence.of(neutral, dynamic=True, tolerance=1e-9)
+    rest = [sequence.frame(sphere_head.skin.vertices).positions for _ in range(3)]
+    alone = solve(neutral.scene(sphere_head.skin.vertices), start=neutral.positions, tolerance=1e-10).positions
+    assert np.abs(np.array(rest) - alone).max() < 1e-6
+
+
+def test_a_settled_face_of_other_layers_is_refused(sphere_head):
+    neutral = settled(sphere_head, Parameters(soft_volume=1.1), layers=(2, 1))
+    with pytest.raises(SceneError, match="start: .* vertices before, .* in this scene"):
+        Sequence.of(neutral, layers=(1, 1)).frame(sphere_head.skin.vertices)

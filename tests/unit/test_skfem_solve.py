@@ -203,3 +203,10 @@ def test_a_way_out_of_inverted_tets_may_be_interrupted_and_bounded():
     bounded = solve(scene, solver="skfem", start=start, max_iterations=3)
     assert (bounded.reason, bounded.iterations) == (Reason.MAX_ITERATIONS, 3)
     assert len(bounded.history.energy) == 4
+
+
+def test_a_body_that_nothing_holds_is_named_and_not_told_to_take_smaller_steps():
+    vertices, tets = meshes.unstructured(2)
+    weight = Gravity((0, 0, -9810.0), 1e-6)
+    with pytest.raises(SceneError, match="nothing holds translation along x, .* of the part with vertex 0"):
+        solve(Scene(vertices, tets, [Strain(1.0), weight]), solver="skfem")

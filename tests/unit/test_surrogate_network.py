@@ -15,26 +15,31 @@ from softdeca.surrogate import Surrogate
 from softdeca.surrogate.anchors import still_vertices
 from softdeca.surrogate.baselines import Ridge
 from softdeca.surrogate.checkpoint import Checkpoint, HypernetworkConfig
-from softdeca.surrogate.corpus import Corpus
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.hypernetwork import Hypernetwork, smooth_positions, transfer_delta
-from softdeca.surrogate.plan import CorpusPlan
 from softdeca.surrogate.principal import least_gradients, principal_gradients
+from softdeca.surrogate.samples import samples_of
 from softdeca.surrogate.sphere import Spheres
 from softdeca.surrogate.train import TrainConfig, split_identities, train
 
 SPACE = Spheres(1)
-PLAN = CorpusPlan(identities=(16, 3), expressions=(160, 30), parameter_sets=(80, 15), frames=10)
-COUNT = len(PLAN.parameter_names)
+PLAN = CorpusPlan(
+    identities=20, groups=5, frames=2, sequences=0, responses=0.0, kinds={"few": 1.0}, varying=0.0,
+    sources={"random": 1.0}, conversations=0, random=6,
+)  # fmt: skip
+COUNT = 3
 SMALL = HypernetworkConfig(latent=24, expression_hidden=32, position=8, gain_hidden=8, hidden=8)
 CONFIG = TrainConfig(network=SMALL, steps=400, validate_every=50)
 
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
-    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, SPACE)
-    corpus.generate(SPACE.fit)
-    return {split: corpus.samples(split) for split in ("train", "test")}
+    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, OfSpace(SPACE, SPACE.mean, SPACE.fit))
+    corpus.generate()
+    return {split: samples_of(corpus.folder, split) for split in ("train", "test")}
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +103,7 @@ def test_training_splits_by_identity(samples):
 def test_training_beats_blendshapes_on_unseen_identities(surrogate, samples):
     deltas = SPACE.expression_deltas(np.zeros(SPACE.code_size))
     found = evaluate(surrogate, samples["test"], samples["train"], expressions=deltas)
-    assert found.frames == 30 and found.identities == 3
+    assert found.frames == 20 and found.identities == 2
     by_hand = np.linalg.norm(samples["test"].simulated - samples["test"].blended, axis=2)
     assert found.blendshapes.mean == pytest.approx(by_hand.mean(), rel=1e-4)
     assert found.blendshapes.max == pytest.approx(by_hand.max(), rel=1e-4)
@@ -134,7 +139,7 @@ def test_run_time_equals_torch(surrogate, checkpoint, samples):
         gradients = network(torch.from_numpy(test.weights), codes, torch.from_numpy(test.normalised_parameters()))
     transfer = DeformationTransfer(checkpoint.reference, checkpoint.anchors)
     expected = test.blended + transfer.delta(gradients.double().numpy(), test.blended.astype(np.float64))
-    for k in (0, 7, 29):
+    for k in (0, 7, 19):
         parameters = Parameters(**dict(zip(test.parameter_names, test.parameters[k], strict=True)))
         rig = surrogate.bind(SPACE.mean, test.codes[k], parameters)
         assert np.abs(rig.frame(test.weights[k], blended=test.blended[k]) - expected[k]).max() < 1e-4
@@ -224,7 +229,7 @@ def test_bad_frames_are_named(surrogate, weights, blended, message):
 
 def test_files_that_are_no_checkpoint_are_named(checkpoint, tmp_path):
     path = tmp_path / "surrogate.npz"
-    with pytest.raises(InputError, match="no such file; run `softdeca study`"):
+    with pytest.raises(InputError, match="no such file; `softdeca train` makes it"):
         Checkpoint.load(path)
     path.write_text("v 0 0 0\n")
     with pytest.raises(InputError, match="checkpoint of softdeca"):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..lhm.errors import InputError
+from ..errors import InputError
 
 
 @contextmanager

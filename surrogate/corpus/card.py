@@ -1,0 +1,225 @@
+"""What others need to publish and load a corpus: a dataset card (README.md) with figures, and Croissant metadata."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...lhm.files.atomic import replaced
+from ...lhm.mesh import Floats
+from .folder import Corpus, CorpusStatus
+from .mixture import KINDS
+from .shard import ACCEPTED, TABLES, read_arrays_of
+
+QUARTERS = (5, 25, 50, 75, 95)
+LICENCE = "cc0-1.0"
+"""Of a corpus of the default head, whose data is CC0 as well; of other heads it is for their owners to say."""
+CROISSANT = "http://mlcommons.org/croissant/1.0"
+
+
+def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
+    """Write README.md and croissant.json into the corpus' folder; return the figures of the card.
+
+    Raises InputError for shards that are damaged, and where a file cannot be written.
+    """
+    status = corpus.status()
+    figures = corpus_figures(corpus, status)
+    with replaced(corpus.folder / "README.md") as temporary:
+        temporary.write_text(card_text(corpus, status, figures, licence), encoding="utf-8")
+    with replaced(corpus.folder / "croissant.json") as temporary:
+        temporary.write_text(json.dumps(croissant(corpus, licence), indent=1), encoding="utf-8")
+    return figures
+
+
+def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
+    """Distributions of |T - S| in the face by kind of parameters and by source, iterations, reasons of rejection."""
+    moved: dict[str, list[Floats]] = {}
+    iterations: list[Floats] = []
+    for identity in range(corpus.plan.identities):
+        path = corpus.shard_path(identity)
+        if not path.exists():
+            continue
+        names = [f"statics/{name}" for name in ("group", "moved", "status", "recording", "iterations")]
+        found = read_arrays_of(path, corpus.owner, "groups/kind", *names)
+        good = found["statics/status"] == ACCEPTED.encode()
+        kinds = found["groups/kind"][found["statics/group"]]
+        sources = np.char.partition(found["statics/recording"].astype(str), "/")[:, 0]
+        iterations.append(found["statics/iterations"][good].astype(float))
+        for key, mask in [("all", good), *((kind, good & (kinds == kind.encode())) for kind in KINDS)] + [
+            (source, good & (sources == source)) for source in np.unique(sources)
+        ]:
+            moved.setdefault(str(key), []).append(found["statics/moved"][mask])
+    gathered = {key: np.concatenate(values) for key, values in moved.items()}
+    reasons: dict[str, int] = {}
+    for rejection in status.rejected:
+        reason = "".join(c for c in rejection.reason if not c.isdigit())[:80]
+        reasons[reason] = reasons.get(reason, 0) + 1
+    return {
+        "frames": {key: len(values) for key, values in gathered.items()},
+        "mean_mm": {key: _quantiles(values[:, 0]) for key, values in gathered.items()},
+        "p95_mm": {key: _quantiles(values[:, 1]) for key, values in gathered.items()},
+        "iterations": _quantiles(np.concatenate([np.zeros(0), *iterations])),
+        "rejected": dict(sorted(reasons.items(), key=lambda item: -item[1])),
+        "core_hours": sum(status.seconds.values()) / 3600.0,
+        "frames_per_core_hour": _rate(status, ("shapes", "fit", "settling", "derivatives", "statics"), "statics"),
+        "sequence_frames_per_core_hour": _rate(status, ("sequences",), "sequences"),
+        "bytes": status.bytes,
+    }
+
+
+def _rate(status: CorpusStatus, phases: tuple[str, ...], table: str) -> float | None:
+    spent = sum(status.seconds.get(phase, 0.0) for phase in phases)
+    return status.asked[table] * 3600.0 / spent if spent > 0 else None
+
+
+def _quantiles(values: Floats) -> list[float]:
+    return [float(q) for q in np.percentile(values, QUARTERS)] if len(values) else []
+
+
+def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], licence: str) -> str:
+    """The card, in the form of the Hugging Face hub: YAML, then Markdown."""
+    plan = corpus.plan
+    head = "\n".join(
+        " | ".join(["", key, str(figures["frames"][key]), *(f"{q:.2f}" for q in quantiles), ""]).strip()
+        for key, quantiles in figures["p95_mm"].items()
+        if quantiles
+    )
+    counts = "\n".join(f"| {table} | {status.asked[table]} | {status.accepted[table]} |" for table in status.asked)
+    rejected = "\n".join(f"| {reason} | {count} |" for reason, count in figures["rejected"].items()) or "| none | 0 |"
+    fields_ = "\n".join(f"- **{table}**: {' '.join((kind.__doc__ or '').split())}" for table, kind in TABLES.items())
+    rate = figures["frames_per_core_hour"]
+    speed = "not measured" if rate is None else f"{rate:.0f}"
+    return f"""---
+license: {licence}
+pretty_name: softdeca corpus {plan.digest}
+tags: [physics-based animation, facial animation, finite elements, surrogate model]
+size_categories: [{_category(status.asked["statics"] + status.asked["sequences"])}]
+---
+
+# softdeca corpus {plan.digest}
+
+Simulated faces after SoftDECA (Wagner, Schwanecke and Botsch, MIG '23): what projective dynamics makes (T) of linear
+blendshapes (S) of random people under random materials and effects. Made by softdeca {version("softdeca")} from a plan
+of seed {plan.seed}; the same plan gives the same bytes on one kind of machine.
+
+{status.identities_done} of {status.identities} people of `{corpus.people.name}`, {plan.tested} of them in test. Test
+shares no person, no parameter set and no recording with training. Speech and conversations are synthetic.
+
+| table | frames or rows made | accepted |
+|---|---|---|
+{counts}
+
+## How far physics moves the face
+
+95 % distance |T - S| in the face of the accepted static frames [mm]: quantiles over frames.
+
+| kind of parameters, or source of the expression | frames | 5 % | 25 % | 50 % | 75 % | 95 % |
+|---|---|---|---|---|---|---|
+{head}
+
+## What was rejected
+
+| why | how often |
+|---|---|
+{rejected}
+
+## Cost
+
+{figures["core_hours"]:.2f} core-hours, {status.bytes / 1e9:.2f} GB; {speed} static frames a core-hour with fit, shapes,
+settling and simulation.
+
+## Files
+
+`corpus.json`: plan and splits. `template.npz`: mean skin, triangles, shapes. `person-NNNNN.h5`: one person each, arrays
+in seven tables, uncompressed; T - S in float16 (rounds by less than 0.008 mm below 16 mm).
+
+{fields_}
+"""
+
+
+def _category(frames: int) -> str:
+    for limit, name in ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K")):
+        if frames < limit:
+            return name
+    return "100K<n<1M"
+
+
+def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
+    """Croissant 1.0 metadata: every file with its checksum, and what the tables' columns are."""
+    names = ("corpus.json", "template.npz", "velocities.npz")
+    files = [path for name in names if (path := corpus.folder / name).exists()]
+    files += [path for k in range(corpus.plan.identities) if (path := corpus.shard_path(k)).exists()]
+    forms = {".json": "application/json", ".npz": "application/zip", ".h5": "application/x-hdf5"}
+    return {
+        "@context": {
+            "@language": "en",
+            "@vocab": "https://schema.org/",
+            "sc": "https://schema.org/",
+            "cr": "http://mlcommons.org/croissant/",
+            "dct": "http://purl.org/dc/terms/",
+            "conformsTo": "dct:conformsTo",
+            "fileObject": "cr:fileObject",
+            "recordSet": "cr:recordSet",
+            "field": "cr:field",
+            "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+            "source": "cr:source",
+            "sha256": "cr:sha256",
+        },
+        "@type": "sc:Dataset",
+        "name": f"softdeca-corpus-{corpus.plan.digest}",
+        "description": "Simulated faces after SoftDECA: T - S of random people, materials, effects and expressions.",
+        "conformsTo": CROISSANT,
+        "license": f"https://spdx.org/licenses/{licence.upper()}.html",
+        "version": "1.0.0",
+        "distribution": [
+            {
+                "@type": "cr:FileObject",
+                "@id": path.name,
+                "name": path.name,
+                "contentUrl": path.name,
+                "contentSize": f"{path.stat().st_size} B",
+                "encodingFormat": forms[path.suffix],
+                "sha256": _sha256(path),
+            }
+            for path in files
+        ],
+        "recordSet": [
+            {
+                "@type": "cr:RecordSet",
+                "@id": table,
+                "name": table,
+                "description": " ".join((kind.__doc__ or "").split()),
+                "field": [
+                    {
+                        "@type": "cr:Field",
+                        "@id": f"{table}/{item.name}",
+                        "name": item.name,
+                        "description": f"array {table}/{item.name} of each person-NNNNN.h5",
+                        "dataType": "sc:Text" if "Texts" in str(item.type) else "sc:Float",
+                    }
+                    for item in fields(kind)
+                ],
+            }
+            for table, kind in TABLES.items()
+        ],
+    }
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def card_json(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any]) -> dict[str, Any]:
+    """The card's figures and counts as JSON, to be kept where the data is not."""
+    kept = asdict(status) | {"rejected": len(status.rejected), "damaged": len(status.damaged)}
+    return {"plan": json.loads(corpus.plan.to_json()) | {"digest": corpus.plan.digest}, "status": kept, **figures}

@@ -1,0 +1,108 @@
+"""People of another space in the default space's triangles, with shapes of their own: what no training has seen.
+
+SoftDECA tests on scans of a database (3DScanstore); here the default template is registered to the other space's mean
+once and carried along with each identity, and the other space's expressions, seen through that registration, are the
+scans from which Li, Weise and Pauly's rigging (2010) makes the person's own 52 shapes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...lhm import fit_head, identities, load_template
+from ...lhm.errors import InputError
+from ...lhm.expressions import ARKIT, personalised, sample_weights, transfer_expressions
+from ...lhm.files.cache import cached
+from ...lhm.geometry.rigid import rigid_motion
+from ...lhm.head import LayeredHead
+from ...lhm.identities.space import CLIP, LinearSpace
+from ...lhm.mesh import Floats, Surface
+from ...lhm.progress import OnProgress, silent
+from ...lhm.registration import register
+from .person import Person
+
+SCANS = 24
+"""Expressions of one person that the rig is made of; the paper's heads have 20 to 35."""
+RIDGE = 1.0
+"""[mm²] of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""
+
+
+@dataclass(frozen=True, eq=False)
+class External:
+    """People of `other` over the triangles of `own`; see the module.
+
+    laid (n, 3) [mm]: own's mean registered to other's; weights (n, other's vertices) carry its displacements.
+    """
+
+    own: LinearSpace = field(repr=False)
+    other: LinearSpace = field(repr=False)
+    laid: Floats = field(repr=False)
+    weights: csr_matrix = field(repr=False)
+    fit: object = field(repr=False)
+
+    @classmethod
+    def of(cls, other: LinearSpace, *, level: int, on_progress: OnProgress = silent) -> External:
+        """Register the default space's mean to that of another (half a minute; kept in the user's cache)."""
+        own = identities.Anny()
+        if np.array_equal(own.triangles, other.triangles):
+            raise InputError(f"identities 'external:': {other.name!r} has the default's triangles: it is not external")
+        template = load_template(own, level=level, progress=on_progress)
+        name = f"external-{own.fingerprint()}-{other.fingerprint()}"
+
+        def make() -> dict[str, np.ndarray]:
+            laid = register(own.mean, own.parts, other.mean, progress=on_progress)
+            ties = laid.template_weights.tocsr()
+            return {"laid": laid.vertices, "data": ties.data, "indices": ties.indices, "indptr": ties.indptr}
+
+        found = cached(name, make)
+        shape = (len(own.mean.vertices), len(other.mean.vertices))
+        ties = csr_matrix((found["data"], found["indices"], found["indptr"]), shape=shape)
+        return cls(own, other, found["laid"], ties, partial(fit_head, template))
+
+    @property
+    def name(self) -> str:
+        """Both spaces'."""
+        return f"{self.other.name}-in-{self.own.name}"
+
+    @property
+    def mean(self) -> Surface:
+        """The default space's mean skin [mm]."""
+        return self.own.mean
+
+    def person(self, rng: np.random.Generator) -> Person:
+        """Somebody of the other space at random, rigged from scans of random expressions."""
+        code, skin = self.other.sample(rng)
+        neutral = self.mean.with_vertices(self.laid + self.weights @ (skin.vertices - self.other.mean.vertices))
+        expressed = np.stack([self._seen(sample_weights(rng)) for _ in range(SCANS)])
+        shapes = np.tensordot(expressed, self.other.expression_deltas(code), axes=1)
+        scans = neutral.vertices + np.stack([self.weights @ motion for motion in shapes])
+        generic = transfer_expressions(self.mean, self.own.expressions, neutral)
+        rig = personalised(neutral, generic, scans, expressed)
+        return Person(self.code_of(neutral), neutral, rig.deltas, personal=True)
+
+    def head(self, person: Person) -> LayeredHead:
+        """The fitted head of a person."""
+        return self.fit(person.skin)  # type: ignore[operator]
+
+    def code_of(self, skin: Surface) -> Floats:
+        """The code of the default space whose skin is nearest to one of its triangles, up to a rigid motion.
+
+        Least squares with standard normal codes as the prior, clipped as samples are.
+        """
+        code = np.zeros(self.own.code_size)
+        basis = self.own.identity.reshape(self.own.code_size, -1)
+        gram = basis @ basis.T / len(skin.vertices) + RIDGE * np.eye(len(code))
+        for _ in range(5):
+            rotation, translation = rigid_motion(skin.vertices, self.own.skin(code).vertices)
+            aligned = skin.vertices @ rotation.T + translation
+            right = basis @ (aligned - self.mean.vertices).ravel() / len(skin.vertices)
+            code = np.clip(np.linalg.solve(gram, right), -CLIP, CLIP)
+        return code
+
+    def _seen(self, weights: Floats) -> Floats:
+        """Weights without the shapes that the other space lacks."""
+        return np.where([name in self.other.missing for name in ARKIT], 0.0, weights)

@@ -1,0 +1,288 @@
+"""A corpus is a folder: corpus.json (what it is of) and one shard per person. Generate, status, verify."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ...lhm.errors import InputError
+from ...lhm.files.alone import alone_in
+from ...lhm.files.atomic import replaced
+from ...lhm.progress import OnProgress, silent
+from ...reference.velocities import Velocities
+from ..schedule import Schedule, results_of
+from ..surface_hash import surface_hash
+from .mixture import NAMES
+from .person import People
+from .plan import IDENTITY, CorpusPlan, Split
+from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_shard, write_shard
+from .simulate import GENERATOR, simulate_person
+from .template import CorpusTemplate, write_template
+from .velocities import velocities_of
+
+SERIAL = Schedule()
+PARTIAL = ".person-*.h5"
+"""What a process that was killed while it wrote leaves behind."""
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A frame, sequence or derivative that training and test do not use, and why.
+
+    table: "groups", "statics", "sequences" or "references"; row: its number there.
+    """
+
+    identity: int
+    table: str
+    row: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class CorpusStatus:
+    """What a corpus holds: people done of all; counts of what was accepted, by table; what was rejected, of `asked`.
+
+    `damaged`: shards that are there but cannot be used, by message; `seconds`: of one process, by phase, summed over
+    people; `bytes` of all shards.
+    """
+
+    identities: int
+    identities_done: int
+    asked: dict[str, int]
+    accepted: dict[str, int]
+    rejected: tuple[Rejection, ...]
+    damaged: tuple[str, ...]
+    versions: dict[str, int]
+    seconds: dict[str, float]
+    bytes: int
+
+    @property
+    def rejected_share(self) -> float:
+        """Of static and sequence frames made."""
+        asked = self.asked["statics"] + self.asked["sequences"]
+        accepted = self.accepted["statics"] + self.accepted["sequences"]
+        return 1.0 - accepted / asked if asked else 0.0
+
+
+class Corpus:
+    """A corpus of one plan and of some people, in a folder.
+
+    `made_with`: what the folder notes of how to make `people` again. Raises InputError if the folder holds a corpus of
+    another plan, template or generator.
+    """
+
+    def __init__(
+        self,
+        folder: str | PathLike[str],
+        plan: CorpusPlan,
+        people: People,
+        made_with: Mapping[str, Any] = MappingProxyType({}),
+    ):
+        self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
+        self._run: Velocities | None = None
+        self.manifest = {
+            "plan": plan.digest,
+            "people": people.name,
+            "template": surface_hash(people.mean),
+            "generator": GENERATOR,
+            "format": FORMAT,
+        }
+        found = _read_manifest(self.folder)
+        for key, value in self.manifest.items():
+            if found is not None and found.get(key) != value:
+                raise InputError(
+                    f"corpus {self.folder}: of another {key} ({found.get(key)}, expected {value}); use another folder"
+                )
+
+    @property
+    def owner(self) -> str:
+        """What each shard names as its corpus."""
+        return "-".join(map(str, self.manifest.values()))
+
+    def shard_path(self, identity: int) -> Path:
+        """Where a person's shard is, or will be."""
+        return shard_path(self.folder, identity)
+
+    def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
+        """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
+
+        Raises InputError where another generation runs in the folder or it cannot be written, and SoftdecaError if a
+        worker dies again and again.
+        """
+        with alone_in(self.folder, "generation of a corpus"):
+            for left in self.folder.glob(PARTIAL):
+                left.unlink(missing_ok=True)
+            pending = [k for k in range(self.plan.identities) if not self.is_whole(k)]
+            self._write_manifest()
+            if self.plan.sequences and pending:
+                self._velocities(on_progress)
+            rate = _Rate(self.plan, len(pending), on_progress)
+            for seconds in results_of(self.make, pending, on=on, name="corpus"):
+                rate.add(seconds)
+        return self.status()
+
+    def make(self, identity: int) -> float:
+        """Simulate one person and write the shard; returns the processor seconds that it took."""
+        begin = time.process_time()
+        velocities = self._velocities() if self.plan.sequences else None
+        shard = simulate_person(self.plan, self.people, identity, velocities)
+        write_shard(self.shard_path(identity), shard, self.owner)
+        return time.process_time() - begin
+
+    def _velocities(self, on_progress: OnProgress = silent) -> Velocities:
+        if self._run is None:
+            self._run = velocities_of(self.folder, self.plan, self.people, on_progress=on_progress)
+        return self._run
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_run": None}
+
+    def is_whole(self, identity: int) -> bool:
+        """Whether a person's shard is there, whole, and of this corpus."""
+        try:
+            self.shard(identity)
+        except InputError:
+            return False
+        return True
+
+    def shard(self, identity: int) -> Shard:
+        """One person's shard; InputError if it is missing, damaged or of another corpus."""
+        return read_shard(self.shard_path(identity), self.owner)
+
+    def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
+        """All people's shards of a split, or of both, one after another; InputError for one that cannot be used."""
+        for identity in range(self.plan.identities):
+            if split in (None, self.plan.split(identity)):
+                yield identity, self.shard(identity)
+
+    def verify(self, *, on_progress: OnProgress = silent) -> None:
+        """Check every shard against its checksum; InputError names the first that is missing or damaged."""
+        for identity in range(self.plan.identities):
+            self.shard(identity)
+            on_progress("verify", (identity + 1) / self.plan.identities)
+
+    def status(self) -> CorpusStatus:
+        """Count what is there, and list what was rejected or is damaged; contents are not read, see `verify`."""
+        tables = ("groups", "statics", "sequences", "references")
+        asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
+        rejected, damaged, done, size = [], [], 0, 0
+        versions: dict[str, int] = {}
+        seconds: dict[str, float] = {}
+        names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
+        for identity in range(self.plan.identities):
+            path = self.shard_path(identity)
+            if not path.exists():
+                continue
+            try:
+                arrays, label = read_arrays_of(path, self.owner, *names), read_label(path)
+            except InputError as error:
+                damaged.append(str(error))
+                continue
+            done, size = done + 1, size + path.stat().st_size
+            versions[label.version] = versions.get(label.version, 0) + 1
+            for phase, spent in label.seconds.items():
+                seconds[phase] = seconds.get(phase, 0.0) + spent
+            for table in tables:
+                status = arrays[f"{table}/status"]
+                each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
+                good = status == ACCEPTED.encode()
+                asked[table] += each * len(status)
+                accepted[table] += each * int(good.sum())
+                rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
+            asked["responses"] += len(arrays["responses/group"])
+            accepted["responses"] += len(arrays["responses/group"])
+        return CorpusStatus(
+            self.plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, seconds, size
+        )
+
+    def _write_manifest(self):
+        content = self.manifest | {
+            "parameters": list(NAMES),
+            "content": json.loads(self.plan.to_json()),
+            "tested": self.plan.tested,
+            "pools": self.plan.pools,
+            "takes": str(Path(self.plan.takes).resolve()) if self.plan.takes else "",
+            "made_with": self._made_with,
+        }
+        person = self.people.person(self.plan.rng(IDENTITY, 0))
+        write_template(self.folder, CorpusTemplate(self.people.mean, None if person.personal else person.shapes))
+        with replaced(self.folder / "corpus.json") as temporary:
+            temporary.write_text(json.dumps(content, indent=1))
+
+
+def shard_path(folder: Path, identity: int) -> Path:
+    """Where a person's shard lies in a corpus' folder."""
+    return folder / f"person-{identity:05d}.h5"
+
+
+def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
+    """The plan of a corpus, and with what it was made, from its folder alone; InputError where that is not told."""
+    manifest = read_manifest(folder)
+    try:
+        options = {key: value for key, value in manifest["content"].items() if key != "recordings"}
+        plan, made_with = CorpusPlan(**options | {"takes": manifest["takes"]}), dict(manifest["made_with"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"corpus {folder}: its corpus.json does not tell how it was made ({error})") from None
+    if not {"identities", "level"} <= set(made_with):
+        raise InputError(f"corpus {folder}: it was made from Python, of people that no command knows by name")
+    if plan.digest != manifest["plan"]:
+        raise InputError(
+            f"corpus {folder}: its recordings are not what they were (takes in {manifest['takes'] or 'none'}); "
+            "make another one"
+        )
+    return plan, made_with
+
+
+def read_manifest(folder: str | PathLike[str]) -> dict[str, Any]:
+    """What a corpus says it is of; InputError where there is none."""
+    found = _read_manifest(Path(folder))
+    if found is None:
+        raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
+    return found
+
+
+def _read_manifest(folder: Path) -> dict[str, Any] | None:
+    path = folder / "corpus.json"
+    if not path.exists():
+        return None
+    try:
+        manifest = json.loads(path.read_text())
+        for key in ("plan", "people", "template", "generator", "format"):
+            manifest[key]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"corpus {path}: damaged, or not a corpus of softdeca; use another folder") from None
+    return manifest
+
+
+class _Rate:
+    """Says how many people are done, how fast, and how long the rest takes."""
+
+    def __init__(self, plan: CorpusPlan, pending: int, progress: OnProgress):
+        self._plan, self._left, self._progress = plan, pending, progress
+        self._done, self._begin, self._spent = 0, time.monotonic(), 0.0
+        progress(f"corpus: {plan.identities - pending} of {plan.identities} people are there", 0.0)
+
+    def add(self, seconds: float):
+        self._done, self._left, self._spent = self._done + 1, self._left - 1, self._spent + seconds
+        wall = time.monotonic() - self._begin
+        people = self._plan.identities - self._left
+        frames = self._plan.groups * self._plan.frames * self._done * 3600.0 / max(self._spent, 1e-9)
+        left = wall / self._done * self._left
+        self._progress(
+            f"corpus: {people} of {self._plan.identities} people, {frames:.0f} static frames a core-hour with all that "
+            f"belongs to them, {_duration(left)} left",
+            people / self._plan.identities,
+        )
+
+
+def _duration(seconds: float) -> str:
+    minutes = int(seconds / 60.0 + 0.5)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"

@@ -1,0 +1,207 @@
+"""A person under one parameter set: the settled face, its responses, and the answers to expressions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ...lhm.errors import SceneError, SoftdecaError
+from ...lhm.head import LayeredHead
+from ...lhm.mesh import Floats, Surface
+from ...reference import Scene, Settled, Solution, settled
+from ...reference.linearised import Linearised, linearised, spring_norm
+from ...reference.responses import expression_responses, skin_responses
+from ...reference.solution import volume_ratio
+from .mixture import INFOS, ParameterSet
+from .person import People, Person
+from .plan import CorpusPlan
+from .shard import ACCEPTED
+
+MAX_SETTLING = 2000
+SETTLED = 1e-4
+"""Of the settled face, relative to its start; it is what targets follow, and need be no more exact than they are."""
+UNDIFFERENTIATED = ("frequency", "damping", "strain_limit")
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One frame: T - S (n, 3) [mm], and what `shard.Statics` says of its solve."""
+
+    corrected: np.ndarray
+    status: str
+    moved: tuple[float, float] = (0.0, 0.0)
+    iterations: int = 0
+    residual: float = 0.0
+    smallest_volume_ratio: float = 0.0
+    inverted: int = 0
+
+    @classmethod
+    def failed(cls, status: str, skin: Surface) -> Answer:
+        """A frame that there is none of."""
+        return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The face of one person at rest under one parameter set, prepared for expressions.
+
+    first_order (52, scene's vertices, 3) [mm]: how the tets move with each shape, from which expressions start.
+    """
+
+    plan: CorpusPlan
+    person: Person
+    drawn: ParameterSet
+    linear: Linearised
+    first_order: Floats
+    wanted: tuple[bool, bool]
+
+    @classmethod
+    def of(cls, plan: CorpusPlan, people: People, person: Person, head: LayeredHead, number: int) -> Group:
+        """Settle the face under the plan's parameter set of this number; SceneError where it does not come to rest."""
+        drawn = plan.parameter_set(number)
+        neutral = settled(head, drawn.parameters(head, people.mean), tolerance=SETTLED, max_iterations=MAX_SETTLING)
+        if not neutral.converged:
+            raise SceneError(str(neutral.reason))
+        linear = linearised(neutral, like=_last.get(people.name))
+        _last.clear()
+        _last[people.name] = linear
+        moved = expression_responses(linear.tangent, head, person.shapes)
+        return cls(plan, person, drawn, linear, moved, plan.has_responses(number))
+
+    @property
+    def head(self) -> LayeredHead:
+        """The person's."""
+        return self.linear.face.head
+
+    @property
+    def neutral(self) -> Settled:
+        """The settled face."""
+        return self.linear.face
+
+    @property
+    def exact(self) -> bool:
+        """Whether the derivatives are by the energy's own Hessian."""
+        return self.linear.exact
+
+    @cached_property
+    def offset(self) -> Floats:
+        """T - S at w = 0 [mm], shape (n, 3)."""
+        return self.linear.offset + self.neutral.displacement
+
+    @cached_property
+    def responses(self) -> Floats:
+        """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
+        return skin_responses(self.head, self.first_order, self.person.shapes) - self.person.shapes
+
+    @cached_property
+    def parameter_responses(self) -> dict[str, Floats]:
+        """dT/du at w = 0 [mm], shape (n, 3), by each static parameter that varies, mapped to u in [-1, 1].
+
+        But for the strain limit: where it is 1 the energy has kinks.
+        """
+        along = {name: self._along(name) for name in self.drawn.names if name not in UNDIFFERENTIATED}
+        return self.linear.of_parameters(along) if along else {}
+
+    def _along(self, name: str) -> float | Floats:
+        """Change of a parameter [its unit] per unit of its value mapped to [-1, 1]."""
+        info, value = INFOS[name], np.asarray(getattr(self.neutral.parameters, name))
+        change = value * np.log(info.high / info.low) if info.log else np.full(value.shape, info.high - info.low)
+        return 0.5 * change if value.ndim else float(0.5 * change)
+
+    @property
+    def settled(self) -> Floats:
+        """By how much the neutral skin moved [mm], shape (n, 3)."""
+        return self.neutral.displacement
+
+    def expression(self, weights: Floats) -> Floats:
+        """S [mm], shape (n, 3), of weights (52,)."""
+        return self.person.skin.vertices + np.tensordot(weights, self.person.shapes, axes=1)
+
+    def scene(self, weights: Floats) -> Scene:
+        """The scene of an expression."""
+        return self.neutral.scene(self.expression(weights))
+
+    def solve(self, weights: Floats) -> Solution:
+        """The simulator's answer to an expression; it begins where the derivatives lead.
+
+        In the tangent's metric, unless that beginning has inverted tets, out of which the PD matrix leads sooner; where
+        one fails the other goes on.
+        """
+        scene = self.scene(weights)
+        start = self.linear.answer.positions + np.tensordot(weights, self.first_order, axes=1)
+        stop = self.plan.tolerance * spring_norm(scene)
+        metrics = [self.linear.tangent, None]
+        if (volume_ratio(scene, start) <= 0.0).any():
+            metrics.reverse()
+        spent = 0
+        for metric in metrics:
+            solution = self.linear.prepared.solve(
+                scene, start=start, absolute=stop, max_iterations=self.plan.max_iterations, metric=metric,
+                untangle=False,
+            )  # fmt: skip
+            spent += solution.iterations
+            if solution.converged:
+                break
+            start = solution.positions if np.isfinite(solution.positions).all() else start
+        return replace(solution, iterations=spent)
+
+    def corrected(self, weights: Floats, positions: Floats) -> Floats:
+        """T - S [mm], shape (n, 3), of a scene's positions."""
+        expression = self.expression(weights)
+        targets = self.neutral.targets(expression)
+        return self.head.skin_after(targets, positions[: len(self.head.bone)]) - expression
+
+    def static(self, weights: Floats) -> Answer:
+        """One static frame; a failure is a status."""
+        try:
+            return self.answer(weights, self.solve(weights))
+        except SoftdecaError as error:
+            return Answer.failed(f"scene: {error}", self.person.skin)
+
+    def answer(self, weights: Floats, solution: Solution) -> Answer:
+        """What a corpus keeps of a solution."""
+        corrected = self.corrected(weights, solution.positions).astype(np.float16)
+        inverted = solution.volume_ratio <= 0.0
+        return Answer(
+            corrected=corrected,
+            status=self._status(solution, inverted, corrected),
+            moved=self._moved(corrected),
+            iterations=solution.iterations,
+            residual=self._residual(solution),
+            smallest_volume_ratio=float(solution.volume_ratio.min()),
+            inverted=int(np.count_nonzero(inverted)),
+        )
+
+    @cached_property
+    def face(self) -> np.ndarray:
+        """Which skin vertices are of the face, shape (n,); all where the head does not tell."""
+        n = len(self.head.bone)
+        mask = np.asarray(self.head.regions.get("face", np.ones(n, dtype=bool)), dtype=np.float64)
+        return np.asarray(self.head.skin_from_wrap @ mask) > 0.5
+
+    def _residual(self, solution: Solution) -> float:
+        return float(solution.history.gradient_norm[-1]) / self._springs
+
+    @cached_property
+    def _springs(self) -> float:
+        return spring_norm(self.linear.prepared.scene)
+
+    def _moved(self, corrected: np.ndarray) -> tuple[float, float]:
+        size = np.linalg.norm(corrected[self.face].astype(np.float64), axis=1)
+        return float(size.mean()), float(np.percentile(size, 95.0))
+
+    def _status(self, solution: Solution, inverted: np.ndarray, corrected: np.ndarray) -> str:
+        soft = np.count_nonzero(inverted[: len(self.head.soft.tets)])
+        if not solution.converged:
+            return f"solver: {solution.reason}"
+        if soft or inverted.mean() > self.plan.inverted_share:
+            return f"{np.count_nonzero(inverted)} inverted tets, {soft} of them in soft tissue"
+        if not np.isfinite(corrected).all():
+            return "positions beyond the range of float16"
+        return ACCEPTED
+
+
+_last: dict[str, Linearised] = {}
+"""The last face of a process: what was analysed of its matrices, the same for all heads of a template, serves again."""

@@ -1,0 +1,322 @@
+"""What a corpus will hold, decided before anything is simulated: every sample follows from the plan alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ...lhm.errors import InputError, MissingDependencyError
+from ...lhm.expressions.recordings import Recording, recordings, starts
+from ...lhm.expressions.take import Take
+from ...lhm.mesh import Floats
+from .mixture import KINDS, ParameterSet, draw
+
+Split = Literal["train", "test"]
+SPLITS: tuple[Split, Split] = ("train", "test")
+SOURCES = ("real", "speech", "conversation", "random")
+TEST_SHARE = 0.1
+RATE = 60.0
+"""[Hz] of sequences."""
+LENGTH = 16
+"""Frames of a sequence (SoftDECA 3.4)."""
+IDENTITY, PAIRING, PARAMETERS, SPLITTING, STATIC, DYNAMIC, VELOCITIES = range(7)
+
+
+@dataclass(frozen=True)
+class Static:
+    """One static frame to be: a recording's name and the number of its frame."""
+
+    recording: str
+    frame: int
+
+
+@dataclass(frozen=True)
+class CorpusPlan:
+    """Counts, shares and seed of a corpus.
+
+    People, parameter sets and recordings are split into training and test first and paired then, so that the two splits
+    share none of the three. Each person has `groups` parameter sets, no two people share one, and `frames` static
+    frames of each; `sequences` of 16 frames at 60 Hz, the k-th under the person's k-th set. The share `responses` of
+    all groups has derivatives by expressions, `parameter_responses` of these by parameters, too; `references` static
+    frames of each person in test are solved by FEniCSx, too.
+
+    `kinds` and `sources` are shares, of parameter sets (see `mixture`) and of expressions; sources without a recording
+    leave theirs to the others. `takes`: folder of recorded takes. Sequences begin with velocities of one long run of
+    `run` frames. `tolerance`: the norm of the gradient over that of
+    springs each 1 mm long. Raises InputError for counts and shares out of range.
+    """
+
+    seed: int = 0
+    identities: int = 640
+    groups: int = 4
+    frames: int = 9
+    sequences: int = 1
+    responses: float = 1.0
+    parameter_responses: float = 0.25
+    references: int = 0
+    kinds: Mapping[str, float] = field(default_factory=lambda: {"materials": 0.15, "effects": 0.4, "both": 0.45})
+    varying: float = 0.5
+    sources: Mapping[str, float] = field(
+        default_factory=lambda: {"real": 0.2, "speech": 0.25, "conversation": 0.3, "random": 0.25}
+    )
+    takes: str = ""
+    conversations: int = 40
+    random: int = 40
+    seconds: float = 60.0
+    run: int = 2048
+    tolerance: float = 1e-4
+    max_iterations: int = 200
+    inverted_share: float = 1e-3
+
+    def __post_init__(self):
+        for name, least in (("identities", 2), ("groups", 1), ("frames", 0), ("sequences", 0), ("references", 0)):
+            if not _is_count(getattr(self, name), least):
+                raise InputError(f"corpus plan {name}: expected a whole number of at least {least}")
+        for name, least in (("conversations", 0), ("random", 0), ("run", 3), ("max_iterations", 1), ("seed", 0)):
+            if not _is_count(getattr(self, name), least):
+                raise InputError(f"corpus plan {name}: expected a whole number of at least {least}")
+        if self.frames + self.sequences == 0:
+            raise InputError("corpus plan: neither frames nor sequences")
+        if self.sequences > self.groups:
+            raise InputError(f"corpus plan sequences: {self.sequences} for {self.groups} groups of a person")
+        for name in ("responses", "parameter_responses", "varying", "inverted_share"):
+            if not _is_share(getattr(self, name)):
+                raise InputError(f"corpus plan {name}: expected a share in [0, 1], got {getattr(self, name)!r}")
+        for name, known in (("kinds", KINDS), ("sources", SOURCES)):
+            object.__setattr__(self, name, _shares(name, getattr(self, name), known))
+        if not (isinstance(self.tolerance, float) and 0.0 < self.tolerance < 1.0):
+            raise InputError(f"corpus plan tolerance: expected a number in (0, 1), got {self.tolerance!r}")
+        if not (isinstance(self.seconds, (int, float)) and 1.0 <= self.seconds <= 3600.0):
+            raise InputError(f"corpus plan seconds: expected 1 to 3600, got {self.seconds!r}")
+
+    @property
+    def tested(self) -> int:
+        """How many of the people are in test: the last ones."""
+        return max(1, round(TEST_SHARE * self.identities))
+
+    @property
+    def static_frames(self) -> int:
+        """All static frames."""
+        return self.identities * self.groups * self.frames
+
+    def split(self, identity: int) -> Split:
+        """Which split a person belongs to."""
+        return "train" if identity < self.identities - self.tested else "test"
+
+    def rng(self, *key: int) -> np.random.Generator:
+        """Random numbers of one purpose."""
+        return np.random.default_rng([self.seed, *key])
+
+    @cached_property
+    def recordings(self) -> dict[str, Recording]:
+        """All recordings by name."""
+        found = recordings(
+            self.takes or None, conversations=self.conversations, random=self.random, seconds=self.seconds
+        )
+        return {name: recording for name, recording in found.items() if self.sources[recording.kind] > 0}
+
+    @cached_property
+    def pools(self) -> dict[Split, dict[str, list[str]]]:
+        """Names of the recordings of each split by source: of each source a tenth, but at least one, is in test.
+
+        InputError where a source has one recording only.
+        """
+        pools: dict[Split, dict[str, list[str]]] = {"train": {}, "test": {}}
+        for number, source in enumerate(SOURCES):
+            names = [name for name, recording in self.recordings.items() if recording.kind == source]
+            if not names:
+                continue
+            if len(names) == 1:
+                raise InputError(f"corpus plan: one {source} recording ({names[0]}) cannot be in training and in test")
+            order = self.rng(SPLITTING, number).permutation(len(names))
+            tested = max(1, round(TEST_SHARE * len(names)))
+            pools["test"][source] = [names[k] for k in order[:tested]]
+            pools["train"][source] = [names[k] for k in order[tested:]]
+        if not pools["train"]:
+            raise InputError("corpus plan: no recordings; give takes, conversations or random combinations")
+        return pools
+
+    def parameter_numbers(self, identity: int) -> list[int]:
+        """The numbers of a person's parameter sets, one per group: a random pairing within the split."""
+        first = 0 if self.split(identity) == "train" else self.identities - self.tested
+        people = self.tested if first else self.identities - self.tested
+        order = self.rng(PAIRING, int(bool(first))).permutation(people * self.groups)
+        mine = (identity - first) * self.groups + np.arange(self.groups)
+        return [int(first * self.groups + order[k]) for k in mine]
+
+    def parameter_set(self, number: int) -> ParameterSet:
+        """The parameter set of a number."""
+        rng = self.rng(PARAMETERS, number)
+        kind = str(rng.choice(KINDS, p=[self.kinds[name] for name in KINDS]))
+        return draw(rng, kind, field=bool(rng.random() < self.varying))
+
+    def has_responses(self, parameter_number: int) -> tuple[bool, bool]:
+        """Whether derivatives are wanted of the group with this parameter set: by expressions, and by parameters."""
+        drawn = self.rng(PARAMETERS, parameter_number, 1).random(2)
+        wanted = bool(drawn[0] < self.responses)
+        return wanted, wanted and bool(drawn[1] < self.parameter_responses)
+
+    def static(self, identity: int, index: int) -> Static:
+        """A person's static frame; those of group g are numbered from g * frames."""
+        rng = self.rng(STATIC, identity, index)
+        name = self._recording(rng, identity)
+        return Static(name, int(rng.integers(self.recordings[name].frames)))
+
+    def sequence(self, identity: int, index: int) -> tuple[str, int]:
+        """A person's sequence: the recording's name, and the number of its first frame; no gap of a take is in it."""
+        rng = self.rng(DYNAMIC, identity, index)
+        while True:
+            name = self._recording(rng, identity)
+            begins = starts(self.take(name), LENGTH)
+            if len(begins):
+                return name, int(rng.choice(begins))
+
+    def _recording(self, rng: np.random.Generator, identity: int) -> str:
+        pool = self.pools[self.split(identity)]
+        share = np.array([self.sources[source] for source in pool])
+        names = pool[list(pool)[rng.choice(len(pool), p=share / share.sum())]]
+        count = np.array([self.recordings[name].frames for name in names], dtype=np.float64)
+        return names[rng.choice(len(names), p=count / count.sum())]
+
+    def take(self, name: str) -> Take:
+        """A recording's take, kept once read."""
+        if name not in self._takes:
+            self._takes[name] = self.recordings[name].take()
+        return self._takes[name]
+
+    @cached_property
+    def _takes(self) -> dict[str, Take]:
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What travels to another process: the fields; what is derived is derived again there."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    def weights(self, static: Static) -> Floats:
+        """ARKit weights of a static frame, shape (52,)."""
+        return np.array(self.take(static.recording).weights[static.frame])
+
+    def to_json(self) -> str:
+        """The plan and its recordings as one line of JSON; where takes lie does not count, what is in them does."""
+        content = asdict(replace(self, takes="")) | {
+            "recordings": {name: [r.kind, r.frames, r.rate, _text(r)] for name, r in self.recordings.items()}
+        }
+        return json.dumps(content, sort_keys=True)
+
+    @cached_property
+    def digest(self) -> str:
+        """A name for the plan, 16 hexadecimal digits."""
+        return hashlib.sha256(self.to_json().encode()).hexdigest()[:16]
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> CorpusPlan:
+        """A plan from named options, as a TOML file has them; `preset` names one to begin with.
+
+        Raises InputError for an unknown name.
+        """
+        options = dict(options)
+        preset = options.pop("preset", "small")
+        if preset not in PRESETS:
+            raise InputError(f"corpus preset {preset!r}: there are {', '.join(PRESETS)}")
+        known = [item.name for item in fields(cls)]
+        for name in options:
+            if name not in known:
+                raise InputError(f"corpus plan: unknown option {name!r}; there are preset, {', '.join(known)}")
+        return replace(PRESETS[preset], **options)
+
+
+def read_plan(path: str | os.PathLike[str]) -> CorpusPlan:
+    """The plan in a TOML file (see `CorpusPlan.of`); InputError, one line, names the file and what is wrong."""
+    try:
+        import tomllib
+    except ModuleNotFoundError:
+        raise MissingDependencyError(f"{path}: TOML files are read from Python 3.11 on") from None
+    path = Path(path)
+    try:
+        options = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a TOML file that can be read ({' '.join(str(error).split())[:80]})") from None
+    try:
+        plan = CorpusPlan.of(options)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    takes = path.parent / plan.takes if plan.takes else None
+    return plan if takes is None else replace(plan, takes=str(takes))
+
+
+def _text(recording: Recording) -> str:
+    return (
+        hashlib.sha256(recording.take().weights.tobytes()).hexdigest()[:16]
+        if recording.kind == "real"
+        else (recording.origin)
+    )
+
+
+def _is_count(value: Any, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _is_share(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 <= value <= 1.0
+
+
+def _shares(name: str, given: Any, known: tuple[str, ...]) -> dict[str, float]:
+    """Shares of all that is known, which add up to 1."""
+    if not isinstance(given, Mapping) or set(given) - set(known) or not all(map(_is_share, given.values())):
+        raise InputError(f"corpus plan {name}: expected shares in [0, 1] of {', '.join(known)}, got {given!r}")
+    total = sum(given.values())
+    if total <= 0:
+        raise InputError(f"corpus plan {name}: all shares are zero")
+    return {item: given.get(item, 0.0) / total for item in known}
+
+
+PRESETS: dict[str, CorpusPlan] = {
+    # Every part once, in seconds: for tests and for trying a set-up.
+    "tiny": CorpusPlan(
+        identities=3,
+        groups=1,
+        frames=2,
+        references=1,
+        conversations=3,
+        random=3,
+        seconds=4.0,
+        run=24,
+        parameter_responses=1.0,
+    ),
+    # What `make study` trains its surrogate on in minutes.
+    "study": CorpusPlan(
+        identities=46,
+        groups=9,
+        frames=2,
+        sequences=0,
+        responses=0.0,
+        kinds={"few": 1.0},
+        varying=0.0,
+        sources={"random": 1.0},
+        conversations=0,
+        random=20,
+    ),
+    # A night on two cores; what the shipped surrogate is trained on.
+    "small": CorpusPlan(references=5),
+    # SoftDECA's 500,000 frames, a quarter of them in sequences.
+    "paper": CorpusPlan(
+        identities=7813,
+        groups=4,
+        frames=12,
+        sequences=1,
+        responses=0.1,
+        parameter_responses=0.1,
+        conversations=400,
+        random=400,
+    ),
+}

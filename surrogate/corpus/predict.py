@@ -1,0 +1,102 @@
+"""What a plan will cost: bytes by counting, core-hours by a rate measured on a person or on what is done already."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ...lhm.expressions import ARKIT
+from .folder import CorpusStatus
+from .mixture import NAMES
+from .person import People
+from .plan import LENGTH, CorpusPlan
+from .simulate import simulate_person
+from .velocities import velocities_of
+
+VARIED = 9
+"""Parameters of a set, about, in the mean over kinds."""
+PROBED = {"frames": 4, "references": 0, "run": 16}
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Processor seconds of one process: per person (shapes and fit), group, static frame, sequence frame, reference."""
+
+    person: float
+    group: float
+    static: float
+    sequence: float
+    reference: float | None
+
+    @classmethod
+    def of(cls, status: CorpusStatus) -> Rates | None:
+        """From what a corpus has spent; None where nothing is done."""
+        spent, asked = status.seconds, status.asked
+        if not status.identities_done or not asked["groups"]:
+            return None
+
+        def each(table: str) -> float:
+            return spent.get(table, 0.0) / max(asked[table], 1)
+
+        return cls(
+            (spent.get("shapes", 0.0) + spent.get("fit", 0.0)) / status.identities_done,
+            (spent.get("settling", 0.0) + spent.get("derivatives", 0.0)) / asked["groups"],
+            each("statics"),
+            each("sequences"),
+            each("references") if asked["references"] else None,
+        )
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Counts of a plan, bytes of its shards, and core-hours in all."""
+
+    people: int
+    groups: int
+    statics: int
+    sequences: int
+    responses: int
+    references: int
+    bytes: int
+    core_hours: float
+
+    @property
+    def bytes_per_frame(self) -> float:
+        """Of all that belongs to a frame, static or of a sequence, but derivatives and references."""
+        return self.bytes / max(self.statics + LENGTH * self.sequences, 1)
+
+
+def probe(plan: CorpusPlan, people: People) -> Rates:
+    """Rates measured on the plan's first two people, the first of them not counted: it loads what is kept."""
+    small = replace(plan, **PROBED)  # type: ignore[arg-type]
+    with TemporaryDirectory() as folder:
+        begun = velocities_of(Path(folder), small, people) if plan.sequences else None
+        simulate_person(small, people, 0, begun)
+        seconds = simulate_person(small, people, 1, begun).seconds
+    return Rates(
+        seconds["shapes"] + seconds["fit"],
+        (seconds["settling"] + seconds["derivatives"]) / small.groups,
+        seconds["statics"] / (small.groups * small.frames),
+        seconds["sequences"] / max(LENGTH * small.sequences, 1),
+        None,
+    )
+
+
+def predicted(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
+    """What a plan over a skin of so many vertices comes to."""
+    field = 2 * 3 * vertices  # float16
+    groups = plan.identities * plan.groups
+    sequences, statics = plan.identities * plan.sequences, plan.static_frames
+    responses, references = round(plan.responses * groups), plan.tested * plan.references
+    size = plan.identities * 2 * field + groups * field + statics * (field + 4 * len(ARKIT) + 700)
+    size += sequences * ((LENGTH + 2) * field + 4 * LENGTH * (len(ARKIT) + 16))
+    by_parameters = round(plan.parameter_responses * responses)
+    size += (
+        groups * 4 * 17 * len(NAMES)
+        + (responses * (1 + len(ARKIT)) + by_parameters * VARIED) * field
+        + 2 * references * field
+    )
+    seconds = plan.identities * rates.person + groups * rates.group + statics * rates.static
+    seconds += LENGTH * sequences * rates.sequence + 2 * references * (rates.reference or 0.0)
+    return Prediction(plan.identities, groups, statics, sequences, responses, references, size, seconds / 3600.0)

@@ -1,0 +1,128 @@
+"""Random access to a corpus for training: small arrays in memory, large ones read row by row from the shards.
+
+No file stays open between two rows, so nothing is shared across forks, and memory does not grow over an epoch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...lhm.errors import InputError
+from ...lhm.mesh import Surface
+from .folder import read_manifest, shard_path
+from .plan import SPLITS, Split
+from .shard import ACCEPTED, Place, places_of, read_arrays_of
+from .template import read_template
+
+Row = dict[str, Any]
+OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "groups/number", "persons/code")
+SMALL: dict[str, tuple[str, ...]] = {
+    "statics": ("group", "weights", "status", "recording", "frame", "moved"),
+    "sequences": ("group", "weights", "status", "recording", "frame", "rotations"),
+    "responses": ("group", "exact"),
+    "parameter_responses": ("group", "name"),
+    "references": ("static", "law", "status"),
+}
+LARGE: dict[str, tuple[str, ...]] = {
+    "statics": ("corrected",),
+    "sequences": ("before", "corrected"),
+    "responses": ("offset", "expressions"),
+    "parameter_responses": ("change",),
+    "references": ("corrected",),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Person:
+    """A shard's small arrays and the places of its large ones."""
+
+    path: Path
+    code: NDArray
+    kinds: NDArray
+    coefficients: NDArray
+    varied: NDArray
+    small: dict[str, NDArray]
+    places: dict[str, Place]
+    skin: Place
+    shapes: Place
+
+
+class Table:
+    """The accepted rows of one table ("statics", "sequences", "responses", ...) of a split of a corpus.
+
+    A row is a dict: identity, code (c,), varied (P,), coefficients (P, 1 + WAVES), and the fields of the table as
+    `shard` says, without the first axis. Raises InputError for a folder that is no corpus, an unknown table or split,
+    shards that are missing or damaged, and where no row is accepted.
+    """
+
+    def __init__(self, folder: str | PathLike[str], table: str, split: Split):
+        if table not in SMALL or split not in SPLITS:
+            raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
+        self.folder, self.table = Path(folder), table
+        manifest = read_manifest(folder)
+        self.template = read_template(folder)
+        self.people = str(manifest["people"])
+        owner = "-".join(str(manifest[key]) for key in ("plan", "people", "template", "generator", "format"))
+        people = int(manifest["content"]["identities"])
+        first = people - int(manifest["tested"])
+        numbers = range(first) if split == "train" else range(first, people)
+        self._people = {k: self._person(shard_path(self.folder, k), owner) for k in numbers}
+        rows = [(k, row) for k, person in self._people.items() for row in _accepted(person.small)]
+        if not rows:
+            raise InputError(f"corpus {folder}: nothing of {table} in the {split} split was accepted; see its status")
+        self.rows = np.array(rows)
+
+    def _person(self, path: Path, owner: str) -> _Person:
+        names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
+        large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
+        found = read_arrays_of(path, owner, *OF_GROUPS, *names.values())
+        places = places_of(path, "persons/skin", "persons/shapes", *large.values())
+        return _Person(
+            path=path,
+            code=found["persons/code"][0],
+            kinds=found["groups/kind"],
+            coefficients=found["groups/coefficients"],
+            varied=found["groups/varied"],
+            small={name: found[key] for name, key in names.items()},
+            places={name: places[key] for name, key in large.items()},
+            skin=places["persons/skin"],
+            shapes=places["persons/shapes"],
+        )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, index: int) -> Row:
+        identity, row = self.rows[index]
+        person = self._people[int(identity)]
+        small = {name: values[row] for name, values in person.small.items()}
+        found: Row = {"identity": identity, "code": person.code, **small}
+        if "group" in small:
+            group = small["group"]
+            found |= {"kind": person.kinds[group], "varied": person.varied[group]}
+            found["coefficients"] = person.coefficients[group]
+        return found | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
+
+    def skin(self, identity: int) -> Surface:
+        """A person's neutral skin [mm]."""
+        person = self._people[int(identity)]
+        return Surface(person.skin.row(person.path, 0).astype(np.float64), self.template.mean.triangles)
+
+    def shapes(self, identity: int) -> NDArray:
+        """What each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
+        if self.template.shapes is not None:
+            return self.template.shapes
+        person = self._people[int(identity)]
+        return person.shapes.row(person.path, 0)
+
+
+def _accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
+    if "status" not in small:
+        return np.arange(len(next(iter(small.values()))))
+    return np.flatnonzero(small["status"] == ACCEPTED.encode())

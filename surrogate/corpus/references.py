@@ -1,0 +1,45 @@
+"""What FEniCSx says of a frame that projective dynamics simulated: on the same energy, and with the neo-Hookean law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.errors import SoftdecaError
+from ...lhm.mesh import Floats
+from ...reference import neo_hookean_scene, prepare
+from .group import Answer, Group
+from .shard import ACCEPTED
+
+FEM_LAWS = ("PD", "neo-Hookean")
+TOLERANCE = 1e-6
+"""Gradient norm relative to that of rest in the frame's scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """T - S (n, 3) [mm], "accepted" or why there is none, and iterations."""
+
+    corrected: np.ndarray
+    status: str
+    iterations: int = 0
+
+
+def reference(group: Group, weights: Floats, answer: Answer, law: str) -> Reference:
+    """A frame by FEniCSx, with one of FEM_LAWS; it starts at the answer of projective dynamics."""
+    none = np.zeros(answer.corrected.shape, dtype=np.float16)
+    try:
+        scene, positions = group.scene(weights), group.solve(weights).positions
+        if law != FEM_LAWS[0]:
+            scene = neo_hookean_scene(scene)
+        prepared = prepare(scene, solver="fenicsx")
+        # Relative to rest: at the answer of projective dynamics the gradient is rounding already.
+        norms = [prepared.solve(start=start, max_iterations=0).history.gradient_norm[0] for start in (None, positions)]
+        tolerance = min(TOLERANCE * norms[0] / max(norms[1], 1e-300), 0.5)
+        solution = prepared.solve(start=positions, tolerance=tolerance)
+    except SoftdecaError as error:
+        return Reference(none, f"fenicsx: {error}")
+    if not solution.converged:
+        return Reference(none, f"fenicsx: {solution.reason}", solution.iterations)
+    return Reference(group.corrected(weights, solution.positions).astype(np.float16), ACCEPTED, solution.iterations)

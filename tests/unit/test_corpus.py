@@ -1,0 +1,257 @@
+"""The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import h5py
+import numpy as np
+import pytest
+
+from softdeca.lhm import FitError, InputError
+from softdeca.reference import Parameters
+from softdeca.surrogate.corpus.card import write_card
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.group import Group
+from softdeca.surrogate.corpus.mixture import NAMES
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
+from softdeca.surrogate.corpus.predict import Rates, predicted
+from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
+from softdeca.surrogate.corpus.simulate import simulate_static
+from softdeca.surrogate.schedule import Schedule
+from softdeca.surrogate.sphere import Spheres
+
+SPACE = Spheres(1)
+PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
+PLAN = replace(PRESETS["tiny"], references=0)
+
+
+def refuse(skin):
+    raise FitError("the skin is open")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    corpus.generate()
+    return corpus
+
+
+def checksums(corpus):
+    return [corpus.shard(k).checksum for k in range(corpus.plan.identities)]
+
+
+def test_a_frame_is_what_the_simulator_makes_of_its_expression(made):
+    identity, row = 0, 1
+    shard = made.shard(identity)
+    person = PEOPLE.person(PLAN.rng(0, identity))
+    group = Group.of(PLAN, PEOPLE, person, PEOPLE.head(person), PLAN.parameter_numbers(identity)[0])
+    weights = PLAN.weights(PLAN.static(identity, row)).astype(np.float32)
+    np.testing.assert_array_equal(shard.statics.weights[row], weights)
+    tight = group.linear.prepared.solve(group.scene(weights), tolerance=1e-10)
+    assert np.abs(group.corrected(weights, tight.positions) - shard.statics.corrected[row]).max() < 0.01
+    assert shard.statics.residual[row] <= PLAN.tolerance
+
+
+def test_any_frame_can_be_had_again_alone(made):
+    for identity in range(PLAN.identities):
+        again = simulate_static(PLAN, PEOPLE, identity, 1)
+        np.testing.assert_array_equal(again.corrected, made.shard(identity).statics.corrected[1])
+
+
+def test_derivatives_are_those_of_the_simulated_frames(made):
+    for identity in range(PLAN.identities):
+        shard = made.shard(identity)
+        person = PEOPLE.person(PLAN.rng(0, identity))
+        group = Group.of(PLAN, PEOPLE, person, PEOPLE.head(person), PLAN.parameter_numbers(identity)[0])
+        step = np.zeros(52)
+        step[5] = 1e-2
+
+        def tight(weights, group=group):
+            near = group.linear.start(group.expression(weights))
+            return group.corrected(
+                weights, group.linear.prepared.solve(group.scene(weights), start=near, tolerance=1e-7).positions
+            )
+
+        difference = (tight(step) - tight(-step)) / 2e-2
+        found = shard.responses.expressions[0, 5].astype(float)
+        assert np.abs(found - difference).max() < 3e-3 * np.abs(difference + person.shapes[5]).max()
+        assert set(shard.parameter_responses.name.astype(str)) == {
+            name for name in PLAN.parameter_set(PLAN.parameter_numbers(identity)[0]).names
+        } - {"frequency", "damping", "strain_limit"}
+
+
+def test_two_processes_and_any_order_make_the_same(made, tmp_path):
+    other = Corpus(tmp_path, PLAN, PEOPLE)
+    other.make(2)
+    other.generate(on=Schedule("processes", 2))
+    assert checksums(other) == checksums(made)
+
+
+def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):
+    before = checksums(made)
+    made.shard_path(0).unlink()
+    whole = made.shard_path(1).read_bytes()
+    made.shard_path(1).write_bytes(whole[: len(whole) // 2])
+    with h5py.File(made.shard_path(2), "r+") as file:
+        file["statics/corrected"][0, 0, 0] += np.float16(0.5)
+    with pytest.raises(InputError, match="person-00000.*missing"):
+        made.verify()
+    status = made.status()
+    assert status.identities_done == 1 and "truncated" in status.damaged[0]
+    with pytest.raises(InputError, match="person-00002.*checksum"):
+        made.shard(2)
+    seen = []
+    made.generate(on_progress=lambda what, fraction: seen.append(what))
+    assert "0 of 3 people are there" in seen[0] and checksums(made) == before
+    with h5py.File(made.shard_path(1), "r+") as file:
+        file.attrs["format"] = 0
+    with pytest.raises(InputError, match="of format 0, this version makes 1; `softdeca corpus generate` makes it anew"):
+        made.verify()
+    made.generate()
+    assert checksums(made) == before
+    replace_people = OfSpace(SPACE, SPACE.mean, refuse)
+    Corpus(made.folder, PLAN, replace_people).generate()  # nothing is left to do
+    assert checksums(made) == before and made.status().versions == {"0.1.0": 3}
+
+
+def test_what_a_killed_process_left_is_cleared(made):
+    left = made.folder / ".person-00000-abc.h5"
+    left.write_bytes(b"half")
+    made.shard_path(0).unlink()
+    run = made.folder / "velocities.npz"
+    before = run.read_bytes()
+    run.write_bytes(before[: len(before) // 2])
+    checksum = made.shard(1).checksum
+    Corpus(made.folder, PLAN, PEOPLE).generate()
+    assert not left.exists() and made.is_whole(0) and made.shard(1).checksum == checksum
+    assert run.read_bytes() == before
+
+
+def test_what_fails_is_listed_with_its_reason(tmp_path):
+    corpus = Corpus(tmp_path, replace(PLAN, sequences=0), OfSpace(SPACE, SPACE.mean, refuse))
+    status = corpus.generate()
+    assert status.accepted["statics"] == 0 and status.rejected_share == 1.0
+    assert {r.table for r in status.rejected} == {"groups", "statics"}
+    assert {r.reason for r in status.rejected} == {"head: the skin is open"}
+    with pytest.raises(InputError, match="nothing of statics in the train split"):
+        Table(tmp_path, "statics", "train")
+
+
+def test_a_solve_that_stops_early_is_kept_out(tmp_path):
+    plan = replace(PLAN, max_iterations=1, tolerance=1e-7, sequences=0)
+    status = Corpus(tmp_path, plan, PEOPLE).generate()
+    stopped = [r for r in status.rejected if r.table == "statics"]
+    assert stopped and all(r.reason.startswith("solver: iteration limit") for r in stopped)
+
+
+def test_another_plan_or_template_is_refused(made, tmp_path):
+    with pytest.raises(InputError, match="of another plan"):
+        Corpus(made.folder, replace(PLAN, seed=1), PEOPLE)
+    other = Spheres(2)
+    with pytest.raises(InputError, match="of another people"):
+        Corpus(made.folder, PLAN, OfSpace(other, other.mean, other.fit))
+    (tmp_path / "corpus.json").write_text(json.dumps([1]))
+    with pytest.raises(InputError, match="not a corpus"):
+        Corpus(tmp_path, PLAN, PEOPLE)
+
+
+@pytest.mark.parametrize("table", SMALL)
+def test_a_reader_finds_what_the_shards_hold(made, table):
+    if table == "references":
+        return
+    found = Table(made.folder, table, "train")
+    for index in range(len(found)):
+        row = found[index]
+        identity, number = found.rows[index]
+        held = getattr(made.shard(int(identity)), table)
+        for name in (*SMALL[table], *LARGE[table]):
+            np.testing.assert_array_equal(row[name], getattr(held, name)[number])
+        np.testing.assert_array_equal(row["code"], made.shard(int(identity)).persons.code[0])
+    assert set(found.rows[:, 0]) <= {0, 1}
+    assert set(Table(made.folder, table, "test").rows[:, 0]) == {2}
+    skin = PEOPLE.person(PLAN.rng(0, 0)).skin
+    np.testing.assert_allclose(found.skin(0).vertices, skin.vertices, atol=1e-4)
+    np.testing.assert_allclose(found.shapes(0), SPACE.expression_deltas(np.zeros(4)), rtol=0.2)
+
+
+def test_rows_of_a_shard_that_is_cut_off_are_an_error(made, tmp_path):
+    for path in made.folder.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    found = Table(tmp_path, "statics", "test")
+    whole = (tmp_path / "person-00002.h5").read_bytes()
+    (tmp_path / "person-00002.h5").write_bytes(whole[: len(whole) // 4])
+    with pytest.raises(InputError, match="person-00002.*truncated"):
+        [found[k] for k in range(len(found))]
+    with pytest.raises(InputError, match="person-00002.*truncated or damaged"):
+        Table(tmp_path, "statics", "test")
+
+
+def test_torch_reads_it_in_several_processes(made):
+    torch = pytest.importorskip("torch")
+    from softdeca.surrogate.corpus.dataset import CorpusDataset
+
+    data = CorpusDataset(made.folder, "train")
+    loaded = [batch["corrected"] for batch in torch.utils.data.DataLoader(data, batch_size=1, num_workers=2)]
+    for index, corrected in enumerate(loaded):
+        assert corrected.dtype == torch.float16
+        np.testing.assert_array_equal(corrected[0].numpy(), data.table[index]["corrected"])
+    with pytest.raises(IndexError):
+        data[len(data)]
+    assert CorpusDataset(made.folder, "train", table="sequences")[0]["corrected"].shape[0] == LENGTH
+
+
+def test_the_card_says_what_is_there(made):
+    figures = write_card(made)
+    text = (made.folder / "README.md").read_text()
+    assert text.startswith("---\nlicense: cc0-1.0\n") and "| statics | 6 | " in text
+    assert figures["frames"]["all"] == made.status().accepted["statics"]
+    moved = np.concatenate([made.shard(k).statics.moved[:, 1] for k in range(3)])
+    assert figures["p95_mm"]["all"][2] == pytest.approx(np.median(moved))
+    described = json.loads((made.folder / "croissant.json").read_text())
+    assert {item["name"] for item in described["distribution"]} == {
+        "corpus.json", "template.npz", "velocities.npz", *(f"person-{k:05d}.h5" for k in range(3)),
+    }  # fmt: skip
+    assert all(len(item["sha256"]) == 64 for item in described["distribution"])
+
+
+def test_a_plan_predicts_what_it_takes(made):
+    status = made.status()
+    rates = Rates.of(status)
+    found = predicted(PLAN, len(SPACE.mean.vertices), rates)
+    assert (found.statics, found.sequences, found.responses) == (6, 3, 3)
+    assert found.core_hours == pytest.approx(sum(status.seconds.values()) / 3600.0, rel=1e-2)
+    larger = predicted(PLAN, 4463, rates), predicted(PRESETS["paper"], 4463, rates)
+    assert larger[1].statics + 16 * larger[1].sequences == pytest.approx(500_000, rel=0.001)
+    assert larger[1].bytes < 30e9
+
+
+def test_parameters_of_a_head_are_those_of_the_fields(made):
+    number = next(k for k in range(50) if not PLAN.parameter_set(k).uniform)
+    drawn = PLAN.parameter_set(number)
+    head = SPACE.fit(SPACE.mean)
+    p = drawn.parameters(head, SPACE.mean)
+    assert isinstance(p, Parameters)
+    on_faces = drawn.on_faces(SPACE.mean)
+    for k, name in enumerate(NAMES):
+        info, value = Parameters.info(name), getattr(p, name)
+        if not drawn.varied[k]:
+            assert value == info.default
+        # A sphere's wraps have its skin's triangles, so the two agree triangle by triangle.
+        there = on_faces[:, k] if np.ndim(value) else on_faces[0, k]
+        np.testing.assert_allclose(info.normalise(np.asarray(value)), there, atol=1e-5)
+
+
+def test_corpora_are_made_in_one_folder_by_one_at_a_time(made):
+    from softdeca.lhm.files.alone import alone_in
+
+    with alone_in(made.folder, "generation of a corpus"), pytest.raises(InputError, match="another generation"):
+        made.generate()
+
+
+def test_people_are_picklable():
+    import pickle
+
+    again = pickle.loads(pickle.dumps(OfSpace(SPACE, SPACE.mean, partial(SPACE.fit))))
+    assert again.name == "sphere1"

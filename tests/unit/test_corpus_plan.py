@@ -1,0 +1,105 @@
+"""Plans: splits that share nothing, parameter sets as the mixture says, and files that are checked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError
+from softdeca.reference import Parameters
+from softdeca.reference.settling import changes_neutral
+from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES
+from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan, read_plan
+from softdeca.surrogate.sphere import Spheres
+
+PLAN = CorpusPlan(identities=30, groups=3, frames=4, conversations=10, random=10, seconds=10.0)
+
+
+@pytest.mark.parametrize("plan", [PRESETS["tiny"], PLAN, replace(PLAN, seed=7, groups=1)])
+def test_splits_share_no_person_parameter_set_or_recording(plan):
+    drawn = {"train": set(), "test": set()}
+    people, sets = [], []
+    for identity in range(plan.identities):
+        split = drawn[plan.split(identity)]
+        people.append(Spheres(1).sample(plan.rng(0, identity))[0].tobytes())
+        split.add(("person", people[-1]))
+        for number in plan.parameter_numbers(identity):
+            sets.append(number)
+            split.add(("parameters", plan.parameter_set(number).coefficients.tobytes()))
+        for index in range(plan.groups * plan.frames):
+            split.add(("recording", plan.static(identity, index).recording))
+        for index in range(plan.sequences):
+            split.add(("recording", plan.sequence(identity, index)[0]))
+    assert drawn["train"] and drawn["test"] and not drawn["train"] & drawn["test"]
+    assert len(set(people)) == plan.identities and sorted(sets) == list(range(plan.identities * plan.groups))
+    assert sum(plan.split(k) == "test" for k in range(plan.identities)) == max(1, round(0.1 * plan.identities))
+
+
+def test_a_plan_is_the_same_each_time_and_another_seed_makes_another():
+    again = CorpusPlan(identities=30, groups=3, frames=4, conversations=10, random=10, seconds=10.0)
+    assert again.digest == PLAN.digest != replace(PLAN, seed=1).digest
+    assert again.static(3, 2) == PLAN.static(3, 2) and again.sequence(3, 0) == PLAN.sequence(3, 0)
+
+
+def test_parameter_sets_are_of_their_kind_and_within_their_ranges():
+    head = Spheres(1).fit(Spheres(1).mean)
+    kinds, varying, moving = [], [], []
+    for number in range(200):
+        drawn = PLAN.parameter_set(number)
+        p = drawn.parameters(head, Spheres(1).mean)  # Parameters checks the ranges
+        kinds.append(drawn.kind)
+        varying.append(not drawn.uniform)
+        moving.append(changes_neutral(p) or p.paralysis_left > 0 or p.paralysis_right > 0)
+        if drawn.kind in ("materials", "both"):
+            assert set(MATERIALS) <= set(drawn.names)
+        if drawn.kind == "materials":
+            assert not changes_neutral(p)
+        if np.max(p.skin_growth) > 1.0 or np.max(p.skin_stiffness) > 40.0:
+            assert p.skin_bending > 0.0
+        for name in drawn.names:
+            row = drawn.coefficients[NAMES.index(name)]
+            assert INFOS[name].local or not row[1:].any()
+    shares = [kinds.count(kind) / 200 for kind in KINDS]
+    assert np.abs(np.array(shares) - [PLAN.kinds[kind] for kind in KINDS]).max() < 0.12
+    assert 0.4 < np.mean(varying) < 0.6 and np.mean(moving) > 0.7
+    seen = {name for number in range(200) for name in PLAN.parameter_set(number).names}
+    assert seen == {info.name for info in Parameters.infos()} - {"connector_ratio"}
+
+
+def test_expressions_come_from_every_source():
+    names = [PLAN.static(identity, k).recording for identity in range(27) for k in range(12)]
+    shares = {source: np.mean([name.startswith(source) for name in names]) for source in PLAN.sources}
+    assert shares["real"] == 0.0 and min(shares["speech"], shares["conversation"], shares["random"]) > 0.2
+
+
+def test_plans_from_files(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text('preset = "tiny"\nidentities = 5\nseed = 3\n[kinds]\neffects = 1.0\n')
+    plan = read_plan(path)
+    assert (plan.identities, plan.seed, plan.groups) == (5, 3, 1) and plan.kinds["effects"] == 1.0
+    for text, message in (
+        ("identities = 1", "identities: expected a whole number of at least 2"),
+        ("identities = 2.5", "identities"),
+        ("colour = 3", "unknown option 'colour'"),
+        ('preset = "huge"', "there are tiny, study, small, paper"),
+        ("[kinds]\nzombies = 1.0", "kinds: expected shares in"),
+        ("[sources]\nspeech = 0.0", "all shares are zero"),
+        ("responses = 1.5", "responses: expected a share"),
+        ("sequences = 9", "sequences: 9 for 4 groups"),
+        ("frames = 0\nsequences = 0", "neither frames nor sequences"),
+        ("tolerance = nan", "tolerance"),
+        ("seconds = 1e9", "seconds"),
+        ("= 1", "not a TOML file"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=message) as raised:
+            read_plan(path)
+        assert str(path) in str(raised.value)
+    with pytest.raises(InputError, match="no such file"):
+        read_plan(tmp_path / "none.toml")
+
+
+def test_one_recording_of_a_source_cannot_be_split(tmp_path):
+    (tmp_path / "take.json").write_text('{"rate": 30, "frames": [{"jawOpen": 0.5}, {}, {}]}')
+    with pytest.raises(InputError, match=r"one real recording \(real/take.json\) cannot be in training and in test"):
+        replace(PLAN, takes=str(tmp_path)).static(0, 0)

@@ -1,0 +1,203 @@
+"""Stresses and reactions: closed forms, balance of forces, and the three solvers against one another."""
+
+import pickle
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError
+from softdeca.reference import Scene, SceneError, materials, solve, terms, write_solution
+from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
+from softdeca.reference.solution import History, Reason, Solution
+
+SOLVERS = ("projective", "fenicsx", "skfem")
+FEM = [("fenicsx", "P1"), ("fenicsx", "P2"), ("skfem", "P1"), ("skfem", "P2")]
+SIZE = (3.0, 2.0, 4.0)
+X, TETS = box((2, 2, 3), SIZE)
+LOW, HIGH = vertices_at(X, 2, 0.0), vertices_at(X, 2, SIZE[2])
+PD = (terms.Strain(3.0), terms.Volume(20.0))
+
+
+def available(solver):
+    if solver == "fenicsx":
+        pytest.importorskip("dolfinx")
+
+
+def rolling(term):
+    """A term on the box, which three of its sides hold in their planes."""
+    return [*term, *(terms.Fixed(vertices_at(X, c, 0.0), components=c) for c in range(3))]
+
+
+def stretched(term, ratio):
+    top = X[HIGH] * [1.0, 1.0, ratio]
+    return Scene(X, TETS, [*rolling(term), terms.Fixed(HIGH, top, components=2)])
+
+
+@pytest.mark.parametrize(("solver", "element"), FEM)
+def test_uniaxial_stretch_of_a_neo_hookean_bar(solver, element):
+    """P11 = P22 = 0 gives the contraction a: mu (a - 1/a) + lmbda ln(a² λ) / a = 0; σ33 = P33 / a²."""
+    available(solver)
+    mu, lmbda, stretch = 4.0, 12.0, 1.3
+    low, high = 0.5, 1.0
+    for _ in range(100):
+        a = 0.5 * (low + high)
+        low, high = (a, high) if mu * (a - 1 / a) + lmbda * np.log(a * a * stretch) / a < 0 else (low, a)
+    P33 = mu * (stretch - 1 / stretch) + lmbda * np.log(a * a * stretch) / stretch
+    scene = stretched([terms.Hyperelastic(materials.NeoHookean(mu=mu, lmbda=lmbda))], stretch)
+    solution = solve(scene, solver=solver, element=element, tolerance=1e-10)
+    P, cauchy = np.zeros((3, 3)), np.zeros((3, 3))
+    P[2, 2], cauchy[2, 2] = P33, P33 / a**2
+    np.testing.assert_allclose(solution.first_piola, np.broadcast_to(P, (len(TETS), 3, 3)), atol=1e-7)
+    np.testing.assert_allclose(solution.cauchy, np.broadcast_to(cauchy, (len(TETS), 3, 3)), atol=1e-7)
+    np.testing.assert_allclose(solution.von_mises, P33 / a**2, rtol=1e-7)
+    assert solution.reactions[HIGH, 2].sum() == pytest.approx(P33 * SIZE[0] * SIZE[1], rel=1e-7)
+    assert solution.reactions[LOW, 2].sum() == pytest.approx(-P33 * SIZE[0] * SIZE[1], rel=1e-7)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_uniaxial_stretch_by_the_energy_of_projective_dynamics(solver):
+    """With Strain alone P = w (F - R): w (λ - 1) along the bar, and nothing across, which does not contract."""
+    available(solver)
+    solution = solve(stretched([terms.Strain(3.0)], 1.2), solver=solver, tolerance=1e-10)
+    expected = np.zeros((3, 3))
+    expected[2, 2] = 3.0 * 0.2
+    np.testing.assert_allclose(solution.first_piola, np.broadcast_to(expected, (len(TETS), 3, 3)), atol=1e-7)
+    np.testing.assert_allclose(solution.cauchy, np.broadcast_to(1.2 * expected / 1.2, (len(TETS), 3, 3)), atol=1e-7)
+
+
+def bent(*more, solids=PD):
+    side = triangles_at(X, TETS, 0, SIZE[0])
+    held = terms.Fixed(LOW, X[LOW] + [0.1, 0.0, 0.05])
+    return Scene(
+        X,
+        TETS,
+        [*solids, held, terms.Gravity((900.0, 0, -9810.0), 1e-5), terms.Traction(side, (0.05, 0.1, 0.0)), *more],
+    )
+
+
+def test_all_solvers_agree_on_the_energy_of_projective_dynamics():
+    """Grown, limited, with target volumes, a membrane and springs, in two rows of terms, on linear tets."""
+    available("fenicsx")
+    some = np.arange(len(TETS)) < 20
+    scene = bent(
+        terms.SurfaceStrain(triangles_at(X, TETS, 2, SIZE[2]), 2.0),
+        terms.Target(HIGH, X[HIGH] + [0.3, 0.1, 0.2], 0.2),
+        solids=(
+            terms.Strain(3.0, limit=1.05, growth=1.1),
+            terms.Volume(20.0, target=1.1),
+            terms.Strain(1.0, tets=some),
+            terms.Volume(4.0, target=0.9, tets=some),
+        ),
+    )
+    first, *others = (solve(scene, solver=solver, tolerance=1e-11) for solver in SOLVERS)
+    assert first.converged and np.ptp(first.von_mises) > 0.1
+    for other in others:
+        np.testing.assert_allclose(other.first_piola, first.first_piola, atol=1e-6)
+        np.testing.assert_allclose(other.cauchy, first.cauchy, atol=1e-6)
+        np.testing.assert_allclose(other.reactions, first.reactions, atol=1e-6)
+
+
+LAWS = (
+    materials.NeoHookean(mu=3.0, lmbda=9.0),
+    materials.StableNeoHookean(mu=3.0, lmbda=9.0),
+    materials.Corotated(mu=3.0, lmbda=9.0),
+    materials.StVenantKirchhoff(mu=3.0, lmbda=9.0),
+    materials.MooneyRivlin(C10=1.0, C01=0.5, kappa=20.0),
+)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+def test_both_finite_elements_agree_on_every_law(law, element):
+    available("fenicsx")
+    scene = bent(solids=(terms.Hyperelastic(law, growth=1.1),))
+    one, other = (solve(scene, solver=s, element=element, tolerance=1e-10) for s in ("fenicsx", "skfem"))
+    assert one.converged and np.ptp(one.von_mises) > 0.1
+    np.testing.assert_allclose(other.first_piola, one.first_piola, atol=1e-7)
+    np.testing.assert_allclose(other.cauchy, one.cauchy, atol=1e-7)
+    np.testing.assert_allclose(other.reactions, one.reactions, atol=1e-7)
+
+
+@pytest.mark.parametrize(("solver", "element"), [("projective", None), *FEM])
+def test_reactions_balance_all_loads_and_their_moments(solver, element):
+    """Forces, and moments about the origin of forces at the places where they act; only what is held reacts."""
+    available(solver)
+    scene = bent(terms.Target(HIGH, X[HIGH] + [0.3, 0.1, 0.2], 0.2))
+    options = {} if element is None else {"element": element}
+    solution = solve(scene, solver=solver, tolerance=1e-11, **options)
+    springs = np.zeros_like(X)
+    springs[HIGH] = 0.2 * (scene.of(terms.Target)[0].positions - solution.positions[HIGH])
+    total = solution.reactions.sum(axis=0) + scene.loads().sum(axis=0) + springs.sum(axis=0)
+    assert np.abs(total).max() < 1e-8 * np.abs(solution.reactions).max()
+    assert not solution.reactions[np.setdiff1d(np.arange(len(X)), LOW)].any()
+    if element != "P2":  # whose loads act at nodes on edges, too
+        forces = solution.reactions + scene.loads() + springs
+        moments = np.cross(solution.positions, forces).sum(axis=0)
+        assert np.abs(moments).max() < 1e-7 * np.abs(np.cross(solution.positions, scene.loads())).max()
+
+
+@pytest.mark.parametrize("element", ["P1", "P2", "P2P1"])
+def test_reactions_balance_a_follower_pressure(element):
+    """On a face of a closed box the resultant is p times its present area vector."""
+    available("fenicsx")
+    law = materials.NeoHookean(mu=3.0, lmbda=9.0)
+    top = triangles_at(X, TETS, 2, SIZE[2])
+    scene = Scene(X, TETS, [terms.Hyperelastic(law), terms.Fixed(LOW), terms.Pressure(top, 0.3)])
+    solution = solve(scene, solver="fenicsx", element=element, tolerance=1e-11)
+    assert solution.converged
+    total = solution.reactions.sum(axis=0)
+    if element == "P1":
+        a, b, c = (solution.positions[top[:, k]] for k in range(3))
+        assert total == pytest.approx(0.3 * 0.5 * np.cross(b - a, c - a).sum(axis=0), abs=1e-9)
+    # The sides are free of load, so Cauchy's stress through the present top is its pressure but near the clamp.
+    assert total[2] == pytest.approx(0.3 * SIZE[0] * SIZE[1], rel=0.1)
+    above = X[TETS][:, :, 2].min(axis=1) > 2.0
+    assert solution.cauchy[above, 2, 2].mean() == pytest.approx(-0.3, abs=0.03)
+
+
+def test_incompressible_tissue_has_its_pressure_in_its_stress():
+    """Uniaxial: σ = mu (λ² - 1/λ), whatever the pressure; without it σ33 alone would be mu (λ² - ...) off."""
+    available("fenicsx")
+    law = materials.Incompressible(materials.IsochoricNeoHookean(mu=4.0, kappa=None))
+    scene = stretched([terms.Hyperelastic(law)], 1.3)
+    solution = solve(scene, solver="fenicsx", element="P2P1", tolerance=1e-10)
+    expected = np.zeros((3, 3))
+    expected[2, 2] = 4.0 * (1.3**2 - 1 / 1.3)
+    np.testing.assert_allclose(solution.cauchy, np.broadcast_to(expected, (len(TETS), 3, 3)), atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_solution_is_written_with_all_that_was_found(solver, tmp_path):
+    available(solver)
+    scene = bent()
+    solution = solve(scene, solver=solver)
+    for name in ("answer.vtu", "answer.vtk"):
+        write_solution(tmp_path / name, scene, solution)
+        read = meshio.read(tmp_path / name)
+        np.testing.assert_array_equal(read.points, X)
+        np.testing.assert_allclose(read.point_data["displacement"], solution.positions - X)
+        np.testing.assert_allclose(read.point_data["reaction"], solution.reactions)
+        np.testing.assert_allclose(read.cell_data["J"][0], solution.volume_ratio)
+        np.testing.assert_allclose(read.cell_data["von_mises"][0], solution.von_mises)
+        np.testing.assert_allclose(read.cell_data["cauchy"][0].reshape(-1, 3, 3), solution.cauchy)
+    again = pickle.loads(pickle.dumps(solve(scene, solver=solver)))
+    np.testing.assert_allclose(again.cauchy, solution.cauchy, atol=1e-9)
+
+
+def test_what_cannot_be_written_is_named(tmp_path):
+    scene = bent()
+    solution = solve(scene)
+    with pytest.raises(InputError, match=r"answer\.obj: unknown kind"):
+        write_solution(tmp_path / "answer.obj", scene, solution)
+    other = Scene(np.vstack([np.zeros(3), np.eye(3)]), [[0, 1, 2, 3]], [terms.Strain(1.0)])
+    with pytest.raises(InputError, match="the scene has 4 and 1"):
+        write_solution(tmp_path / "answer.vtu", other, solution)
+    with pytest.raises(InputError, match="solution: expected a Solution"):
+        write_solution(tmp_path / "answer.vtu", scene, None)
+    empty = Solution(X, Reason.CONVERGED, 0, 0.0, History(*np.zeros((3, 1))), np.ones(len(TETS)))
+    with pytest.raises(SceneError, match="not made by a solver"):
+        write_solution(tmp_path / "answer.vtu", scene, empty)
+    assert not list(tmp_path.iterdir())
+    assert replace(empty, recovery=solution.recovery).reactions.any()
