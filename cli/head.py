@@ -16,6 +16,7 @@ from ..lhm.files.template_file import read_template, save_template
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
+from .landmarks import landmarks_command
 from .progress import shown
 from .train_regressor import train_regressor
 
@@ -29,6 +30,7 @@ def head() -> None:
 
 
 head.add_command(train_regressor)
+head.add_command(landmarks_command)
 
 
 @head.command()

@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from softdeca.lhm import check_head, expressions, identities
+from softdeca.lhm import check_head, expressions, identities, load_template
 from softdeca.lhm.files.head_file import load_head
 from softdeca.lhm.geometry.closing import openings
+from softdeca.lhm.registration import landmark_ids
 
 STATUE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
@@ -96,7 +97,7 @@ def test_it_is_shown_and_simulated_without_a_word_more(fitted, command, tmp_path
     assert ended.status == 0 and json.loads(ended.out)["failed"] == []
     assert (tmp_path / "take" / "preview.gif").is_file()
     ended = command("head", "show", head, "--expression", "jawOpen", "--identities", "anny", "--out", tmp_path / "x")
-    assert ended.status == 1 and "not the triangles of 'anny'" in ended.errors[0]
+    assert ended.status == 1 and "not the triangles of 'anny'" in ended.errors[-1]
 
 
 def test_what_is_no_head_writes_nothing(command, tmp_path, data):
@@ -112,3 +113,20 @@ def test_what_is_no_head_writes_nothing(command, tmp_path, data):
         ended = command("head", "fit", "--skin", *arguments, "--level", 1, "--out", tmp_path / "head.npz")
         assert ended.status == 1 and words in ended.errors[-1], ended.errors
         assert not (tmp_path / "head.npz").exists()
+
+
+def test_landmarks_are_named_and_found(command, file, person, tmp_path):
+    picture = tmp_path / "names.png"
+    ended = command("head", "landmarks", "--names", "--picture", picture)
+    assert ended.status == 0 and "nose tip" in ended.out.splitlines() and picture.stat().st_size > 20_000
+    ended = command("head", "landmarks")
+    assert ended.status != 0 and "either --names or --skin" in ended.errors[-1]
+    found, picture = tmp_path / "found.json", tmp_path / "found.png"
+    ended = command("head", "landmarks", "--skin", file, "--out", found, "--picture", picture)
+    assert ended.status == 0 and picture.is_file()
+    points = json.loads(found.read_text())
+    template = load_template()
+    for name, vertex in landmark_ids(template.skin, template.parts).items():
+        # In the file's own centimetres and axes.
+        there = 0.1 * person.vertices[vertex] @ STATUE.T
+        assert np.linalg.norm(np.array(points[name]) - there) < 0.4, name
