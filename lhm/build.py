@@ -28,7 +28,7 @@ from .wraps.labels import bone_labels, held_labels
 from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
 from .wraps.shrinkwrap import shrink
 
-FORMAT = 16
+FORMAT = 17
 REST_OPENING = 0.03
 """The share of jawOpen by which the wraps' lips are apart at rest, so that upper and lower lip do not touch."""
 LONGEST = 25.0

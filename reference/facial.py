@@ -18,6 +18,7 @@ from ..lhm.mesh import Floats, Ints
 from . import terms
 from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones, target_stiffness
 from .connecting import Attached, connecting_tets
+from .guard import guard, is_guard
 from .local import TETS_PER_PRISM, on_tets, on_triangles
 from .materials import NeoHookean
 from .parameters import TISSUE_DENSITY, Parameters
@@ -145,6 +146,9 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
         add(stack.muscle, counts[1], strain, 1.0, volume, value("muscle_volume"))
+    soft = tissue.terms[0]
+    if (guarding := guard(stack.vertices, tissue.tets[0], soft.stiffness)) is not None:
+        tissue.terms.append(guarding)
     return tissue
 
 
@@ -275,11 +279,13 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
     mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. A target volume is the law's
-    growth, by which tissue is at rest when it has reached it, while Strain holds it back. Raises SceneError where a
-    layer has no such counterpart: strain limit or growth other than 1, or stiffnesses that vary within a term.
+    growth, by which tissue is at rest when it has reached it, while Strain holds it back; guards against inversion are
+    left out, since the law is one itself. Raises SceneError where a layer has no such counterpart: strain limit or
+    growth other than 1, or stiffnesses that vary within a term.
     """
     expect(Scene, scene=scene)
-    strains, volumes = scene.of(terms.Strain), scene.of(terms.Volume)
+    strains = [strain for strain in scene.of(terms.Strain) if not is_guard(strain)]
+    volumes = scene.of(terms.Volume)
     others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]
     laws: list[terms.Term] = []
     if len(strains) != len(volumes):

@@ -43,7 +43,7 @@ def bone_labels(
     `rest`, `opened`: the skin wrap [mm] without and with jawOpen; `depths` [mm]: from there to the skull wrap;
     `from_lips` [mm]: distance to the lips' rim. Mandible: follows the jaw, 12 mm from the lips, not in the mouth, one
     ring eroded, and departs from the jaw's rigid motion by little of the depth. Cranium: hardly moves; at
-    the neck's cut and in the eye sockets a little more is allowed.
+    the neck's cut a little more is allowed. Lids and what lines the eye sockets glide over the eyeball: FREE.
     """
     inside = regions["mouth"] | regions["eyes"] | regions["neck"]
     far = from_lips > FROM_LIPS
@@ -53,10 +53,10 @@ def bone_labels(
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = (regions["neck"] | regions["eyes"]) & (size < HELD * size.max())
+    held = regions["neck"] & (size < HELD * size.max())
     still = held | ((size < STAYS * size.max()) & ~regions["mouth"])
     bone = np.full(len(rest), FREE)
-    bone[still & far] = CRANIUM
+    bone[still & far & ~(regions["lids"] | regions["eyes"])] = CRANIUM
     bone[mandible] = MANDIBLE
     return bone
 
@@ -66,15 +66,16 @@ def held_labels(
 ) -> Ints:
     """The given labels (n,), but FREE where tissue needs room to move.
 
-    That is within 12 mm of the lips, in the mouth, over a cranium whose skin moves, and over a mandible from whose
-    rigid motion the skin departs by much of the depth. The arguments are those of `bone_labels`. The neck's cut and
-    the eye sockets, where no bone may be near, are held as CRANIUM.
+    That is within 12 mm of the lips, in the mouth, at lids and eye sockets, over a cranium whose skin moves, and over a
+    mandible from whose rigid motion the skin departs by much of the depth. The arguments are those of `bone_labels`.
+    The neck's cut, where no bone may be near, is held as CRANIUM.
     """
     far = from_lips > FROM_LIPS
     mandible = (bone == MANDIBLE) & far & ~regions["mouth"]
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = (regions["neck"] | regions["eyes"]) & (size < HELD * size.max())
-    cranium = ((bone == CRANIUM) & far & ~regions["mouth"] & (size < HELD * size.max())) | held
+    held = regions["neck"] & (size < HELD * size.max())
+    gliding = regions["mouth"] | regions["lids"] | regions["eyes"]
+    cranium = ((bone == CRANIUM) & far & ~gliding & (size < HELD * size.max())) | held
     return np.where(mandible, MANDIBLE, np.where(cranium, CRANIUM, FREE))

@@ -71,7 +71,8 @@ class Energy:
         """The PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
 
         With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
-        one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian.
+        one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian,
+        and so it is with less of a Strain that leaves stretches up to two or more free.
         Entries that happen to be zero are kept, so that scenes of one topology have matrices of one pattern.
         """
         n = len(scene.vertices)

@@ -16,6 +16,8 @@ from .local_step import add_tets
 
 ALWAYS = -1.0
 """Below any largest stretch."""
+WIDE = 2.0
+"""A Strain whose limit is above that hardly ever acts."""
 
 
 @cache
@@ -52,6 +54,11 @@ def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Strain | Volume, Ints]]]:
 def _spread(values, row: int, rows: Ints, blocks: np.ndarray):
     """Write one value per row of `_pair_up` at the offset `row` of the blocks."""
     blocks[rows // LANES, row // LANES, rows % LANES] = values
+
+
+def _share(parameters: Floats, volume_share: float) -> Floats:
+    """The share of each row's Strain that the matrix has, shape (blocks, LANES): Volume's where the limit is wide."""
+    return np.where(parameters[:, HIGH // LANES] > WIDE, volume_share, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +118,12 @@ class TetBlocks:
         return replace(self, corners=corners, threads=1)
 
     def untangling(self, volume_share: float) -> TetBlocks:
-        """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out."""
+        """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out.
+
+        A Strain of wide limit is left with the same share.
+        """
         parameters = self.parameters.copy()
+        parameters[:, STRAIN // LANES] *= _share(parameters, volume_share)
         parameters[:, STRAIN // LANES] += volume_share * parameters[:, VOLUME // LANES]
         parameters[:, VOLUME // LANES] = 0.0
         size = np.sqrt(parameters[:, LOW // LANES] * parameters[:, HIGH // LANES])
@@ -143,7 +154,8 @@ class TetBlocks:
     def stiffness_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
         """Rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]; see `Energy.matrix`."""
         strain, volume = (self.parameters[:, row // LANES].ravel()[: len(self.tets)] for row in (STRAIN, VOLUME))
+        shares = _share(self.parameters, volume_share).ravel()[: len(self.tets)]
         _, gradients = shape_gradients(scene, self.tets)
-        local = np.einsum("e,eai,ebi->eab", strain + volume_share * volume, gradients, gradients)
+        local = np.einsum("e,eai,ebi->eab", shares * strain + volume_share * volume, gradients, gradients)
         corners = scene.tets[self.tets]
         return np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, (1, 4)).ravel(), local.ravel()
