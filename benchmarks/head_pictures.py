@@ -7,39 +7,52 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..lhm import expressions
+from ..lhm import expressions, identities
 from ..lhm.errors import InputError
 from ..lhm.geometry.bvh import TriangleTree
 from ..lhm.geometry.quality import smallest_dihedrals
 from ..lhm.head import LayeredHead
-from ..lhm.identities import LinearSpace
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, facial_scene, solve
-from .pictures import MUSCLE, SOFT, VIEW, coloured, cut_away
+from .pictures import MUSCLE, SOFT, VIEW, coloured, cut_away, views
 from .plots import pyplot
 
 FRONT, SIDE = (0.0, 0.05, 1.0), (1.0, 0.05, 0.15)
+VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
 WORST = 300
 LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour
 
 
-def posed(head: LayeredHead, space: LinearSpace, weights: Floats) -> tuple[Floats, Surface]:
+def deltas_of(head: LayeredHead, name: str, space_name: str | None = None) -> Floats:
+    """What each expression adds to a head's skin [mm], shape (52, n, 3): by its own rig, or an identity space's.
+
+    InputError, naming the head by `name`, if it has no rig, or is not of the space's topology.
+    """
+    if space_name is None and head.rig is not None:
+        return head.rig.deltas.astype(np.float64)
+    space = identities.from_text(space_name or "anny")
+    if not np.array_equal(head.skin.triangles, space.triangles):
+        more = "" if head.rig is not None else "; fit it anew, and it keeps expressions of its own"
+        raise InputError(f"{name}: its skin has not the triangles of {space.name!r}{more}")
+    return space.expressions
+
+
+def posed(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, Surface]:
     """All wraps' vertices [mm], shape (3 n, 3), and the skin, in an expression of ARKit weights (52,).
 
-    The default parameters' projective dynamics. InputError if the head is not of the space's topology.
+    The default parameters' projective dynamics.
     """
-    if not np.array_equal(head.skin.triangles, space.triangles):
-        raise InputError(f"head: its skin has not the triangles of {space.name!r}, whose expressions were asked for")
     used = np.flatnonzero(expressions.checked_weights(weights))
-    shape = head.skin.vertices + np.tensordot(weights[used], space.expressions[used], axes=1)
+    shape = head.skin.vertices + np.tensordot(weights[used], deltas[used], axes=1)
     solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
     return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))
 
 
 def head_pictures(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None) -> Mapping[str, bytes]:
-    """PNG by name: "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
+    """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
     positions, skin = (head.vertices, head.skin) if pose is None else pose
     return {
+        "skin": views([(text, skin, view) for text, view in VIEWS]),
         "layers": cut_away(head, positions=positions),
         "sections": sections(head, positions, skin),
         "fit": fit(head),

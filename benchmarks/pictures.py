@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,6 +151,25 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     return _png(plotter)
 
 
+def views(panels: Sequence[tuple[str, Surface, Sequence[float]]], *, size: int = 520) -> bytes:
+    """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions."""
+    pyvista = _pyvista()
+    shape = (1, len(panels))
+    plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
+    x = panels[0][1].vertices
+    centre, height = (x.max(0) + x.min(0)) / 2, 1.15 * np.ptp(x[:, 1])
+    for column, (caption, surface, view) in enumerate(panels):
+        plotter.subplot(0, column)
+        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        mesh.point_data.active_normals = surface.vertex_normals
+        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.1, specular_power=8, ambient=0.12)
+        actor.prop.interpolation = "Phong"
+        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
+        _look(plotter, centre, height, view)
+    plotter.set_background("white", all_renderers=True)
+    return _png(plotter)
+
+
 def coloured(
     panels: Sequence[tuple[str, Surface, Floats | None, Sequence[float]]],
     *,
@@ -183,6 +202,45 @@ def coloured(
             dots = pyvista.PolyData(np.asarray(points[0]))
             plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
         plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
+        _look(plotter, centre, height, view)
+    plotter.set_background("white", all_renderers=True)
+    return _png(plotter)
+
+
+def labelled(
+    surface: Surface,
+    points: Mapping[str, Floats],
+    views: Sequence[tuple[str, Sequence[float]]],
+    *,
+    framed: Floats,
+    size: int = 560,
+) -> bytes:
+    """A surface from several views (caption, direction), with points [mm] by name, numbered; `framed` as in `strip`."""
+    pyvista = _pyvista()
+    window = (size * len(views), size)
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(views)), window_size=window, border=False)
+    centre, height = (framed.max(0) + framed.min(0)) / 2, 1.12 * np.ptp(framed[:, 1])
+    places = np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
+    for column, (caption, view) in enumerate(views):
+        plotter.subplot(0, column)
+        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
+        plotter.add_point_labels(
+            places + 2.0 * np.asarray(view) / np.linalg.norm(view),
+            [str(number) for number in range(1, len(points) + 1)],
+            font_size=14,
+            point_size=9,
+            point_color="#1f4e79",
+            text_color="black",
+            shape_color="white",
+            shape_opacity=0.6,
+            render_points_as_spheres=True,
+            always_visible=True,
+        )
+        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
+        if column == 0:
+            text = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
+            plotter.add_text(text, position="lower_left", font_size=7, color="black")
         _look(plotter, centre, height, view)
     plotter.set_background("white", all_renderers=True)
     return _png(plotter)

@@ -1,22 +1,22 @@
 """softdeca head: fit and check layered heads."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
 import numpy as np
 
-from ..lhm import HeadReport, Template, check_head, fit_head, identities, load_template
-from ..lhm.errors import FitError, InputError, MeshError
+from ..lhm import HeadReport, Template, check_head, fit_head, identities, load_template, scans
+from ..lhm.errors import FitError, InputError
 from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import check_file, export_vtk, load_head, save_head
-from ..lhm.files.surface_file import MILLIMETRES, check_skin, read_surface
+from ..lhm.files.head_file import check_file, export_vtk, load_head, said_of, save_head
 from ..lhm.files.template_file import read_template, save_template
-from ..lhm.mesh import Surface
-from ..lhm.registration import named_landmarks, read_landmarks
+from ..lhm.identities import LinearSpace
+from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
+from .landmarks import landmarks_command
 from .progress import shown
 from .train_regressor import train_regressor
 
@@ -30,15 +30,24 @@ def head() -> None:
 
 
 head.add_command(train_regressor)
+head.add_command(landmarks_command)
 
 
 @head.command()
 @click.option(
     "--identities", "space_name", default="anny", help="whose topology: anny, ict:FILE, flame:FILE or folder:DIR"
 )
-@click.option("--skin", type=AFile, help="a neutral skin of any topology (OBJ, PLY, STL, NPZ); default: the mean")
-@click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of --skin")
-@click.option("--landmarks", type=AFile, help="JSON of named points [mm] on a skin of another topology")
+@click.option("--skin", type=AFile, help="a neutral head of any topology (OBJ, PLY, STL, glTF, NPZ); default: the mean")
+@click.option(
+    "--unit", metavar="UNIT", help=f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: found"
+)
+@click.option("--up", type=click.Choice(scans.AXES), help="the axis of --skin that is up; default: found")
+@click.option("--front", type=click.Choice(scans.AXES), help="the axis that its face looks along; default: found")
+@click.option("--no-repair", is_flag=True, help="take the mesh as it is, or refuse it; default: repair it and say how")
+@click.option("--keep-sealed", is_flag=True, help="leave a sealed mouth closed; default: open it between the lips")
+@click.option(
+    "--landmarks", type=AFile, help="JSON of named points on --skin, in its coordinates or in mm along its axes"
+)
 @click.option("--template", "template_file", type=AFile, help="a template by `head template`; default: the space's own")
 @click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
 @click.option("--regressor", "regressor_file", type=AFile, help="depths by `head train-regressor`; default: a prior")
@@ -50,7 +59,11 @@ head.add_command(train_regressor)
 def fit(
     space_name: str,
     skin: Path | None,
-    unit: str,
+    unit: str | None,
+    up: str | None,
+    front: str | None,
+    no_repair: bool,
+    keep_sealed: bool,
     landmarks: Path | None,
     template_file: Path | None,
     level: int,
@@ -67,26 +80,30 @@ def fit(
     """
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
-    surface = None if skin is None else read_surface(skin, unit=unit)
     with shown() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
         if template_file is None:
             template = load_template(space, level=level, progress=progress)
         else:
-            template = read_template(template_file)
-        pairs = None
-        if landmarks is not None:
-            pairs = named_landmarks(template.skin, template.parts, read_landmarks(landmarks))
+            template = _in_space(read_template(template_file), space)
         regressor = None
         if regressor_file is not None:
             regressor = DepthRegressor.load(regressor_file, template.skin_wrap)
-        if skin is not None and surface is not None:
-            _check_skin(skin, surface, template)
-        else:
+        if skin is None:
             surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
-        progress("head: layers fitted to the skin", 0.3)
-        fitted = fit_head(template, surface, regressor=regressor, landmarks=pairs, progress=progress)
+            fitted = fit_head(template, surface, regressor=regressor, progress=progress)
+        elif (own := scans.topology_of(skin, template, unit=unit)) is not None:
+            fitted = fit_head(template, own, regressor=regressor, progress=progress)
+        else:
+            points = None if landmarks is None else read_landmarks(landmarks)
+            where = scans.Said(unit=unit, up=up, front=front, landmarks=points)
+            scan = scans.read_head_scan(skin, template, where, repair=not no_repair, progress=progress)
+            for note in scan.notes:
+                click.echo(f"softdeca: {skin}: {note}", err=True)
+            fitted = scans.fit_head_scan(scan, template, regressor=regressor, unseal=not keep_sealed, progress=progress)
+            for note in fitted.notes[len(scan.notes) :]:
+                click.echo(f"softdeca: {skin}: {note}", err=True)
         progress("head", 1.0)
     save_head(out, fitted)
     written = [out, *(export_vtk(vtk, fitted) if vtk is not None else ())]
@@ -95,7 +112,8 @@ def fit(
 
         write_whole(picture, cut_away(fitted))
         written.append(picture)
-    _report(check_head(fitted), as_json, written)
+    _warn(skin or out, {} if fitted.rig is None else fitted.rig.doubtful)
+    _report(check_head(fitted), as_json, written, notes=fitted.notes)
     return 0
 
 
@@ -122,7 +140,9 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
 @as_json_option
 def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
-    _report(check_file(file), as_json)
+    notes, doubtful = said_of(file)
+    _warn(file, doubtful)
+    _report(check_file(file), as_json, notes=notes)
     return 0
 
 
@@ -130,18 +150,24 @@ def check(file: Path, as_json: bool) -> int:
 @click.argument("file", type=AFile)
 @click.option("--out", type=AFile, default="out/head", help="folder of the pictures")
 @click.option("--expression", help="show layers and sections simulated in this expression, as jawOpen*0.5+cheekPuff")
-@click.option("--identities", "space_name", default="anny", help="whose expressions: 'anny' or 'ict:FILE'")
+@click.option("--identities", "space_name", help="whose expressions ('anny' or 'ict:FILE'); default: the head's own")
 @click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
-def show(file: Path, out: Path, expression: str | None, space_name: str, vtk: Path | None) -> int:
+def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
     """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
-    from ..benchmarks.head_pictures import head_pictures, posed
+    from ..benchmarks.head_pictures import deltas_of, head_pictures, posed
     from ..benchmarks.study import parse_expression
 
     weights = None if expression is None else parse_expression(expression)
     shown_head = load_head(file)
+    for note in shown_head.notes:
+        click.echo(f"softdeca: {file}: {note}", err=True)
+    if shown_head.rig is not None and space_name is None:
+        _warn(file, shown_head.rig.doubtful)
     with shown() as progress:
         progress("pictures", 0.0)
-        pose = None if weights is None else posed(shown_head, identities.from_text(space_name), weights)
+        pose = None
+        if weights is not None:
+            pose = posed(shown_head, deltas_of(shown_head, str(file), space_name), weights)
         for name, png in head_pictures(shown_head, pose=pose).items():
             write_whole(out / f"{name}.png", png)
             click.echo(out / f"{name}.png")
@@ -198,24 +224,32 @@ def _counts(text: str) -> tuple[int, int]:
     return soft, muscle
 
 
-def _check_skin(file: Path, surface: Surface, template: Template) -> None:
-    same = len(surface.vertices) == len(template.skin.vertices)
-    try:
-        check_skin(surface, openings=0 if same else 1)
-    except MeshError as error:
-        raise InputError(f"{file}: {error}") from None
+def _in_space(template: Template, space: LinearSpace) -> Template:
+    """A template with the expressions and identities of its own space, where that is the one given."""
+    same = np.array_equal(template.skin.triangles, space.triangles)
+    return replace(template, space=space) if same else template
 
 
-def _report(report: HeadReport, as_json: bool, written: Sequence[Path] = ()) -> None:
+def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
+    """A line for each reason why expressions will not look right."""
+    for reason in dict.fromkeys(doubtful.values()):
+        names = ", ".join(name for name, why in doubtful.items() if why == reason)
+        click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
+
+
+def _report(report: HeadReport, as_json: bool, written: Sequence[Path] = (), *, notes: Sequence[str] = ()) -> None:
     """Print the figures and the files written; FitError names the gates missed, and what was written all the same."""
     if as_json:
         gates = [asdict(gate) | {"passed": not gate.missed} for gate in report.gates]
         files = {"files": [str(path) for path in written]} if written else {}
-        click.echo(json.dumps(asdict(report) | {"gates": gates, "problems": list(report.problems)} | files, indent=1))
+        more = {"gates": gates, "problems": list(report.problems), "notes": list(notes)}
+        click.echo(json.dumps(asdict(report) | more | files, indent=1))
     else:
         for figure in report.figures:
             mark = "" if figure.bound is None else "MISSED" if figure.missed else "ok"
             click.echo(f"{mark:<7}{figure}")
+        for note in notes:
+            click.echo(f"{'':<7}{note}")
         for path in written:
             click.echo(f"wrote {path}")
     if report.problems:

@@ -8,7 +8,6 @@ import click
 import numpy as np
 
 from ..lhm import expressions, fit_head, identities, load_template
-from ..lhm.errors import InputError
 from ..lhm.files.head_file import load_head
 from ..reference import Parameters
 from ..reference.parameter_file import read_parameters
@@ -20,7 +19,7 @@ AFile = click.Path(path_type=Path)
 @click.command()
 @click.argument("take")
 @click.option("--head", "head_file", type=AFile, help="a head by `head fit`; default: one fitted to --identities")
-@click.option("--identities", "space_name", default="anny", help="whose expressions, and head: 'anny' or 'ict:FILE'")
+@click.option("--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with --head: whose expressions")
 @click.option("--seed", type=click.IntRange(min=0), help="of a random identity; default: the mean")
 @click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults")
@@ -39,7 +38,7 @@ AFile = click.Path(path_type=Path)
 def simulate(
     take: str,
     head_file: Path | None,
-    space_name: str,
+    space_name: str | None,
     seed: int | None,
     level: int,
     parameter_file: Path | None,
@@ -62,6 +61,7 @@ def simulate(
     stopped goes on where it was. Exit status 1 if a frame, or the neutral face, did not converge; those are
     listed.
     """
+    from ..benchmarks.head_pictures import deltas_of
     from ..benchmarks.take import TakeConfig, cut, run_take, take_from_text
 
     if head_file is not None and seed is not None:
@@ -78,13 +78,11 @@ def simulate(
     try:
         with shown() as progress:
             progress("head", 0.0)
-            space = identities.from_text(space_name)
             if head_file is not None:
                 head = load_head(head_file)
-                if not np.array_equal(head.skin.triangles, space.triangles):
-                    raise InputError(f"{head_file}: its skin has not the triangles of {space.name!r}; see --identities")
-                deltas = space.expressions
+                deltas = deltas_of(head, str(head_file), space_name)
             else:
+                space = identities.from_text(space_name or "anny")
                 template = load_template(space, level=level, progress=progress)
                 code = np.zeros(space.code_size) if seed is None else space.sample(np.random.default_rng(seed))[0]
                 head, deltas = fit_head(template, space.skin(code)), space.expression_deltas(code)

@@ -4,7 +4,7 @@ from .files.cache import keep_compiled_functions
 
 keep_compiled_functions()
 
-from . import expressions, identities  # noqa: E402
+from . import expressions, identities, scans  # noqa: E402
 from .build import build_template  # noqa: E402
 from .check import HeadReport, check_head  # noqa: E402
 from .errors import FitError, InputError, MeshError, SoftdecaError  # noqa: E402
@@ -29,4 +29,5 @@ __all__ = [
     "fit_head",
     "identities",
     "load_template",
+    "scans",
 ]

@@ -67,7 +67,7 @@ def template_of(space: LinearSpace, *, level: int = DEFAULT_LEVEL, progress: OnP
 
     name = f"template-{space.name}-{space.fingerprint()}-{level}-{FORMAT}"
     template = template_from(cached(name, make))
-    return replace(template, regressor=default_regressor(template, space))
+    return replace(template, regressor=default_regressor(template, space), space=space)
 
 
 def build_template(

@@ -8,16 +8,20 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from .errors import MeshError, expect
 from .geometry.bvh import TriangleTree
-from .geometry.distance import SignedDistance
+from .geometry.closing import closed
+from .geometry.distance import SignedDistance, is_closed
 from .geometry.fans import fan_crossings
 from .geometry.quality import aspect_ratios, smallest_dihedrals
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
+from .membranes import BLINK, EYES, MOUTH, OPEN, at, torn
 from .mesh import Floats, Ints, Surface, tet_volumes
 from .openings import lid_path, lip_path
+from .rig import Rig
 
 Direction = Literal["at least", "at most", "above", "below"]
 
@@ -81,6 +85,8 @@ class HeadReport:
     both in the region "face"; without it, everywhere.
     `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
     `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
+    `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
+    sealed lips is, when the head's own rig opens the jaw or closes both eyes.
     `cranium_`, `mandible_`, `free_vertices`: of the skull wrap, by bone; a rigid motion needs three.
     `wrap_vertices`: of each wrap; below 3,000 `COARSE_BOUNDS` hold instead: edges twice as long leave flatter tets
     under thin tissue, and a wrap of them lies farther off where the skin bends.
@@ -121,6 +127,10 @@ class HeadReport:
     lid_path: float | None = _figure("mm")
     # Around the corner of a round eye it is pi / 2, across lids that are bridged little more than 1.
     lid_detour: float | None = _figure("", "at least", 1.4)
+    # Sealed lips: 1,100 to 3,200; lips that were opened: 50 to 120, and 800 where a scan's were ragged.
+    jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
+    # A closed eye's lids drawn down: 490; lids over a solid or an open eye: 0 to 320.
+    blink_torn: float | None = _figure("mm²", "at most", 400.0)
     cranium_vertices: int = _figure("", "at least", 3)
     mandible_vertices: int = _figure("", "at least", 3)
     free_vertices: int = _figure()
@@ -155,17 +165,25 @@ _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 def check_head(head: LayeredHead) -> HeadReport:
     """Measure all gates of a head (a quarter of a second)."""
     expect(LayeredHead, head=head)
-    return check_layers(head.skin, (head.skin_wrap, head.muscle_wrap, head.skull_wrap), head.bone, head.regions)
+    rigged = None if head.rig is None else (head.rig, head.skin_from_wrap)
+    wraps = (head.skin_wrap, head.muscle_wrap, head.skull_wrap)
+    return check_layers(head.skin, wraps, head.bone, head.regions, rigged=rigged)
 
 
 def check_layers(
-    skin: Surface, wraps: Sequence[Surface], bone: Ints, regions: Mapping[str, NDArray[np.bool_]]
+    skin: Surface,
+    wraps: Sequence[Surface],
+    bone: Ints,
+    regions: Mapping[str, NDArray[np.bool_]],
+    *,
+    rigged: tuple[Rig, csr_matrix] | None = None,
 ) -> HeadReport:
     """Measure all gates of layers that may make no valid head: inverted tets and crossings are counted.
 
     `wraps`: skin, muscle and skull wrap [mm], n vertices each on the same closed triangulation; `bone` (n,) and
-    `regions`, masks (n,), as in LayeredHead. Raises MeshError for an open skin or wrap, wraps of different triangles,
-    and masks of another shape.
+    `regions`, masks (n,), as in LayeredHead; `rigged`: the skin's rig and its weights of the skin wrap. A skin may be
+    open: its openings are closed by fans where a distance needs an inside. Raises MeshError for an open wrap, wraps of
+    different triangles, masks of another shape, and a skin with edges of more than two triangles.
     """
     triangles, n = wraps[0].triangles, len(wraps[0].vertices)
     for name, wrap in zip(_WRAPS, wraps, strict=True):
@@ -176,8 +194,8 @@ def check_layers(
             raise MeshError(f"{name}: expected shape ({n},), got {np.shape(mask)}")
     if "face" in regions and not regions["face"].any():
         raise MeshError("region 'face': no vertex of the wrap belongs to it")
-    for name, surface in (("wraps", wraps[0]), ("skin", skin)):
-        _check_closed(name, surface.triangles)
+    if not is_closed(triangles):
+        raise MeshError("wraps: the triangulation is not one closed surface, consistently oriented")
     inside = [SignedDistance(wrap) for wrap in wraps]
     return HeadReport(
         wrap_vertices=n,
@@ -187,16 +205,9 @@ def check_layers(
         **_thickness(*(wrap.vertices for wrap in wraps)),
         **_fit(skin, wraps, inside[0], regions),
         **_openings(wraps[0], regions),
+        **_torn(skin, rigged, regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
     )
-
-
-def _check_closed(name: str, triangles: Ints) -> None:
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    n = int(triangles.max()) + 1
-    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
-    if not np.array_equal(forth, back) or (np.diff(forth) == 0).any():
-        raise MeshError(f"{name}: the triangulation is not one closed surface, consistently oriented")
 
 
 def _tets(wraps: Sequence[Surface], triangles: Ints) -> dict[str, Any]:
@@ -251,7 +262,7 @@ def _fit(
     everywhere = np.ones(len(wraps[0].vertices), bool)
     face = regions.get("face", everywhere)
     pockets = regions.get("mouth", ~everywhere) | regions.get("eyes", ~everywhere)
-    to_skin = SignedDistance(skin)
+    to_skin = SignedDistance(closed(skin))
     signed, _, triangle, weights = to_wrap(skin.vertices)
     # A vertex of the skin belongs to a region if most of the wrap's triangle under it does.
     corners = wraps[0].triangles[triangle]
@@ -279,3 +290,16 @@ def _openings(wrap: Surface, regions: Mapping[str, NDArray[np.bool_]]) -> dict[s
     way, detour = lid_path(wrap.vertices, wrap.triangles, regions)
     lips = lip_path(wrap.vertices, wrap.triangles, regions)
     return {"lip_path": lips, "lid_path": way, "lid_detour": detour}
+
+
+def _torn(
+    skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, Any]:
+    found: dict[str, Any] = {"jaw_open_torn": None, "blink_torn": None}
+    if rigged is None:
+        return found
+    rig, weights = rigged
+    for figure, names, where in (("jaw_open_torn", OPEN, MOUTH), ("blink_torn", BLINK, EYES)):
+        if any(name in regions for name in where) and not set(names) & set(rig.missing):
+            found[figure] = torn(skin, rig, at(skin, weights, regions, where), names)
+    return found

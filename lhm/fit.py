@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from .arkit import ARKIT
 from .errors import InputError, expect
+from .expressions.transfer import transfer_expressions
 from .geometry.rigid import rigid_motion
 from .geometry.warp import TriharmonicWarp, farthest_points
 from .head import LayeredHead
+from .identities.space import LinearSpace
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
-from .registration import register, registered_by
+from .registration import Registration, register, registered_by
 from .registration.landmarks import Pairs
 from .regressor import DepthRegressor
+from .rig import Rig
 from .template import Template
 from .wraps import inner
 from .wraps.carried import Carrier, SkullCarrier
@@ -64,6 +69,7 @@ def fit_head(
     regressor: DepthRegressor | None = None,
     landmarks: Pairs | None = None,
     mapping: csr_matrix | tuple[Ints, Floats] | None = None,
+    own: Mapping[str, Floats] | None = None,
     progress: OnProgress = silent,
 ) -> LayeredHead:
     """The layered head of a neutral skin [mm].
@@ -76,6 +82,9 @@ def fit_head(
     by `mapping` (as in `registered_by`), or found (`register`, half a minute) from `landmarks` if given; the head's
     skin is then the given one, tied to the wraps through the other.
 
+    The head's rig has the expressions of the template's space, transferred to the registered skin (Sumner and Popović
+    2004), but for those in `own`: displacements [mm], shape (n, 3), of this skin by ARKit names.
+
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
     InputError for a skin of the template's triangles that is not of its size or does not look its way; and what
     `register` and `registered_by` raise.
@@ -87,18 +96,57 @@ def fit_head(
     )
     if same and mapping is None:
         _check_place(template.skin.vertices, skin.vertices)
-        return _fitted(template, skin, regressor)
+        rig = None if template.space is None else own_first(space_rig(template.space), own)
+        return replace(_fitted(template, skin, regressor), rig=rig)
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
     else:
         laid = registered_by(template.skin, template.parts, mapping, skin)
+    return fit_registered(template, skin, laid, regressor=regressor, own=own)
+
+
+def fit_registered(
+    template: Template,
+    skin: Surface,
+    laid: Registration,
+    *,
+    regressor: DepthRegressor | None = None,
+    own: Mapping[str, Floats] | None = None,
+) -> LayeredHead:
+    """The layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
     head = _fitted(template, laid.surface, regressor)
+    rig = None if template.space is None else own_first(transferred_rig(template.space, laid), own)
     return replace(
         head,
         skin=skin,
+        rig=rig,
+        registered=laid.surface,
         wrap_from_skin=(head.wrap_from_skin @ laid.template_weights).tocsr(),
         skin_from_wrap=(laid.skin_weights @ head.skin_from_wrap).tocsr(),
     )
+
+
+def space_rig(space: LinearSpace) -> Rig:
+    """The expressions of a space's own topology."""
+    return Rig(space.expressions.astype(np.float32), space.name, space.missing)
+
+
+def transferred_rig(space: LinearSpace, laid: Registration) -> Rig:
+    """A space's expressions transferred to its registered mean skin, and from there to the skin that it lies on."""
+    deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
+    carried = np.stack([laid.skin_weights @ delta for delta in deltas])
+    return Rig(carried.astype(np.float32), f"transferred from {space.name}", space.missing)
+
+
+def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
+    """The rig with the expressions in `own` in place of its own, by ARKit names."""
+    if not own:
+        return rig
+    deltas = np.array(rig.deltas)
+    for name, delta in own.items():
+        deltas[ARKIT.index(name)] = delta
+    source = f"{len(own)} of its own" + (f", the others {rig.source}" if len(own) < len(ARKIT) else "")
+    return Rig(deltas, source, tuple(name for name in rig.missing if name not in own), rig.doubtful)
 
 
 def _check_place(rest: Floats, skin: Floats) -> None:

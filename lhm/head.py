@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .errors import MeshError
+from .errors import InputError, MeshError
 from .layers import sub_layers
 from .mesh import Floats, Ints, Surface, TetMesh
+from .rig import Rig
 
 FREE, CRANIUM, MANDIBLE = 0, 1, 2
 
@@ -26,6 +27,8 @@ class LayeredHead:
     that carry displacements from one surface to the other. `regions` are named masks over the wrap's vertices.
     `muscles` and `skull`: the surfaces under the inner wraps, where the template has them.
     `volume`: `soft` and `muscle` where they are no prisms; their first 3 n vertices are the stacked wraps'.
+    `rig`: what the 52 expressions do to the skin; `registered`: the template's skin as it lies on this one, where that
+    has another topology; `notes`: what was found and changed on the way from a file to this head.
     Raises MeshError for wraps of different triangles, inverted tets by index, and a volume over other vertices.
     """
 
@@ -40,6 +43,9 @@ class LayeredHead:
     muscles: Surface | None = field(default=None, repr=False)
     skull: Surface | None = field(default=None, repr=False)
     volume: tuple[TetMesh, TetMesh] | None = field(default=None, repr=False)
+    rig: Rig | None = field(default=None, repr=False)
+    registered: Surface | None = field(default=None, repr=False)
+    notes: tuple[str, ...] = field(default=(), repr=False)
     soft: TetMesh = field(init=False, repr=False)
     muscle: TetMesh = field(init=False, repr=False)
 
@@ -57,6 +63,8 @@ class LayeredHead:
         ):
             if getattr(self, name).shape != shape:
                 raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
+        if self.rig is not None and self.rig.deltas.shape[1] != len(self.skin.vertices):
+            raise MeshError(f"rig: it has {self.rig.deltas.shape[1]} vertices, the skin {len(self.skin.vertices)}")
         try:
             soft, muscle = self.sub_layers(1, 1) if self.volume is None else self._checked(*self.volume)
         except MeshError as error:
@@ -85,6 +93,12 @@ class LayeredHead:
     def tets(self) -> Ints:
         """Soft tissue's tets, then muscle's, shape (k, 4); six for each triangle where they are prisms."""
         return np.vstack([self.soft.tets, self.muscle.tets])
+
+    def expression(self, weights) -> Floats:
+        """The skin [mm] under ARKit weights (52,) by its own rig, shape (skin vertices, 3); InputError without one."""
+        if self.rig is None:
+            raise InputError("head: it has no expressions of its own; fit it anew, or name an identity space that has")
+        return self.skin.vertices + self.rig.moved(weights)
 
     def wrap_targets(self, expression: Floats) -> Floats:
         """Where a skin expression [mm], shape (skin vertices, 3), takes the skin wrap's vertices, shape (n, 3)."""

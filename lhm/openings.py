@@ -27,6 +27,7 @@ def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np
     ring = _ring(triangles, regions["mouth"])
     if not ring.size:
         return 0.0
+    vertices = upright(vertices, regions)
     x = vertices[ring, 0]
     middle = ring[np.abs(x - 0.5 * (x.min() + x.max())) < LIP_MIDDLE]
     return float(_ways(vertices, triangles, middle[:1])[middle].max(initial=0.0)) if middle.size else 0.0
@@ -47,10 +48,31 @@ def lid_path(
     eyes = np.asarray(regions["eyes"], dtype=bool)
     if not eyes.any():
         return 0.0, 0.0
+    vertices = upright(vertices, regions)
     x = vertices[:, 0]
     middle = 0.5 * (x[eyes].min() + x[eyes].max())
     found = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
     return min(found, key=lambda pair: pair[1])
+
+
+def upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
+    """Points (n, 3) [mm] in the face's own axes, by its regions "mouth" and "eyes": across, up from mouth to eyes, out.
+
+    Across is the way between the eyes, to either side. As they are where a region is missing.
+    """
+    mouth, eyes = (np.asarray(regions.get(name, []), dtype=bool) for name in ("mouth", "eyes"))
+    if not mouth.any() or not eyes.any():
+        return vertices
+    sockets = vertices[eyes]
+    middle = sockets.mean(axis=0)
+    across = np.linalg.svd(sockets - middle, full_matrices=False)[2][0]
+    # The eyes' midpoint halves their extent, however many vertices each of them has.
+    reach = (sockets - middle) @ across
+    middle = middle + 0.5 * (reach.min() + reach.max()) * across
+    up = middle - vertices[mouth].mean(axis=0)
+    up = up - (up @ across) * across
+    up = up / max(float(np.linalg.norm(up)), 1e-30)
+    return (vertices - middle) @ np.stack([across, up, np.cross(across, up)], axis=1)
 
 
 def _lids(vertices: Floats, triangles: Ints, socket: NDArray[np.bool_]) -> tuple[float, float]:

@@ -35,7 +35,9 @@ class Template:
     `triangles` (m, 3); `room` (n,) [mm]: how long a column may be before it meets tissue of another; `bone`,
     `regions`, `wrap_from_skin` and `skin_from_wrap` as in LayeredHead. `muscles` and `skull`: the surfaces that the
     inner wraps lie on, where the template was built from some; `skull_bone`: which bone each vertex of the latter is.
-    `regressor`: how deep the skull wrap lies under a skin wrap; without one, as deep as in the template.
+    `regressor`: how deep the skull wrap lies under a skin wrap; without one, as deep as in the template. `space`: whose
+    mean head this is, where it is known: its expressions go to the heads that are fitted, and its identities help to
+    register skins of another topology.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Template:
     skull: Surface | None = field(default=None, repr=False)
     skull_bone: Ints | None = field(default=None, repr=False)
     regressor: DepthRegressor | None = field(default=None, repr=False)
+    space: LinearSpace | None = field(default=None, repr=False)
 
     @property
     def skin_wrap(self) -> Surface:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,10 +12,12 @@ import meshio
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..arkit import ARKIT
 from ..check import HeadReport, check_layers
 from ..errors import InputError, MeshError
 from ..head import LayeredHead
 from ..mesh import Surface, TetMesh
+from ..rig import Rig
 from .atomic import replaced
 from .npz import read_arrays, write_arrays
 
@@ -38,7 +41,29 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     if head.volume is not None:
         arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
         arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
-    write_arrays(path, arrays)
+    arrays |= _arrays_of_rig(head.rig)
+    arrays |= arrays_of_surface("registered", head.registered)
+    write_arrays(path, arrays | {"notes": np.array(json.dumps(head.notes))})
+
+
+def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
+    """A rig as arrays: displacements of the vertices that it moves."""
+    if rig is None:
+        return {}
+    moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
+    about = {"source": rig.source, "missing": rig.missing, "doubtful": dict(rig.doubtful)}
+    shape = np.array(rig.deltas.shape[1])
+    arrays = {"rig_vertices": shape, "rig_moved": moved, "rig_deltas": rig.deltas[:, moved]}
+    return arrays | {"rig_about": np.array(json.dumps(about))}
+
+
+def _rig_in(arrays: Mapping[str, np.ndarray]) -> Rig | None:
+    if "rig_deltas" not in arrays:
+        return None
+    about = json.loads(str(arrays["rig_about"]))
+    deltas = np.zeros((len(ARKIT), int(arrays["rig_vertices"]), 3), dtype=np.float32)
+    deltas[:, arrays["rig_moved"]] = arrays["rig_deltas"]
+    return Rig(deltas, about["source"], tuple(about["missing"]), about["doubtful"])
 
 
 def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
@@ -62,8 +87,7 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
         skin, wraps, bone, regions = _layers(arrays)
         shape = (len(bone), len(skin.vertices))
         wrap_from_skin, skin_from_wrap = (
-            csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=s)
-            for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
+            _weights_in(arrays, name, s) for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
         )
         inside = {name: surface_in(arrays, name) for name in _INSIDE}
         skin_wrap, muscle_wrap, skull_wrap = wraps
@@ -77,8 +101,19 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
             skin_from_wrap,
             regions,
             volume=_volume(arrays, wraps),
+            rig=_rig_in(arrays),
+            registered=surface_in(arrays, "registered"),
+            notes=_notes_in(arrays),
             **inside,
         )
+
+
+def _weights_in(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, int]) -> csr_matrix:
+    return csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=shape)
+
+
+def _notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    return tuple(json.loads(str(arrays["notes"]))) if "notes" in arrays else ()
 
 
 def _volume(arrays: Mapping[str, np.ndarray], wraps: Sequence[Surface]) -> tuple[TetMesh, TetMesh] | None:
@@ -94,7 +129,20 @@ def check_file(path: str | os.PathLike[str]) -> HeadReport:
     InputError names a file that is missing, damaged or something else.
     """
     with _named(path):
-        return check_layers(*_layers(_arrays(path)))
+        arrays = _arrays(path)
+        skin, wraps, bone, regions = _layers(arrays)
+        rig = _rig_in(arrays)
+        shape = (len(skin.vertices), len(bone))
+        rigged = None if rig is None else (rig, _weights_in(arrays, "skin_from_wrap", shape))
+        return check_layers(skin, wraps, bone, regions, rigged=rigged)
+
+
+def said_of(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], Mapping[str, str]]:
+    """What was found on the way to the head in a file, and the expressions that will not look right, with reasons."""
+    with _named(path):
+        arrays = _arrays(path)
+        rig = _rig_in(arrays)
+        return _notes_in(arrays), {} if rig is None else rig.doubtful
 
 
 def _arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -112,7 +160,7 @@ def _named(path: str | os.PathLike[str]) -> Iterator[None]:
         raise InputError(f"{path}: not a layered head, array {error.args[0]!r} is missing") from None
     except InputError:
         raise
-    except (MeshError, ValueError, TypeError) as error:
+    except (MeshError, ValueError, TypeError, IndexError) as error:
         raise InputError(f"{path}: damaged, {error}") from None
 
 

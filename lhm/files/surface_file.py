@@ -6,21 +6,19 @@ import os
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError, MeshError
 from ..mesh import Ints, Surface
-from .npz import read_arrays
+from .scan_file import read_scan
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-SUFFIXES = (".obj", ".ply", ".stl", ".npz")
 LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
 
 
 def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
-    """A triangle mesh from OBJ, PLY, STL, or NPZ with `vertices` and `triangles`; vertices keep their order.
+    """A triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
 
     `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, empty,
     damaged, no mesh, or holds values that are not finite.
@@ -28,35 +26,11 @@ def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
     path = Path(path)
     if unit not in MILLIMETRES:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty")
-    vertices, triangles = _read_npz(path) if path.suffix.lower() == ".npz" else _read_mesh(path)
+    scan = read_scan(path)
     try:
-        return Surface(np.asarray(vertices, dtype=np.float64) * MILLIMETRES[unit], triangles)
-    except (MeshError, ValueError, TypeError) as error:
+        return Surface(scan.vertices * MILLIMETRES[unit], scan.triangles)
+    except MeshError as error:
         raise InputError(f"{path}: {error}") from None
-
-
-def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    arrays = read_arrays(path, "vertices", "triangles", of="a surface")
-    return arrays["vertices"], arrays["triangles"]
-
-
-def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    # An STL file has no indices: its corners have to be merged. Elsewhere the order of vertices is kept.
-    merged = path.suffix.lower() == ".stl"
-    try:
-        mesh = trimesh.load(path, force="mesh", process=merged, maintain_order=not merged)
-    except Exception as error:  # trimesh's readers raise whatever the broken text makes them raise
-        raise InputError(f"{path}: not a readable mesh ({type(error).__name__}: {str(error)[:80]})") from None
-    triangles, vertices = (np.asarray(getattr(mesh, name, ())) for name in ("faces", "vertices"))
-    if triangles.ndim != 2 or not len(triangles):
-        raise InputError(f"{path}: no triangles found; is it a mesh?")
-    return vertices, triangles
 
 
 def check_skin(surface: Surface, *, openings: int = 0) -> None:

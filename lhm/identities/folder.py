@@ -10,7 +10,8 @@ import numpy as np
 
 from ..arkit import ARKIT
 from ..errors import InputError
-from ..files.surface_file import SUFFIXES, read_surface
+from ..files.scan_file import SUFFIXES
+from ..files.surface_file import read_surface
 from ..geometry.rigid import rigid_motion
 from ..mesh import Floats, Ints, Surface
 from .space import CAP, OUTSIDE, LinearSpace

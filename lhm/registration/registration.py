@@ -15,9 +15,10 @@ from ..progress import OnProgress, silent
 from ..wraps.landmarks import Landmarks, Mask, landmarks, regions
 from .checks import check_placed, registrable
 from .landmarks import Pairs, checked_pairs
-from .matching import FACING, Target
+from .matching import Target
 from .nonrigid import laid_onto
 from .start import automatic, similarity
+from .ties import barycentric, on_skin, on_template
 
 LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
 WORST_FACE = 3.0
@@ -73,7 +74,7 @@ def register(
     landmarks that are too few, out of range, off the skin or mirrored; FitError if no face is found in the skin or
     the registered face stays off it.
     """
-    places, face = _face(template_skin, parts)
+    places, face = face_of(template_skin, parts)
     whole = registrable(skin)
     target = Target(whole)
     progress("aligning the skin", 0.0)
@@ -119,7 +120,7 @@ def registered_by(
     surface = template_skin.with_vertices(weights @ skin.vertices)
     own = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
     crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - own
-    return _registration(surface, _face(template_skin, parts)[1], skin, max(crossings, 0))
+    return _registration(surface, face_of(template_skin, parts)[1], skin, max(crossings, 0))
 
 
 def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
@@ -129,10 +130,11 @@ def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
     bad = np.flatnonzero(((ids < 0) | (ids >= m)).any(axis=1))
     if bad.size:
         raise InputError(f"mapping: row {bad[0]} names skin vertices outside 0..{m - 1}")
-    return csr_matrix((weights.ravel(), (np.repeat(np.arange(n), 3), ids.ravel())), shape=(n, m))
+    return barycentric(ids, weights, (n, m))
 
 
-def _face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
+def face_of(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
+    """A template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
     if np.shape(parts) != (len(template_skin.vertices),):
         raise InputError(f"parts: expected shape ({len(template_skin.vertices)},), got {np.shape(parts)}")
     if not (parts == MOUTH).any() or not (parts == EYES).any():
@@ -144,15 +146,4 @@ def _face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
 def _registration(surface: Surface, face: Mask, skin: Surface, crossings: int) -> Registration:
     gap = TriangleTree(skin.vertices, skin.triangles).closest(surface.vertices[face])[2]
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
-    return Registration(surface, residual, _carrying(surface, skin), _carrying(skin, surface), crossings)
-
-
-def _carrying(surface: Surface, skin: Surface) -> csr_matrix:
-    """Weights (skin vertices, n) of the closest point that faces the same way, else of the closest."""
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
-    tree = TriangleTree(surface.vertices, surface.triangles)
-    triangle, weights, _ = tree.closest_facing(skin.vertices, skin.vertex_normals, faces, FACING)
-    lost = triangle < 0
-    triangle[lost], weights[lost], _ = tree.closest(skin.vertices[lost])
-    return _barycentric(surface.triangles[triangle], weights, len(skin.vertices), len(surface.vertices))
+    return Registration(surface, residual, on_template(surface, skin), on_skin(surface, skin), crossings)

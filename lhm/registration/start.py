@@ -53,13 +53,14 @@ def automatic(points: Floats, normals: Floats, target: Target) -> tuple[Similari
         c, s = np.cos(pitch), np.sin(pitch)
         rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
         start = Similarity(scale, rotation, goal + [0.0, height, 0.0] - scale * rotation @ tip)
-        moved = _icp(start, points[some], normals[some], target, COARSE_STEPS)
-        found.append((_score(moved, points[some], normals[some], target), len(found), moved))
-    moved = _icp(min(found)[2], points, normals, target, FINE_STEPS)
-    return moved, _score(moved, points, normals, target)
+        moved = icp(start, points[some], normals[some], target, COARSE_STEPS)
+        found.append((score(moved, points[some], normals[some], target), len(found), moved))
+    moved = icp(min(found)[2], points, normals, target, FINE_STEPS)
+    return moved, score(moved, points, normals, target)
 
 
-def _icp(start: Similarity, points: Floats, normals: Floats, target: Target, steps: int) -> Similarity:
+def icp(start: Similarity, points: Floats, normals: Floats, target: Target, steps: int) -> Similarity:
+    """The similarity after so many steps, each a fit to the closest points [mm], those far off left out."""
     limits = np.geomspace(30.0, CAP, steps)
     for limit in limits:
         closest, distance, weight = target.match(start(points), normals @ start.rotation.T)
@@ -70,6 +71,7 @@ def _icp(start: Similarity, points: Floats, normals: Floats, target: Target, ste
     return start
 
 
-def _score(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
+def score(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
+    """How far the points are off the target on average [mm at the points' own size], 10 mm where there is no match."""
     _, distance, weight = target.match(start(points), normals @ start.rotation.T)
     return float(np.where(weight > 0, np.minimum(distance, CAP), CAP).mean()) / start.scale

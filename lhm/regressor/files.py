@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..errors import InputError, SoftdecaError
-from ..files.surface_file import SUFFIXES, check_skin, read_surface
+from ..files.scan_file import SUFFIXES
+from ..files.surface_file import check_skin, read_surface
 from ..geometry.distance import SignedDistance
 from ..identities.space import LinearSpace
 from ..mesh import Surface

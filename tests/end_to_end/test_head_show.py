@@ -10,7 +10,7 @@ from softdeca.benchmarks.head_pictures import _cut_tets, _cut_triangles, head_pi
 from softdeca.lhm import load_template
 from softdeca.lhm.files.head_file import save_head
 
-PICTURES = ["fit.png", "layers.png", "quality.png", "sections.png"]
+PICTURES = ["fit.png", "layers.png", "quality.png", "sections.png", "skin.png"]
 
 
 @pytest.fixture(scope="module")

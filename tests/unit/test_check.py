@@ -139,6 +139,14 @@ def test_a_bridged_opening_is_told_from_a_pocket():
     assert lid_path(wrap, faces, nothing) == (0.0, 0.0) and lip_path(wrap, faces, nothing) == 0.0
 
 
+def test_an_open_skin_has_the_figures_of_the_closed_one():
+    _, faces, wraps, bone = parts(1)
+    surfaces = [Surface(x, faces) for x in wraps]
+    whole = check_layers(surfaces[0], surfaces, bone, {})
+    opened = check_layers(Surface(wraps[0], faces[1:]), surfaces, bone, {})
+    assert opened.skull_outside_skin == whole.skull_outside_skin == 0 and opened.problems == whole.problems
+
+
 def test_what_makes_no_layers_is_named():
     _, faces, wraps, bone = parts(1)
     surfaces = [Surface(x, faces) for x in wraps]
@@ -147,8 +155,9 @@ def test_what_makes_no_layers_is_named():
     opened = [Surface(x, faces[1:]) for x in wraps]
     with pytest.raises(MeshError, match="wraps: .*closed"):
         check_layers(surfaces[0], opened, bone, {})
-    with pytest.raises(MeshError, match="skin: .*closed"):
-        check_layers(opened[0], surfaces, bone, {})
+    fin = Surface(surfaces[0].vertices, np.vstack([faces, faces[:1]]))
+    with pytest.raises(MeshError, match="skin: edges with more than two triangles"):
+        check_layers(fin, surfaces, bone, {})
     with pytest.raises(MeshError, match="lips: expected shape"):
         check_layers(surfaces[0], surfaces, bone, {"lips": np.ones(3, bool)})
     with pytest.raises(MeshError, match="'face': no vertex"):

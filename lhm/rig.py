@@ -1,0 +1,57 @@
+"""What the 52 ARKit expressions do to one head's skin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arkit import ARKIT
+from .errors import InputError, MeshError
+from .mesh import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """`deltas` [mm], float32, shape (52, n, 3): what each expression adds to a neutral skin, in ARKit's order.
+
+    `source` says in words where they come from; `missing` names those that nothing is known of (zero), `doubtful` those
+    that will not look right on this skin, each with its reason. Raises MeshError for another shape, or values that are
+    not finite.
+    """
+
+    deltas: NDArray[np.float32]
+    source: str
+    missing: tuple[str, ...] = ()
+    doubtful: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        deltas = np.array(self.deltas, dtype=np.float32)
+        if deltas.ndim != 3 or deltas.shape[0] != len(ARKIT) or deltas.shape[2] != 3:
+            raise MeshError(f"rig: expected shape ({len(ARKIT)}, n, 3), got {deltas.shape}")
+        if not np.isfinite(deltas).all():
+            raise MeshError("rig: its displacements are not all finite")
+        deltas.flags.writeable = False
+        object.__setattr__(self, "deltas", deltas)
+
+    def moved(self, weights) -> Floats:
+        """What ARKit weights (52,) add to the skin [mm], shape (n, 3); InputError for another shape."""
+        values = np.asarray(weights, dtype=np.float64)
+        if values.shape != (len(ARKIT),):
+            raise InputError(f"weights: expected shape ({len(ARKIT)},), got {values.shape}")
+        used = np.flatnonzero(values)
+        return np.tensordot(values[used], self.deltas[used].astype(np.float64), axes=1)
+
+    def without(self, still: Mapping[str, str]) -> Rig:
+        """The rig in which some expressions do nothing, each by its ARKit name with the reason."""
+        if not still:
+            return self
+        deltas = np.array(self.deltas)
+        deltas[[ARKIT.index(name) for name in still]] = 0.0
+        return replace(self, deltas=deltas, doubtful={**self.doubtful, **still})
+
+    def doubting(self, doubtful: Mapping[str, str]) -> Rig:
+        """The rig with more expressions named that will not look right, each with its reason."""
+        return replace(self, doubtful={**self.doubtful, **doubtful})

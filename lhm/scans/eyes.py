@@ -1,0 +1,127 @@
+"""Whether the eyes of a skin are open, solid (lids and eyeball are one surface), or closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from ..arkit import ARKIT
+from ..identities.space import OUTSIDE, LinearSpace
+from ..mesh import Floats, Ints, Surface
+from ..registration.matching import Target
+from ..registration.start import similarity
+from ..wraps.landmarks import distance_to
+
+State = Literal["open", "solid", "closed"]
+SIDES = ("Left", "Right")
+AROUND, CLOSE = 16.0, 7.0
+"""[mm] of the template's lids: what is laid on the skin, and what is compared."""
+LIMITS = np.geomspace(6.0, 2.0, 10)
+FAR = 3.0
+"""[mm] Farther points count as this far."""
+CLOSED = 0.85
+"""A half-closed template that fits an eye so much better than an open one, in shares of its distance, says: closed."""
+DIRECT = 1.45
+"""A way from lid to lid of up to so many times the straight distance leads across the eye; around it is pi / 2."""
+LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
+"""What moves lids only, and a closed eye's lids do not."""
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """The states of the left and the right eye, the subject's."""
+
+    left: State
+    right: State
+
+    @property
+    def still(self) -> dict[str, str]:
+        """The expressions that do nothing on closed eyes, each with the reason."""
+        return {
+            f"{name}{side}": f"the {side.lower()} eye is closed: its lids stay as they are"
+            for side, state in zip(SIDES, (self.left, self.right), strict=True)
+            for name in LIDS
+            if state == "closed" and f"{name}{side}" in ARKIT
+        }
+
+    def told(self) -> str:
+        """What is said of them; empty for open eyes."""
+        if self.left == self.right:
+            return "" if self.left == "open" else f"eyes: {_WORDS[self.left]}"
+        both = (("left", self.left), ("right", self.right))
+        return "; ".join(f"{side} eye: {_WORDS[state]}" for side, state in both if state != "open")
+
+
+_WORDS = {
+    "closed": "closed; eyeBlink, eyeWide and eyeLook do nothing to the lids",
+    "solid": "solid, one surface with the lids; eyeBlink draws the lids over it",
+}
+
+
+def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface) -> Eyes:
+    """The states of a skin's eyes, which the registered template (n vertices) [mm] lies on.
+
+    `space`: whose expressions the template has; `lids`: the vertices of its lids' rims.
+    """
+    middle = np.median(template.vertices[parts == OUTSIDE, 0])
+    target = Target(skin)
+    states: list[State] = []
+    for side, sign in zip(SIDES, (1, -1), strict=True):
+        rim = lids[np.sign(template.vertices[lids, 0] - middle) == sign]
+        away = distance_to(template.vertices, template.vertices[rim])
+        visible = parts == OUTSIDE
+        blink = space.expressions[ARKIT.index(f"eyeBlink{side}")]
+        opened, halved = (
+            _misfit(template, weight * blink, registered.vertices, visible & (away < AROUND), away < CLOSE, target)
+            for weight in (0.0, 0.5)
+        )
+        if halved < CLOSED * opened:
+            states.append("closed")
+        else:
+            states.append("solid" if _way(template, rim, registered, skin) < DIRECT else "open")
+    return Eyes(*states)
+
+
+def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, target: Target) -> float:
+    """Mean distance [mm] of the template's lids, moved by `delta` and laid rigidly, to the skin."""
+    shape = template.with_vertices(template.vertices + delta)
+    x, normals = shape.vertices[patch], shape.vertex_normals[patch]
+    motion = similarity(template.vertices[patch], registered[patch])
+    for limit in LIMITS:
+        closest, distance, weight = target.match(motion(x), normals @ motion.rotation.T)
+        used = (weight > 0) & (distance < limit)
+        if used.sum() < 10:
+            return FAR
+        motion = similarity(x[used], closest[used])
+    _, distance, weight = target.match(motion(x), normals @ motion.rotation.T)
+    off = np.where(weight > 0, np.minimum(distance, FAR), FAR)
+    return float(off[close[patch]].mean())
+
+
+def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> float:
+    """The shortest way over the skin from the middle of the upper lid to that of the lower, over the straight one."""
+    x = template.vertices[rim]
+    centre = 0.5 * (x.min(axis=0) + x.max(axis=0))
+    order = np.argsort(np.abs(x[:, 0] - centre[0]), kind="stable")
+    above = x[order, 1] > centre[1]
+    ends = registered.vertices[[rim[order[above][0]], rim[order[~above][0]]]]
+    up = ends[0] - ends[1]
+    # A little away from the rims, on the lids themselves.
+    places = np.stack([ends[0] + 0.25 * up, ends[1] - 0.25 * up])
+    near = np.linalg.norm(skin.vertices - places.mean(axis=0), axis=1) < 2.5 * np.ptp(x[:, 0])
+    triangles = skin.triangles[near[skin.triangles].all(axis=1)]
+    if not len(triangles):
+        return np.inf
+    used = np.unique(triangles)
+    number = np.full(len(near), -1)
+    number[used] = np.arange(len(used))
+    edges = number[np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)]
+    points = skin.vertices[used]
+    graph = csr_matrix((np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1), edges.T), (len(used),) * 2)
+    start, end = (np.linalg.norm(points - place, axis=1).argmin() for place in places)
+    straight = np.linalg.norm(points[start] - points[end])
+    return float(dijkstra(graph, directed=False, indices=start)[end] / max(straight, 1e-9))

@@ -1,0 +1,190 @@
+"""From a file to a skin that a head can be fitted to: read, repaired, upright, in millimetres; it says what it did."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, MeshError, SoftdecaError
+from ..expressions.naming import arkit_named
+from ..files.scan_file import Scan, read_scan
+from ..files.surface_file import check_skin
+from ..fit import fit_registered
+from ..geometry.bvh import TriangleTree
+from ..geometry.closing import openings
+from ..head import LayeredHead
+from ..mesh import Floats, Ints, Surface
+from ..progress import OnProgress, silent
+from ..registration.landmarks import Pairs, named_landmarks
+from ..registration.registration import face_of, register
+from ..regressor import DepthRegressor
+from ..template import Template
+from .placing import Placement, millimetres, placed
+from .repair import Repaired, repaired
+from .seals import left_sealed, named, opened_up
+
+ENOUGH = 5
+"""So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
+OFF = 0.08
+"""Landmarks in a file's own coordinates lie within this share of its extent off the mesh."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeadScan:
+    """A scan ready to be fitted: `skin` [mm], upright, +z the front; what was done on the way stands in `notes`.
+
+    `own`: displacements [mm], shape (n, 3), of the morph targets that have ARKit names; `landmarks`: pairs of template
+    vertices and points on the skin [mm], or None; `origin` (n,): the file's vertex that each of the skin's is.
+    """
+
+    skin: Surface
+    own: Mapping[str, Floats] = field(repr=False)
+    landmarks: Pairs | None = field(repr=False)
+    origin: Ints = field(repr=False)
+    placement: Placement = field(repr=False)
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Said:
+    """What is said of a scan's place rather than found: `unit`, `up` and `front` as in `placed`.
+
+    `landmarks`: points by the names of `landmark_ids`, in the file's coordinates, or in millimetres along its axes.
+    """
+
+    unit: str | None = None
+    up: str | None = None
+    front: str | None = None
+    landmarks: Mapping[str, Any] | None = None
+
+
+def read_head_scan(
+    path: str | os.PathLike[str],
+    template: Template,
+    said: Said = Said(),  # noqa: B008 (frozen)
+    *,
+    repair: bool = True,
+    progress: OnProgress = silent,
+) -> HeadScan:
+    """Read a scan (OBJ, PLY, STL, glTF, NPZ) of a head in any unit and orientation.
+
+    What is not `said` is found; without `repair` the mesh is taken as it is. Raises InputError that names the file for
+    what cannot be read, is no head, or needs to be said.
+    """
+    scan = read_scan(path)
+    try:
+        done = repaired(scan) if repair else Repaired.of(scan)
+        return _upright(done, template, said, progress)
+    except SoftdecaError as error:
+        raise InputError(str(error) if str(path) in str(error) else f"{Path(path)}: {error}") from None
+
+
+def topology_of(path: str | os.PathLike[str], template: Template, *, unit: str | None = None) -> Surface | None:
+    """The skin in a file whose triangles are the template's, upright [`unit`, default mm]; None if they are others."""
+    scan = read_scan(path)
+    if not np.array_equal(scan.triangles, template.skin.triangles) or scan.morphs:
+        return None
+    skin = Surface(scan.vertices * (1.0 if unit is None else millimetres(unit)), scan.triangles)
+    try:
+        check_skin(skin)
+    except MeshError as error:
+        raise InputError(f"{Path(path)}: {error}") from None
+    return skin
+
+
+def fit_scan(
+    path: str | os.PathLike[str],
+    template: Template,
+    said: Said = Said(),  # noqa: B008 (frozen)
+    *,
+    repair: bool = True,
+    unseal: bool = True,
+    progress: OnProgress = silent,
+) -> LayeredHead:
+    """The layered head of a scan with its own expressions: `read_head_scan`, then `fit_head_scan`."""
+    scan = read_head_scan(path, template, said, repair=repair, progress=progress)
+    return fit_head_scan(scan, template, unseal=unseal, progress=progress)
+
+
+def _upright(done: Repaired, template: Template, said: Said, progress: OnProgress) -> HeadScan:
+    skin = done.scan.surface
+    _, face = face_of(template.skin, template.parts)
+    points, normals = template.skin.vertices[face], template.skin.vertex_normals[face]
+    pairs = None
+    if said.landmarks is not None:
+        pairs = _in_file(named_landmarks(template.skin, template.parts, said.landmarks), done.scan, said.unit)
+    known = None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1])
+    where = placed(
+        skin, (points, normals), landmarks=known, unit=said.unit, up=said.up, front=said.front, progress=progress
+    )
+    notes = [*done.notes, *where.notes, _told_openings(skin)]
+    own = {}
+    named = arkit_named(done.scan.morphs)
+    if len(named) >= ENOUGH:
+        turn = where.motion.scale * where.motion.rotation
+        own = {name: delta @ turn.T for name, delta in named.items()}
+        notes.append(f"expressions: {len(own)} of the file's {len(done.scan.morphs)} morph targets are ARKit's")
+    if pairs is not None:
+        pairs = pairs[0], where.motion(pairs[1])
+    upright = Surface(where.motion(skin.vertices), skin.triangles)
+    return HeadScan(upright, own, pairs, done.origin, where, tuple(notes))
+
+
+def fit_head_scan(
+    scan: HeadScan,
+    template: Template,
+    *,
+    regressor: DepthRegressor | None = None,
+    unseal: bool = True,
+    progress: OnProgress = silent,
+) -> LayeredHead:
+    """The head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`.
+
+    With `unseal` a mouth that is sealed is opened; closed and solid eyes, and a mouth that stays sealed, are named in
+    the notes with the expressions that will not work, which the head's rig names too.
+    """
+    laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
+    open_ = opened_up if unseal else left_sealed
+    done = open_(template, laid, scan.skin, scan.own)
+    head = fit_registered(template, done.skin, done.laid, regressor=regressor, own=done.own)
+    if head.rig is not None:
+        head = replace(head, rig=named(head.rig, done, head))
+    return replace(head, notes=(*scan.notes, *done.notes))
+
+
+def _in_file(pairs: Pairs, scan: Scan, unit: str | None) -> Pairs:
+    """Landmarks in the file's own coordinates, where they may have been given in millimetres along its axes."""
+    ids, points = pairs
+    extent = float(np.ptp(scan.vertices[np.unique(scan.triangles)], axis=0).max())
+    tree = TriangleTree(scan.vertices, scan.triangles)
+    tried = {"the file's unit": 1.0}
+    if unit is not None:
+        tried["millimetres"] = 1.0 / millimetres(unit)
+    else:
+        tried |= {"millimetres": 0.1, "mm": 1e-3}
+    off = {name: float(np.median(tree.closest(points * factor)[2])) for name, factor in tried.items()}
+    name = min(off, key=lambda key: off[key])
+    if off[name] > OFF * extent:
+        raise InputError(
+            f"landmarks: they lie {off[name]:.3g} off the mesh, which is {extent:.4g} large; expected in the file's "
+            "own coordinates, or in millimetres along its axes"
+        )
+    return ids, points * tried[name]
+
+
+def _told_openings(skin: Surface) -> str:
+    try:
+        loops = openings(skin.triangles)
+    except MeshError:
+        return "openings: not counted, the mesh is not a manifold"
+    if not loops:
+        return "openings: none, the surface is closed"
+    sizes = [float(np.linalg.norm(np.ptp(skin.vertices[loop], axis=0))) for loop in loops]
+    extent = float(np.ptp(skin.vertices, axis=0).max())
+    large = sum(size > 0.05 * extent for size in sizes)
+    return f"openings: {len(loops)} ({large} of them large); they stay open"

@@ -1,0 +1,224 @@
+"""Where the face of a scan is: its size, which way it looks, and the motion that puts it upright in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from ..errors import FitError, InputError
+from ..mesh import Floats, Surface
+from ..progress import OnProgress, silent
+from ..registration.matching import Target
+from ..registration.start import Similarity, icp, score, similarity
+from .sieve import Sieve
+
+UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+"""Millimetres in a unit."""
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+USUAL, WIDEST = (0.75, 1.35), (0.55, 1.8)
+"""Sizes of a face against the template's: what is taken for a known unit, and what is let pass where one is named."""
+HEAD = 250.0
+"""[mm] The template's largest extent; a bust's is up to some twice that."""
+BUSTS = (1.0, 1.5, 2.2)
+FOUND, TILTED = 3.2, 20.0
+"""Scores [mm of the template] up to which a face is found; degrees up to which a head's own axes are kept."""
+SIEVES = ((50, 200, 3), (50, 60, 4), (120, 12, 6), (250, 4, 10))
+"""Points of the face, how many starts are kept, and steps of each."""
+MORE = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """x -> `motion`(x) takes a file's points to a head's: millimetres, +z the front, +y up. `notes` say what was found.
+
+    `score` [mm]: how far the template's face is off, rigidly laid upon the scan's.
+    """
+
+    motion: Similarity
+    score: float
+    notes: tuple[str, ...]
+
+    def inverse(self, points: Floats) -> Floats:
+        """Points (n, 3) of the head [mm] in the file's own unit and axes."""
+        return (points - self.motion.shift) @ self.motion.rotation / self.motion.scale
+
+
+def placed(
+    skin: Surface,
+    face: tuple[Floats, Floats],
+    *,
+    landmarks: tuple[Floats, Floats] | None = None,
+    unit: str | None = None,
+    up: str | None = None,
+    front: str | None = None,
+    progress: OnProgress = silent,
+) -> Placement:
+    """Find the face of a skin that is given in any unit and orientation.
+
+    `face`: points [mm] and normals (k, 3) of the template's face, which looks along +z with +y up. `landmarks`: points
+    of the template [mm] and of the skin that belong together, in the skin's own coordinates; they decide alone. `unit`:
+    mm, cm, m, in, or millimetres in the file's unit as a number; `up` and `front`: x, y, z, -x, -y or -z. What is not
+    said is found by laying the face upon the skin from all sides. A head less than 20° off its axes is not tilted.
+    Raises InputError for an unknown unit or axis, and FitError if no face is found.
+    """
+    given = None if unit is None else millimetres(unit)
+    rotations = _rotations(up, front)
+    used = skin.vertices[np.unique(skin.triangles)]
+    if landmarks is not None:
+        found = similarity(*landmarks)
+        off = float(np.linalg.norm(found(landmarks[0]) - landmarks[1], axis=1).mean() / found.scale)
+    else:
+        found, off = _searched(skin, used, face, given, rotations, progress)
+        if off > FOUND:
+            raise FitError(
+                f"skin: no face found in it (the template's face fits it to {off:.1f} mm, at most {FOUND:g}); "
+                "is it a head, with its face? --up, --front and --unit, or --landmarks, say where it is"
+            )
+    told, scale = _unit(given, 1.0 / found.scale, float(np.ptp(used, axis=0).max()))
+    rotation, way = _upright(found.rotation.T, known=up is not None and front is not None)
+    return Placement(Similarity(scale, rotation, np.zeros(3)), off, (told, way))
+
+
+def millimetres(unit: str) -> float:
+    """Millimetres in a unit, by its name or as a number; InputError for others."""
+    if unit in UNITS:
+        return UNITS[unit]
+    try:
+        value = float(unit)
+    except ValueError:
+        value = float("nan")
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}, or how many millimetres it has, as 49")
+    return value
+
+
+def _rotations(up: str | None, front: str | None) -> list[Floats]:
+    """The rotations from the template's axes to the file's that are possible, by axes; up to 24."""
+    for name, axis in (("up", up), ("front", front)):
+        if axis is not None and axis not in AXES:
+            raise InputError(f"{name} {axis!r}: expected one of {', '.join(AXES)}")
+    directions = {axis: (-1 if axis.startswith("-") else 1) * np.eye(3)["xyz".index(axis[-1])] for axis in AXES}
+    found = []
+    for high, ahead in permutations(AXES, 2):
+        if high[-1] != ahead[-1] and (up in (None, high)) and (front in (None, ahead)):
+            y, z = directions[high], directions[ahead]
+            found.append(np.stack([np.cross(y, z), y, z], axis=1))
+    if not found:
+        raise InputError(f"up {up!r} and front {front!r}: expected two different axes")
+    # The usual ones first: of equals the first counts.
+    usual = (("y", "z"), ("z", "-y"), ("y", "-z"), ("z", "y"), ("z", "x"))
+    rank = {pair: k for k, pair in enumerate(usual)}
+    keys = [(_axis(r[:, 1]), _axis(r[:, 2])) for r in found]
+    return [found[k] for k in sorted(range(len(found)), key=lambda k: rank.get(keys[k], len(usual)))]
+
+
+def _axis(direction: Floats) -> str:
+    k = int(np.abs(direction).argmax())
+    return ("-" if direction[k] < 0 else "") + "xyz"[k]
+
+
+def _searched(
+    skin: Surface,
+    used: Floats,
+    face: tuple[Floats, Floats],
+    given: float | None,
+    rotations: Sequence[Floats],
+    progress: OnProgress,
+) -> tuple[Similarity, float]:
+    """The similarity from the template's face to the skin in its file's unit, and its score [mm of the template]."""
+    free = [size * HEAD / float(np.ptp(used, axis=0).max()) for size in BUSTS]
+    best: tuple[float, Similarity] = (np.inf, Similarity(1.0, np.eye(3), np.zeros(3)))
+    tilts = [np.eye(3)]
+    # A unit that is said and in which there is no face may be the wrong one: then the right one can be told.
+    for attempt, sizes in enumerate(([given] if given else free, free)):
+        turns = [turn @ tilt for turn in rotations for tilt in tilts]
+        for number, size in enumerate(sizes):
+            progress("finding the face", (attempt + number / len(sizes)) / 2)
+            target = Target(Surface(skin.vertices * size, skin.triangles))
+            found, off = _best(target, used * size, face, turns)
+            if off < best[0]:
+                best = off, Similarity(found.scale / size, found.rotation, found.shift / size)
+        if best[0] <= FOUND:
+            break
+        tilts = _tilts()
+    progress("finding the face", 1.0)
+    return best[1], best[0]
+
+
+def _tilts() -> list[Floats]:
+    """Half-way turns between the axes: 45° about each, and about pairs of them."""
+    angles = [(a, b, c) for a, b, c in product((-1, 0, 1), repeat=3) if (a, b, c) != (0, 0, 0) and 0 in (a, b, c)]
+    return [_turn(np.radians(36.0) * np.array(angle)) for angle in angles]
+
+
+def _turn(vector: Floats) -> Floats:
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _best(
+    target: Target, used: Floats, face: tuple[Floats, Floats], turns: Sequence[Floats]
+) -> tuple[Similarity, float]:
+    """The best of many starts: sieved by points and normals alone, the last few laid upon the surface itself."""
+    points, normals = face
+    starts = [start for turn in turns for start in _starts(used, points, turn)]
+    sieve = Sieve.of(target.skin)
+    for count, kept, steps in SIEVES:
+        some = np.unique(np.linspace(0, len(points) - 1, count).astype(int))
+        starts = sieve.best(starts, points[some], normals[some], kept, steps)
+    more = np.unique(np.linspace(0, len(points) - 1, MORE).astype(int))
+    fine = []
+    for number, start in enumerate(starts):
+        moved = icp(start, points[more], normals[more], target, 20)
+        if 0.3 < moved.scale < 3.0:
+            fine.append((score(moved, points[more], normals[more], target), number, moved))
+    if not fine:
+        return Similarity(1.0, np.eye(3), np.zeros(3)), np.inf
+    moved = icp(min(fine, key=lambda item: item[:2])[2], points, normals, target, 10)
+    return moved, score(moved, points, normals, target)
+
+
+def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
+    """The template's foremost point on the skin's foremost in the upper part of it, at some heights."""
+    upright = used @ turn  # in the template's axes
+    top, low = upright[:, 1].max(), upright[:, 1].min()
+    tip = points[points[:, 2].argmax()]
+    found = []
+    for reach in (0.45, 0.7, 1.0):
+        part = upright[upright[:, 1] > top - reach * (top - low)]
+        goal = part[part[:, 2].argmax()]
+        for height in (-18.0, 12.0):
+            found.append(Similarity(1.0, turn, (goal + [0.0, height, 0.0]) @ turn.T - turn @ tip))
+    return found
+
+
+def _unit(given: float | None, guess: float, extent: float) -> tuple[str, float]:
+    """What is said about the unit, and millimetres in it."""
+    if given is not None:
+        size = given / guess
+        if not WIDEST[0] <= size <= WIDEST[1]:
+            raise FitError(f"skin: in that unit its face is {size:.3g} times the template's size: another --unit?")
+        return f"unit: {given:g} mm, as said (its face is {size:.2f} times the template's)", given
+    for name, known in UNITS.items():
+        size = known / guess
+        if USUAL[0] <= size <= USUAL[1]:
+            return f"unit: taken for {name}, in which its face is {size:.2f} times the template's", known
+    return (
+        f"unit: none known; taken for {guess:.4g} mm, by which its face has the template's size (--unit says else)",
+        guess,
+    )
+
+
+def _upright(rotation: Floats, *, known: bool) -> tuple[Floats, str]:
+    """A rotation from the file's axes to the head's: the nearest by axes where that is near, and what is said of it."""
+    nearest = max(_rotations(None, None), key=lambda turn: float(np.trace(turn @ rotation))).T
+    angle = np.degrees(np.arccos(np.clip((np.trace(nearest.T @ rotation) - 1) / 2, -1, 1)))
+    up, front = _axis(nearest[1]), _axis(nearest[2])
+    if angle <= TILTED or known:
+        return nearest, f"axes: {up} is up, {front} the front"
+    return rotation, f"axes: turned upright ({angle:.0f}° from {up} up and {front} the front)"

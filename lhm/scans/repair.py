@@ -1,0 +1,221 @@
+"""Make one oriented manifold of a mesh as files have them, and say what was changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import cKDTree
+
+from ..errors import MeshError
+from ..files.scan_file import Scan
+from ..geometry.parts import connected_parts
+from ..mesh import Floats, Ints
+
+SAME = 1e-6
+"""Vertices closer than this share of the mesh's extent are one, if both lie on open edges."""
+HAIR = 1e-12
+"""Triangles of less than this share of the largest extent squared have no area."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repaired:
+    """A scan that is one piece, its file's vertex that each of its own is (`origin`, shape (n,)), and what was done."""
+
+    scan: Scan
+    origin: Ints = field(repr=False)
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, scan: Scan) -> Repaired:
+        """The scan as it is."""
+        return cls(scan, np.arange(len(scan.vertices)), ())
+
+
+def repaired(scan: Scan) -> Repaired:
+    """The main piece of a scan as an oriented manifold, open or closed.
+
+    In turns: vertices that lie upon one another on open edges (the seams of textures) become one; triangles without
+    area and doubles go; at edges with more than two triangles and at vertices where fans touch the surface is cut;
+    neighbours are turned the same way round, and all of them outwards; of several pieces the main one is kept: the one
+    that moves most in the morph targets, or else the largest. Openings stay. Raises MeshError if nothing is left.
+    """
+    done = Repaired.of(scan)
+    for step in (_merged, _sound, _manifold, _oriented, _one_piece, _outwards):
+        done = step(done)
+    return done
+
+
+def _merged(given: Repaired) -> Repaired:
+    scan = given.scan
+    rim = np.unique(_edges_of(scan.triangles, 1))
+    if not len(rim):
+        return given
+    # Lips that touch at rest may not be sewn together: what moves apart is told apart by the morph targets.
+    places = np.hstack([scan.vertices[rim], *(delta[rim] for delta in scan.morphs.values())])
+    pairs = cKDTree(places).query_pairs(SAME * max(_extent(scan), 1e-30), output_type="ndarray")
+    if not len(pairs):
+        return given
+    n = len(scan.vertices)
+    joined = coo_matrix((np.ones(len(pairs)), (rim[pairs[:, 0]], rim[pairs[:, 1]])), shape=(n, n))
+    _, label = connected_components(joined, directed=False)
+    _, first, number = np.unique(label, return_index=True, return_inverse=True)
+    note = f"{n - len(first)} vertices that lie on others at seams were merged with them"
+    return _over(given, first, number.ravel()[scan.triangles], note)
+
+
+def _sound(given: Repaired) -> Repaired:
+    scan, triangles = given.scan, given.scan.triangles
+    a, b, c = (scan.vertices[triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1) & (area > HAIR * _extent(scan) ** 2)
+    _, once = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    single = np.zeros(len(triangles), bool)
+    single[once] = True
+    kept = distinct & single
+    if kept.all():
+        return given
+    if not kept.any():
+        raise MeshError("skin: none of its triangles has an area")
+    notes = []
+    if (~distinct).any():
+        notes.append(f"{(~distinct).sum()} triangles without area were dropped")
+    if (distinct & ~single).any():
+        notes.append(f"{(distinct & ~single).sum()} doubled triangles were dropped")
+    return _with(given, triangles[kept], *notes)
+
+
+def _manifold(given: Repaired) -> Repaired:
+    """Cut at edges of more than two triangles, and where fans of triangles only touch at a vertex."""
+    scan, triangles = given.scan, given.scan.triangles
+    m, n = len(triangles), len(scan.vertices)
+    left, right, ends = _neighbours(triangles)
+    # Two corners at a vertex belong together if their triangles share an ordinary edge there.
+    rows, columns = [], []
+    for end in ends.T:
+        rows.append(3 * left + (triangles[left] == end[:, None]).argmax(axis=1))
+        columns.append(3 * right + (triangles[right] == end[:, None]).argmax(axis=1))
+    pairs = (np.concatenate(rows), np.concatenate(columns))
+    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(3 * m, 3 * m))
+    fans, fan = connected_components(graph, directed=False)
+    used = len(np.unique(triangles))
+    if fans == used:
+        return given
+    vertex = np.empty(fans, dtype=np.int64)
+    vertex[fan] = triangles.ravel()
+    crowded = len(_edges_of(triangles, 3))
+    what = f"{crowded} edges of more than two triangles" if crowded else "vertices where surfaces only touch"
+    order = np.argsort(vertex, kind="stable")
+    place = np.empty(fans, dtype=np.int64)
+    place[order] = np.arange(fans)
+    note = f"the surface was cut at {what} ({fans - used} vertices doubled)"
+    return _over(given, vertex[order], place[fan].reshape(-1, 3), note if n else "")
+
+
+def _oriented(given: Repaired) -> Repaired:
+    triangles = given.scan.triangles
+    m = len(triangles)
+    left, right, ends = _neighbours(triangles)
+    # Neighbours agree if they run through their edge in opposite directions.
+    against = _forward(triangles[left], ends) == _forward(triangles[right], ends)
+    if not against.any():
+        return given
+    graph = coo_matrix((np.where(against, 2.0, 1.0), (left, right)), shape=(m, m)).tocsr()
+    graph = graph + graph.T
+    _, piece = connected_components(graph, directed=False)
+    turned = np.zeros(m, bool)
+    for first in np.unique(piece, return_index=True)[1]:
+        order, before = breadth_first_order(graph, first, directed=False)
+        for triangle in order[1:]:
+            turned[triangle] = turned[before[triangle]] ^ (graph[before[triangle], triangle] == 2.0)
+        members = piece == piece[first]
+        if turned[members].sum() > 0.5 * members.sum():
+            turned[members] = ~turned[members]
+    turned_back = np.where(turned[:, None], triangles[:, ::-1], triangles)
+    done = _with(given, turned_back, f"{turned.sum()} triangles were turned the way round of their neighbours")
+    left, right, ends = _neighbours(turned_back)
+    if (_forward(turned_back[left], ends) == _forward(turned_back[right], ends)).any():
+        raise MeshError("skin: its surface has one side only, like a Moebius strip; it cannot be a head's")
+    return done
+
+
+def _one_piece(given: Repaired) -> Repaired:
+    scan = given.scan
+    count, part = connected_parts(scan.triangles, len(scan.vertices))
+    of_triangle = part[scan.triangles[:, 0]]
+    pieces = len(np.unique(of_triangle))
+    if pieces == 1:
+        return given if count == 1 else _used(given)
+    a, b, c = (scan.vertices[scan.triangles[:, k]] for k in range(3))
+    weight = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    how = "largest"
+    if scan.morphs:
+        moved = sum((np.linalg.norm(delta, axis=1) for delta in scan.morphs.values()), np.zeros(len(scan.vertices)))
+        if moved.any():
+            weight, how = weight * moved[scan.triangles].mean(axis=1), "one that the morph targets move most"
+    kept = of_triangle == np.bincount(of_triangle, weights=weight, minlength=count).argmax()
+    note = (
+        f"of {pieces} separate pieces the {how} was kept; {np.count_nonzero(~kept)} triangles (eyes, teeth, hair ...?)"
+    )
+    return _used(_with(given, scan.triangles[kept], note + " are left out"))
+
+
+def _outwards(given: Repaired) -> Repaired:
+    scan = given.scan
+    a, b, c = (scan.vertices[scan.triangles[:, k]] - scan.vertices.mean(axis=0) for k in range(3))
+    if np.einsum("md,md->", a + b + c, np.cross(b - a, c - a)) >= 0:
+        return given
+    return _with(given, scan.triangles[:, ::-1], "its triangles faced inwards and were turned round")
+
+
+def _used(given: Repaired) -> Repaired:
+    used = np.unique(given.scan.triangles)
+    number = np.full(len(given.scan.vertices), -1)
+    number[used] = np.arange(len(used))
+    return _over(given, used, number[given.scan.triangles])
+
+
+def _with(given: Repaired, triangles: Ints, *notes: str) -> Repaired:
+    return replace(given, scan=replace(given.scan, triangles=triangles), notes=(*given.notes, *notes))
+
+
+def _over(given: Repaired, ids: Ints, triangles: Ints, *notes: str) -> Repaired:
+    """Over the vertices `ids` of the given scan."""
+    scan = given.scan
+    morphs: Mapping[str, Floats] = {name: delta[ids] for name, delta in scan.morphs.items()}
+    return Repaired(Scan(scan.vertices[ids], triangles, morphs), given.origin[ids], (*given.notes, *notes))
+
+
+def _extent(scan: Scan) -> float:
+    return float(np.ptp(scan.vertices[np.unique(scan.triangles)], axis=0).max())
+
+
+def _sides(triangles: Ints) -> tuple[Ints, Ints, Ints]:
+    """The edges (k, 2), the number of each triangle's three sides among them, (3 m,), and how many have each."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    n = int(sides.max()) + 1
+    key, number, times = np.unique(sides[:, 0] * n + sides[:, 1], return_inverse=True, return_counts=True)
+    return np.stack([key // n, key % n], axis=1), number.ravel(), times
+
+
+def _edges_of(triangles: Ints, least: int) -> Ints:
+    """The edges (k, 2) of one triangle (`least` 1), or of at least so many."""
+    edges, _, times = _sides(triangles)
+    return edges[times == 1] if least == 1 else edges[times >= least]
+
+
+def _neighbours(triangles: Ints) -> tuple[Ints, Ints, Ints]:
+    """The two triangles at each edge that has two, shape (k,) each, and its ends (k, 2)."""
+    edges, number, times = _sides(triangles)
+    order = np.argsort(number, kind="stable")
+    order = order[times[number[order]] == 2]
+    return order[::2] // 3, order[1::2] // 3, edges[number[order[::2]]]
+
+
+def _forward(triangles: Ints, ends: Ints) -> np.ndarray:
+    """Whether each triangle runs from its edge's first end to the second."""
+    place = (triangles == ends[:, :1]).argmax(axis=1)
+    return triangles[np.arange(len(triangles)), (place + 1) % 3] == ends[:, 1]

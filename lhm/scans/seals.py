@@ -1,0 +1,82 @@
+"""What is sealed in a skin: found once the template lies on it, opened where that can be done, named where not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..arkit import ARKIT
+from ..errors import MeshError
+from ..head import LayeredHead
+from ..membranes import MOUTH, at, torn
+from ..mesh import Floats, Surface
+from ..registration.registration import Registration
+from ..rig import Rig
+from ..template import Template
+from .eyes import Eyes, eyes_of
+from .lips import lip_line
+from .mouth import is_sealed, opened
+
+TEARS = 100.0
+"""[mm²] An expression that stretches more than this of a sealed mouth fivefold will not look right."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unsealed:
+    """A skin and the registration on it after what was sealed is opened, and what is said of it.
+
+    `own`: its own displacements [mm] by ARKit names; `still`: expressions that do nothing on it, with the reason;
+    `sealed`: whether its mouth stays closed.
+    """
+
+    skin: Surface
+    laid: Registration
+    own: Mapping[str, Floats] = field(repr=False)
+    still: Mapping[str, str]
+    sealed: bool
+    notes: tuple[str, ...]
+
+
+def opened_up(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
+    """Open a mouth that is sealed, and say in what state the eyes are.
+
+    A skin with a jawOpen of its own is left as it is.
+    """
+    still, told = _eyes(template, laid, skin, own)
+    if "jawOpen" in own:
+        return Unsealed(skin, laid, own, still, False, told)
+    try:
+        mouth = opened(template.skin, template.parts, laid, skin)
+    except MeshError as error:
+        return Unsealed(skin, laid, own, still, True, (f"mouth: sealed, and not to be opened ({error})", *told))
+    if mouth is None:
+        return Unsealed(skin, laid, own, still, False, told)
+    more = len(mouth.skin.vertices) - len(skin.vertices)
+    note = f"mouth: sealed; opened between the lips, with the template's lining behind them ({more} more vertices)"
+    return Unsealed(mouth.skin, mouth.laid, mouth.carried(own), still, False, (note, *told))
+
+
+def left_sealed(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
+    """Leave the skin as it is, and say what is sealed."""
+    still, told = _eyes(template, laid, skin, own)
+    sealed = "jawOpen" not in own and is_sealed(lip_line(template.skin, template.parts, laid.surface, skin), skin)
+    return Unsealed(skin, laid, own, still, sealed, ("mouth: sealed, and left so", *told) if sealed else told)
+
+
+def named(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
+    """The rig in which closed lids stay still, and what tears a mouth that stayed sealed is named."""
+    rig = rig.without({name: reason for name, reason in done.still.items() if name not in done.own})
+    if not done.sealed:
+        return rig
+    lips = at(head.skin, head.skin_from_wrap, head.regions, MOUTH)
+    reason = "the mouth is sealed: its lips are one surface"
+    return rig.doubting({name: reason for name in ARKIT if torn(head.skin, rig, lips, (name,)) > TEARS})
+
+
+def _eyes(
+    template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]
+) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    if template.space is None or "eyeBlinkLeft" in own:
+        return {}, ()
+    eyes: Eyes = eyes_of(template.space, template.skin, template.parts, template.marks.lids, laid.surface, skin)
+    return eyes.still, (eyes.told(),) if eyes.told() else ()

@@ -1,0 +1,193 @@
+"""Sealed mouths are noticed and opened; solid and closed eyes are told; what stays sealed is named and gated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import identity
+
+from softdeca.lhm import MeshError, Surface, check_head, load_template
+from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.fit import fit_registered, space_rig
+from softdeca.lhm.geometry.bvh import TriangleTree
+from softdeca.lhm.geometry.closing import closed, openings
+from softdeca.lhm.geometry.distance import is_closed
+from softdeca.lhm.geometry.rays import first_hits
+from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.geometry.stretch import greatest_stretches, torn_area
+from softdeca.lhm.identities.space import EYES, MOUTH
+from softdeca.lhm.openings import lid_path, lip_path
+from softdeca.lhm.registration import registered_by
+from softdeca.lhm.scans import lips, mouth, seals
+from softdeca.lhm.scans.cutting import slit
+from softdeca.lhm.scans.eyes import Eyes, eyes_of
+from softdeca.lhm.wraps.landmarks import distance_to
+
+
+@pytest.fixture(scope="module")
+def template():
+    return load_template(level=1)
+
+
+def shape(template, *names):
+    return sum(template.space.expressions[ARKIT.index(name)] for name in names)
+
+
+def without(template, part):
+    return template.skin.triangles[~(template.parts[template.skin.triangles] == part).any(axis=1)]
+
+
+def visible_parts(template):
+    """The template's parts, of the lining also what of the lips is hidden from the front."""
+    x, triangles = template.skin.vertices, template.skin.triangles
+    near = distance_to(x, x[template.marks.rim]) < 6.0
+    before = first_hits(TriangleTree(x, triangles), x + [0, 0, 30.0], np.tile([0.0, 0, -1], (len(x), 1)), 40.0)[1]
+    return np.where(near & (before < 29.7), MOUTH, template.parts)
+
+
+@pytest.fixture(scope="module")
+def sealed(template):
+    """The template's skin as a scanner sees it: its lips sewn together where one vanishes behind the other."""
+    parts = visible_parts(template)
+    x, triangles = template.skin.vertices, template.skin.triangles
+    upper, lower = lips.rims(triangles, x, parts)
+    kept = triangles[~(parts[triangles] == MOUTH).any(axis=1)]
+    sewn = mouth._strip(upper, lower, x, kept)
+    return Surface(x, np.vstack([kept, sewn[(sewn != np.roll(sewn, 1, axis=1)).all(axis=1)]]))
+
+
+@pytest.fixture(scope="module")
+def laid(template, sealed):
+    n = len(template.skin.vertices)
+    return registered_by(template.skin, template.parts, identity(n, format="csr"), sealed)
+
+
+@pytest.fixture(scope="module")
+def opened(template, laid, sealed):
+    return mouth.opened(template.skin, template.parts, laid, sealed)
+
+
+def test_stretches_are_the_singular_values_of_the_gradient():
+    rng = np.random.default_rng(0)
+    rest = rng.standard_normal((3, 3))
+    gradient = rng.standard_normal((3, 3))
+    plane = np.linalg.qr((rest[1:] - rest[0]).T)[0]
+    expected = np.linalg.svd(gradient @ plane, compute_uv=False)[0]
+    triangle = np.array([[0, 1, 2]])
+    assert greatest_stretches(rest, rest @ gradient.T, triangle)[0] == pytest.approx(expected)
+    assert torn_area(rest, 6 * rest, triangle) == pytest.approx(36 * Surface(rest, triangle).areas[0])
+    assert torn_area(rest, 4 * rest, triangle) == 0.0
+
+
+def test_a_slit_is_one_opening_and_leaves_the_surface_where_it_was():
+    x, triangles = geodesic_sphere(8)
+    front = (x[triangles][:, :, 2] > 0).all(axis=1)
+    cut = slit(triangles, x[:, 1] - 0.1 * x[:, 0], x[:, 0], (-0.5, 0.5), front, x)
+    y = cut.on(x)
+    loops = openings(cut.triangles)
+    assert len(loops) == 1 and len(loops[0]) == 2 * len(cut.upper) - 2
+    assert is_closed(closed(Surface(y, cut.triangles)).triangles)
+    assert Surface(y, cut.triangles).areas.sum() == pytest.approx(Surface(x, triangles).areas.sum())
+    np.testing.assert_array_equal(y[cut.upper], y[cut.lower])
+    assert (cut.upper == cut.lower).sum() == 2 and np.ptp(y[cut.upper, 0]) > 0.8
+    assert np.abs(y[cut.upper, 1] - 0.1 * y[cut.upper, 0]).max() < 0.03
+    # Above the cut nothing knows the lower side's vertices, nor below it the upper's.
+    for side, other in ((cut.upper[1:-1], 1), (cut.lower[1:-1], -1)):
+        corners = cut.triangles[np.isin(cut.triangles, side).any(axis=1)]
+        old = corners[corners < len(x)]
+        assert (other * (x[old, 1] - 0.1 * x[old, 0]) >= 0).all()
+
+
+@pytest.mark.parametrize(("height", "words"), [(2.0, "too coarse"), (0.0, "broken")])
+def test_a_line_that_is_not_on_the_surface_is_refused(height, words):
+    x, triangles = geodesic_sphere(8)
+    kept = (x[triangles][:, :, 2] > 0.8).all(axis=1)
+    with pytest.raises(MeshError, match=words):
+        slit(triangles, x[:, 1] - height, x[:, 0], (-0.9, 0.9), kept, x)
+
+
+def test_sealed_lips_are_told_from_open_ones(template, sealed, laid):
+    for skin, expected in ((sealed, True), (template.skin, False)):
+        line = lips.lip_line(template.skin, template.parts, laid.surface, skin)
+        assert mouth.is_sealed(line, skin) is expected
+    # A hole where the mouth is, and the lips of a head that is sealed at its eyes.
+    hole = Surface(template.skin.vertices, without(template, MOUTH))
+    assert not mouth.is_sealed(lips.lip_line(template.skin, template.parts, laid.surface, hole), hole)
+
+
+def test_the_line_between_the_lips_is_found_beside_the_registered_one(template, sealed, laid):
+    here = lips.lip_line(template.skin, template.parts, laid.surface, sealed)
+    slid = laid.surface.with_vertices(laid.surface.vertices + [0.0, 2.0, 0.0])
+    there = lips.lip_line(template.skin, template.parts, slid, sealed)
+    inner = np.abs(here.along) < 0.7 * here.along[-1]
+    off = np.abs((there.height + 2.0) - here.height)[inner]
+    assert off.mean() < 0.5
+
+
+def test_an_opened_mouth_moves_as_the_templates(template, sealed, opened):
+    skin, n = opened.skin, len(sealed.vertices)
+    assert is_closed(skin.triangles)
+    # What was there stays where it was.
+    np.testing.assert_array_equal(skin.vertices[:n], sealed.vertices)
+    used = np.unique(sealed.triangles)
+    for name, least in (("jawOpen", 0.97), ("mouthFunnel", 0.95), ("mouthSmileLeft", 0.98), ("browInnerUp", 0.99)):
+        own = shape(template, name)
+        found = opened.laid.skin_weights @ own
+        a, b = own[used].ravel(), found[used].ravel()
+        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > least, name
+        back = opened.laid.template_weights @ found
+        a, b = own.ravel(), back.ravel()
+        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > least, name
+    for weights in (opened.laid.skin_weights, opened.laid.template_weights):
+        np.testing.assert_allclose(np.asarray(weights.sum(axis=1)).ravel(), 1.0, atol=1e-9)
+    own = {"mouthSmileLeft": shape(template, "mouthSmileLeft")}
+    carried = opened.carried(own)["mouthSmileLeft"]
+    assert carried.shape == skin.vertices.shape
+    np.testing.assert_array_equal(carried[:n], own["mouthSmileLeft"])
+
+
+def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
+    left, up = (way(template, laid, sealed, {}) for way in (seals.left_sealed, seals.opened_up))
+    assert left.sealed and not up.sealed
+    assert "mouth: sealed, and left so" in left.notes and "mouth: sealed; opened" in up.notes[0]
+    heads = {}
+    for name, done in (("left", left), ("up", up)):
+        head = fit_registered(template, done.skin, done.laid)
+        heads[name] = replace(head, rig=seals.named(head.rig, done, head))
+    torn = {name: check_head(head).jaw_open_torn for name, head in heads.items()}
+    assert torn["left"] > 900 and torn["up"] < 200
+    assert any("jaw open torn" in problem for problem in check_head(heads["left"]).problems)
+    assert "jawOpen" in heads["left"].rig.doubtful and "browInnerUp" not in heads["left"].rig.doubtful
+    assert not heads["up"].rig.doubtful
+    # The template's own head opens its mouth without a tear.
+    own = replace(template.head, rig=space_rig(template.space))
+    assert check_head(own).jaw_open_torn < 50 and check_head(own).blink_torn < 50
+
+
+def test_a_skin_with_its_own_jaw_is_left_as_it_is(template, sealed, laid):
+    done = seals.opened_up(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
+    assert done.skin is sealed and not done.sealed
+
+
+def test_eyes_are_told_open_solid_and_closed(template, laid):
+    def eyes(skin):
+        space, parts, lids = template.space, template.parts, template.marks.lids
+        return eyes_of(space, template.skin, parts, lids, laid.surface, skin)
+
+    assert eyes(template.skin) == Eyes("open", "open")
+    outside = without(template, EYES)
+    solid = closed(Surface(template.skin.vertices, outside))
+    assert eyes(solid) == Eyes("solid", "solid")
+    x = template.skin.vertices + shape(template, "eyeBlinkLeft")
+    told = eyes(Surface(x, template.skin.triangles))
+    assert told.left == "closed" and told.right == "open" and told.told().startswith("left eye: closed")
+    assert set(told.still) >= {"eyeBlinkLeft", "eyeWideLeft"} and not any(name.endswith("Right") for name in told.still)
+
+
+def test_lip_and_lid_gates_do_not_depend_on_the_orientation(template):
+    wrap, regions = template.skin_wrap, template.regions
+    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    turned = wrap.vertices @ turn.T + [3.0, 4, 5]
+    lids, there = (lid_path(x, wrap.triangles, regions) for x in (wrap.vertices, turned))
+    assert lids == pytest.approx(there)
+    assert lip_path(wrap.vertices, wrap.triangles, regions) == pytest.approx(lip_path(turned, wrap.triangles, regions))
