@@ -9,15 +9,16 @@ import numpy as np
 
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
+from ..surrogate.corpus.group import UNDIFFERENTIATED
 from ..surrogate.corpus.mixture import NAMES
 from ..surrogate.corpus.plan import SPLITS
 from ..surrogate.corpus.reading import Row, Table
 from .pictures import Panel, strip
 
 SIZE = 220
-SHOWN = 3
+SHOWN = 2
 """Parameters named in a caption."""
-FACE_HEIGHT = 0.75
+FACE_HEIGHT = 0.86
 """Of a head, from its top, that a picture frames."""
 
 
@@ -63,6 +64,6 @@ def _frame(table: Table, row: Row) -> bytes:
 
 def _largest(row: Row) -> str:
     """The parameters that differ most from the middle of their range."""
-    varied = np.flatnonzero(row["varied"])
+    varied = np.array([k for k in np.flatnonzero(row["varied"]) if NAMES[k] not in UNDIFFERENTIATED], dtype=int)
     order = varied[np.argsort(-np.abs(row["coefficients"][varied, 0]))][:SHOWN]
-    return ", ".join(NAMES[k].replace("_", " ")[:12] for k in order)
+    return "|T - S|  " + ", ".join(NAMES[k].replace("_", " ") for k in order)[:26]

@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import os
+import warnings
 from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -179,7 +180,8 @@ TABLES: dict[str, type] = {name: kind for name, kind in get_type_hints(Shard).it
 def write_shard(path: Path, shard: Shard, owner: str) -> None:
     """Write a shard of the corpus `owner`; `path` is whole or as it was. InputError if it cannot be written."""
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
+    with h5py.File(buffer, "w") as file, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="`product` is deprecated")  # in Debian's h5py
         file.attrs.update(
             owner=owner, checksum=shard.checksum, format=FORMAT, version=version("softdeca"),
             seconds=json.dumps(shard.seconds),

@@ -1,0 +1,67 @@
+"""softdeca corpus on coarse default heads: planned, made, looked at, damaged and gone on with."""
+
+import json
+
+import pytest
+
+from softdeca.surrogate.corpus.plan import PRESETS
+
+PLAN = """
+preset = "tiny"
+identities = 2
+frames = 1
+sequences = 0
+references = 0
+parameter_responses = 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("corpora")
+    (folder / "plan.toml").write_text(PLAN)
+    return folder
+
+
+def test_a_corpus_from_plan_to_picture(planned, command):
+    plan, out = planned / "plan.toml", planned / "made"
+    ended = command("corpus", "plan", plan, "--level", 1, "--json")
+    predicted = json.loads(ended.out)
+    assert ended.status == 0 and predicted["statics"] == 2 and predicted["core_hours"] > 0
+    ended = command("corpus", "generate", plan, "--level", 1, "--out", out)
+    assert ended.errors == [] and "2 of 2 people" in ended.out and "statics: 2 accepted of 2" in ended.out
+    assert ended.status == 0
+    size = sum(path.stat().st_size for path in out.glob("person-*.h5"))
+    assert size == pytest.approx(predicted["bytes"], rel=0.3)
+    assert command("corpus", "status", out, "--json").status == 0
+    assert command("corpus", "sample", out, "--count", 2).status == 0
+    assert (out / "sample.png").read_bytes()[:4] == b"\x89PNG"
+    ended = command("corpus", "plan", plan, "--level", 1, "--out", out)
+    assert ended.status == 0 and "2 static frames" in ended.out and "recordings in test" in ended.out
+    with open(out / "person-00001.h5", "r+b") as file:
+        file.truncate(1000)
+    ended = command("corpus", "verify", out)
+    assert ended.status == 1 and "person-00001.h5: truncated or damaged" in ended.errors[0]
+    ended = command("corpus", "status", out)
+    assert ended.status == 1 and "DAMAGED shard" in ended.out
+    ended = command("corpus", "resume", out)
+    assert ended.status == 0 and command("corpus", "verify", out).out == f"{out}: 2 shards are whole\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("status", "nowhere"), "nowhere: no corpus.json"),
+        (("generate", "plan.toml", "--preset", "tiny"), "both say which plan"),
+        (("plan", "--preset", "huge"), "there are " + ", ".join(PRESETS)),
+        (("plan", "none.toml"), "none.toml: no such file"),
+        (("plan", "--takes", "nowhere"), "nowhere: no such folder"),
+        (("sample", "made", "--out", "sample.jpg"), "sample.jpg: expected a file that ends in .png"),
+        (("generate", "--identities", "external:anny"), "has the default's triangles"),
+        (("generate", "--identities", "external:"), "expected 'external:' and a space"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(planned, command, monkeypatch, arguments, message):
+    monkeypatch.chdir(planned)
+    ended = command("corpus", *arguments)
+    assert ended.status != 0 and len(ended.errors) == 1 and message in ended.errors[0]
