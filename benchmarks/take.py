@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.errors import InputError, SoftdecaError
-from ..lhm.expressions import Take, conversation, read_take, rotations, speech
+from ..lhm.expressions import Take, conversation_take, read_take, rotations, speech
 from ..lhm.files.alone import alone_in
 from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
@@ -85,8 +85,7 @@ def _conversation(text: str, rest: list[str]) -> Take:
     except ValueError:
         raise InputError(f"take {text!r}: expected {MADE_UP}[:SECONDS[:SEED]]") from None
     count = max(1, round(seconds * RATE))
-    weights = conversation(np.random.default_rng(seed), count, rate=RATE)
-    return Take(weights, RATE, np.arange(count) / RATE, synthetic="made-up conversation")
+    return conversation_take(np.random.default_rng(seed), count, rate=RATE)
 
 
 def cut(take: Take, text: str) -> Take:

@@ -242,7 +242,6 @@ def test_a_spoken_text_is_simulated_and_lost_frames_are_told(command, data, tmp_
         (["conversation:1", "--frames", "70:80"], "frames '70:80': none of the take's 60"),
         (["conversation:1", "--frames", "3"], "frames '3': expected A:B"),
         (["conversation:1", "--fps", "0"], "rate: 0 Hz"),
-        (["conversation:1", "--turned"], "--turned: conversation:1 has no head rotation"),
         (["conversation:1", "--parameters", "none.toml"], "none.toml: no such file"),
         (["conversation:1", "--head", "none.npz"], "none.npz: no such file"),
         (["conversation:1", "--head", "a.npz", "--seed", "1"], "give one"),
