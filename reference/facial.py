@@ -146,7 +146,7 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
         add(stack.muscle, counts[1], strain, 1.0, volume, value("muscle_volume"))
-    soft = tissue.terms[0]
+    soft = next(term for term in tissue.terms if isinstance(term, terms.Strain))
     if (guarding := guard(stack.vertices, tissue.tets[0], soft.stiffness)) is not None:
         tissue.terms.append(guarding)
     return tissue
