@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..lhm.errors import InputError, SoftdecaError
-from ..lhm.expressions import Take, conversation, read_take, speech
+from ..lhm.expressions import Take, conversation_take, read_take, rotations, speech
 from ..lhm.files.alone import alone_in
 from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
@@ -20,6 +21,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
+from ..reference.base import turned, turns_before
 from ..reference.sequence import TOLERANCE
 from .preview import Preview, check_preview, pictures_of, steps_shown, write_preview
 from .take_store import TakeStore, digest
@@ -32,12 +34,16 @@ SECONDS, RATE = 10.0, 60.0
 
 @dataclass(frozen=True)
 class TakeConfig:
-    """What is made of a take, and how; `choices` go to `facial_scene`."""
+    """What is made of a take, and how; `choices` go to `facial_scene`.
+
+    `turned` shows the head turned as the take has it, about its neck, and not in its own frame.
+    """
 
     out: Path
     format: Format = "vtkhdf"
     preview: Preview = "none"
     dynamic: bool = False
+    turned: bool = False
     tolerance: float = TOLERANCE
     choices: dict[str, Any] = field(default_factory=dict)
 
@@ -79,8 +85,7 @@ def _conversation(text: str, rest: list[str]) -> Take:
     except ValueError:
         raise InputError(f"take {text!r}: expected {MADE_UP}[:SECONDS[:SEED]]") from None
     count = max(1, round(seconds * RATE))
-    weights = conversation(np.random.default_rng(seed), count, rate=RATE)
-    return Take(weights, RATE, np.arange(count) / RATE, synthetic="made-up conversation")
+    return conversation_take(np.random.default_rng(seed), count, rate=RATE)
 
 
 def cut(take: Take, text: str) -> Take:
@@ -106,11 +111,14 @@ def run_take(
     """Simulate what is missing, and write config.out's files: take.vtkhdf or take.glb, preview, log.jsonl.
 
     deltas: what each expression adds to the head's skin [mm], shape (52, n, 3); take: evenly spaced frames, `rate`
-    apart. The neutral face settles under p first, and expressions move that one. A frame that does not converge keeps
-    what was reached, one that cannot be simulated its blendshapes; both are listed. InputError if another run works in
-    the folder, or it holds another take.
+    apart. The neutral face settles under p first, and expressions move that one; with dynamics, the take's head
+    rotation shakes it where there is one. A frame that does not converge keeps what was reached, one that cannot be
+    simulated its blendshapes; both are listed. InputError if another run works in the folder, if it holds another take,
+    and for a take without head rotation that is to be `turned`.
     """
     check_preview(config.preview)
+    if config.turned and take.head is None:
+        raise InputError("turned: the take has no head rotation")
     with alone_in(config.out, "simulate"):
         store = TakeStore(config.out, _manifest(config, head, deltas, take, parameters))
         neutral, reason = _neutral(config, head, parameters, store, progress)
@@ -139,6 +147,7 @@ def _manifest(
         "parameters": digest(*values),
         "neutral": "settled under p",
         "dynamic": "flesh lags" if config.dynamic else False,
+        "head rotation": digest(take.head) if config.dynamic and take.head is not None else None,
         "tolerance": config.tolerance,
         "choices": json.loads(json.dumps(config.choices)),
     }
@@ -176,10 +185,11 @@ def _simulate(
     sequence = Sequence.of(neutral, time_step=step, dynamic=config.dynamic, tolerance=config.tolerance)
     done, sequence.state = store.done()
     count = len(take.times)
+    bases = rotations(take.head) if config.dynamic and take.head is not None else np.array([np.eye(3)] * count)
     for number in range(done, count):
         begin = time.perf_counter()
         targets = _blended(head, deltas, take.weights[number])
-        skin, record = _frame(sequence, neutral, targets)
+        skin, record = _frame(sequence, neutral, targets, bases[number:])
         record = {"frame": number, "time": float(take.times[number]), **record}
         record["seconds"] = round(time.perf_counter() - begin, 4)
         if sequence.state is None:
@@ -188,10 +198,12 @@ def _simulate(
         progress(f"simulation: frame {number + 1} of {count}", (number + 1) / count)
 
 
-def _frame(sequence: Sequence, neutral: Settled, targets: Floats) -> tuple[Floats, dict[str, Any]]:
-    """The next frame's skin [mm], and its line of the log."""
+def _frame(sequence: Sequence, neutral: Settled, targets: Floats, bases: Floats) -> tuple[Floats, dict[str, Any]]:
+    """The next frame's skin [mm], and its line of the log; bases: how the head is turned in it and in those to come."""
     try:
-        solution = sequence.frame(targets)
+        if sequence.recurrence is not None and sequence.state is None:
+            sequence.begin(targets, base=turns_before(bases))
+        solution = sequence.frame(targets, base=bases[0])
     except SoftdecaError as error:
         return neutral.targets(targets), _record(str(error))
     if not np.isfinite(solution.positions).all():
@@ -224,12 +236,25 @@ def _export(config: TakeConfig, head: LayeredHead, take: Take, store: TakeStore,
     path, count = config.out / FILES[config.format], len(take.times)
     progress(f"export: {path.name}", 0.0)
     if config.format == "vtkhdf":
-        frames = (head.skin.vertices + store.moved(k) for k in range(count))
+        frames = (head.skin.vertices + _moved(config, head, take, store, k) for k in range(count))
         write_vtkhdf(path, head.skin.triangles, take.times, _told(frames, count, path.name, progress))
     else:
-        write_gltf(path, head.skin, take.times, np.array([store.moved(k) for k in range(count)]))
+        write_gltf(path, head.skin, take.times, np.array([_moved(config, head, take, store, k) for k in range(count)]))
     progress(f"export: {path.name}", 1.0)
     return path
+
+
+def _moved(config: TakeConfig, head: LayeredHead, take: Take, store: TakeStore, number: int) -> NDArray:
+    """A frame's skin as it is shown, less the neutral skin [mm], shape (n, 3)."""
+    moved = store.moved(number)
+    if not config.turned:
+        return moved
+    return _placed(config, head, take, number, head.skin.vertices + moved) - head.skin.vertices
+
+
+def _placed(config: TakeConfig, head: LayeredHead, take: Take, number: int, skin: Floats) -> Floats:
+    """A frame's skin [mm], shape (n, 3), of the head's own frame as it is shown."""
+    return turned(head, skin, rotations(take.head[[number]])[0]) if config.turned and take.head is not None else skin
 
 
 def _preview(
@@ -242,7 +267,13 @@ def _preview(
 ) -> Path:
     path = config.out / f"preview.{config.preview}"
     shown = steps_shown(len(take.times), take.rate, config.preview)
-    pairs = ((_blended(head, deltas, take.weights[k]), head.skin.vertices + store.moved(k)) for k in shown)
+    pairs = (
+        (
+            _placed(config, head, take, k, _blended(head, deltas, take.weights[k])),
+            head.skin.vertices + _moved(config, head, take, store, k),
+        )
+        for k in shown
+    )
     pictures = pictures_of(head.skin, _told(pairs, len(shown), path.name, progress), ("blendshapes", "simulated"))
     write_preview(path, config.preview, pictures, take.times[shown], take.rate)
     progress(f"preview: {path.name}", 1.0)

@@ -17,7 +17,7 @@ from ..lhm.files.atomic import replaced, write_whole
 from ..lhm.files.npz import read_arrays, write_arrays
 from ..reference.sequence import State
 
-STATE = ("positions", "sought", "before", "drift")
+STATE = ("positions", "sought", "before", "drift", "turns")
 NEUTRAL = ("positions", "displacement", "reason")
 
 

@@ -8,6 +8,7 @@ import click
 import numpy as np
 
 from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm.errors import InputError
 from ..lhm.files.head_file import load_head
 from ..reference import Parameters
 from ..reference.parameter_file import read_parameters
@@ -28,7 +29,10 @@ AFile = click.Path(path_type=Path)
 @click.option("--preview", type=click.Choice(["mp4", "gif", "none"]), default="gif", help="a rendered picture of it")
 @click.option("--fps", type=float, help="frames per second; default: the take's own")
 @click.option("--frames", "chosen", metavar="A:B", help="only these frames, B left out, counted at --fps")
-@click.option("--dynamic", is_flag=True, help="with inertia (Eq. 9): flesh lags, lips and bone do not")
+@click.option(
+    "--dynamic", is_flag=True, help="with inertia (Eq. 9): flesh lags and swings as TAKE turns the head; not lips, bone"
+)
+@click.option("--turned", is_flag=True, help="write the head turned as TAKE has it; default: in its own frame")
 @click.option(
     "--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="how a jaw moves"
 )
@@ -48,6 +52,7 @@ def simulate(
     fps: float | None,
     chosen: str | None,
     dynamic: bool,
+    turned: bool,
     bones: str,
     contact: tuple[str, ...],
     tolerance: float | None,
@@ -69,9 +74,11 @@ def simulate(
     recorded = take_from_text(take)
     recorded = expressions.resampled(recorded, recorded.rate if fps is None else fps)
     recorded = recorded if chosen is None else cut(recorded, chosen)
+    if turned and recorded.head is None:
+        raise InputError(f"--turned: {take} has no head rotation")
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     choices = {"bones": bones} | ({"contact": list(contact)} if contact else {})
-    config = TakeConfig(out, kind, preview, dynamic, choices=choices)  # type: ignore[arg-type]
+    config = TakeConfig(out, kind, preview, dynamic, turned, choices=choices)  # type: ignore[arg-type]
     config = config if tolerance is None else replace(config, tolerance=tolerance)
     if recorded.remarks():
         click.echo(f"softdeca: {take}: {'; '.join(recorded.remarks())}", err=True)

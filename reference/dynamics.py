@@ -24,12 +24,14 @@ from ..lhm.mesh import Floats
 class Recurrence:
     """T = γ S + 2α T₋₁ - β T₋₂; coefficients [1] are numbers, or one per vertex, shape (n,).
 
-    InputError for a recurrence that is unstable, or that a shift of everything changes (γ + 2α - β is not 1).
+    `driven` is γ/(ωh)², what of the base's own motion the target takes (see `base`). InputError for a recurrence that
+    is unstable, or that a shift of everything changes (γ + 2α - β is not 1).
     """
 
     alpha: float | Floats
     beta: float | Floats
     gamma: float | Floats
+    driven: float | Floats = 0.0
 
     def __post_init__(self):
         alpha, beta, gamma = (np.asarray(c, dtype=np.float64) for c in (self.alpha, self.beta, self.gamma))
@@ -43,14 +45,18 @@ class Recurrence:
         alpha, beta, gamma = (_column(c) for c in (self.alpha, self.beta, self.gamma))
         return gamma * target + 2.0 * alpha * last - beta * before
 
+    def driven_by(self, lag: Floats) -> Floats:
+        """By how much [mm] the base's motion moves what the skin seeks, from `base.lag`, shape (n, 3)."""
+        return _column(self.driven) * lag
+
     def at(self, weights: csr_matrix) -> Recurrence:
         """The recurrence at other vertices, means by `weights` (other, n) not negative, rows summing to one.
 
         A mean of stable ones is stable. With a head's `skin_from_wrap` it is that of its skin's vertices.
         """
         n = weights.shape[1]
-        alpha, beta = (weights @ np.broadcast_to(np.asarray(c, dtype=np.float64), n) for c in (self.alpha, self.beta))
-        return _recurrence(alpha, beta)
+        own = (self.alpha, self.beta, self.driven)
+        return _recurrence(*(weights @ np.broadcast_to(np.asarray(c, dtype=np.float64), n) for c in own))
 
     def stiffness(self, stiffness: float | Floats) -> Floats:
         """Stiffness of the springs in dynamic frames from that of statics, k/γ; any unit, a number or shape (n,)."""
@@ -89,7 +95,7 @@ def coefficients(
     zeta = zeta + (1.0 - zeta) * (1.0 - share)
     decay = np.where(moving, np.exp(-zeta * omega), 0.0)
     alpha, beta = decay * np.cos(omega * np.sqrt(1.0 - zeta**2)), np.square(decay)
-    return _recurrence(alpha, beta)
+    return _recurrence(alpha, beta, np.where(moving, (1.0 - 2.0 * alpha + beta) / omega**2, 0.0))
 
 
 def implicit_euler(frequency: float | Floats, time_step: float) -> Recurrence:
@@ -103,12 +109,12 @@ def implicit_euler(frequency: float | Floats, time_step: float) -> Recurrence:
     _within("frequency", f, 0.0, np.inf, "Hz")
     squared = (2.0 * np.pi * f * time_step) ** 2
     kept = 1.0 / (1.0 + squared)
-    return _recurrence(kept, kept)
+    return _recurrence(kept, kept, kept)
 
 
-def _recurrence(alpha: Floats, beta: Floats) -> Recurrence:
+def _recurrence(alpha: Floats, beta: Floats, driven: Floats) -> Recurrence:
     gamma = 1.0 - 2.0 * alpha + beta
-    return Recurrence(*((float(c) if c.ndim == 0 else c) for c in (alpha, beta, gamma)))
+    return Recurrence(*((float(c) if c.ndim == 0 else c) for c in (alpha, beta, gamma, driven)))
 
 
 def _column(coefficient: float | Floats) -> Floats:

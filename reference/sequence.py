@@ -11,6 +11,7 @@ import numpy as np
 from ..lhm.errors import SceneError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
+from .base import lag, pivot, rotation, turns
 from .bones import carried
 from .dynamics import Recurrence
 from .facial import facial_scene
@@ -33,13 +34,15 @@ class State:
 
     positions (scene's vertices, 3) of the last frame; sought (n, 3): where its skin wrap was drawn to; before (n, 3):
     the skin wrap of the frame before it; drift (wraps' vertices, 3), or zero: by how much its change differs from that
-    of the expression without physics, on which the next frame's start is led.
+    of the expression without physics, on which the next frame's start is led; turns (2, 3, 3): the head's rotation in
+    the room in the frame before and in the last.
     """
 
     positions: Floats
     sought: Floats
     before: Floats
     drift: Floats = field(default_factory=lambda: np.zeros((1, 3)))
+    turns: Floats = field(default_factory=lambda: np.stack([np.eye(3), np.eye(3)]))
 
 
 class Sequence:
@@ -47,7 +50,8 @@ class Sequence:
 
     In statics a frame depends on its expression alone, the last frame is only where to begin. With `dynamic` the skin
     has the inertia of Eq. 9 (see `dynamics`), by p's frequency and damping where it is loose flesh (see `inertia`);
-    bones that are prescribed stay so.
+    bones that are prescribed stay so. A `base` that turns about `pivot` (see `base`) shakes what is loose; expressions
+    and answers are in the head's own frame.
     `tolerance` is the gradient norm relative to that of springs of statics each 1 mm long: unlike one
     relative to a frame's own start it asks the same of every frame.
     `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
@@ -77,6 +81,7 @@ class Sequence:
         self._stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
         self._prepared: dict[bool, Prepared] = {}
         self._neutral: Settled | None = None
+        self._pivot = pivot(head)
 
     @classmethod
     def of(cls, neutral: Settled, **options: Any) -> Sequence:
@@ -88,29 +93,35 @@ class Sequence:
         sequence._neutral = neutral
         return sequence
 
-    def begin(self, targets: Floats, *, velocity: Floats | None = None) -> Solution:
+    def begin(self, targets: Floats, *, velocity: Floats | None = None, base: Floats | None = None) -> Solution:
         """Put the head at rest in an expression [mm], shape (skin vertices, 3), but moving at `velocity` [mm/s].
 
-        The two frames before the first are then T₋₁ = this statics' answer, T₋₂ = T₋₁ - h velocity, on the skin wrap;
-        in statics velocity has no effect. Returns the statics' solution.
+        The two frames before the first are then T₋₁ = this statics' answer, T₋₂ = T₋₁ - h velocity, on the skin wrap.
+        `base`: how the head was turned in the room in these two, the earlier first, (2, 3, 3), or one (3, 3) for both;
+        not turned if None. In statics neither has an effect. Returns the statics' solution.
         """
+        turned = turns("base", np.eye(3) if base is None else base)
         moving = np.zeros_like(self.head.skin.vertices) if velocity is None else np.asarray(velocity, dtype=np.float64)
         if moving.shape != self.head.skin.vertices.shape or not np.isfinite(moving).all():
             raise SceneError(f"velocity: expected finite values of the skin's shape {self.head.skin.vertices.shape}")
         solution, scene = self._solved(targets, dynamic=False)
         wrap = solution.positions[: len(self.head.bone)]
         before = wrap - self.time_step * (self.head.wrap_from_skin @ moving)
-        self.state = State(solution.positions, _target(scene).positions, before)
+        self.state = State(solution.positions, _target(scene).positions, before, turns=turned)
         return solution
 
-    def frame(self, targets: Floats) -> Solution:
+    def frame(self, targets: Floats, *, base: Floats | None = None) -> Solution:
         """The next frame, towards an expression [mm], shape (skin vertices, 3); the first begins at rest in its own.
 
-        Raises what `facial_scene` and the solver raise; then, and where an answer is not finite, the state stays.
+        `base`: the head's rotation in the room, shape (3, 3), or None as in the last frame (at first, not turned);
+        one that goes on from frame to frame is `begin` with what it was before. Statics do not depend on it.
+        Raises what `facial_scene` and the solver raise, and InputError for a base that is no rotation; then, and where
+        an answer is not finite, the state stays.
         """
+        turned = None if base is None else rotation("base", base)
         if self.recurrence is not None and self.state is None:
-            self.begin(targets)
-        solution, scene = self._solved(targets, dynamic=self.recurrence is not None)
+            self.begin(targets, base=turned)
+        solution, scene = self._solved(targets, dynamic=self.recurrence is not None, base=turned)
         n = len(self.head.bone)
         if not np.isfinite(solution.positions).all():
             return solution
@@ -119,7 +130,9 @@ class Sequence:
             self.state = State(positions, sought, positions[:n])
         else:
             drift = self._beyond(positions, sought) - self._beyond(self.state.positions, self.state.sought)
-            self.state = State(positions, sought, self.state.positions[:n], drift)
+            now = self.state.turns[1] if turned is None else turned
+            turned_by = np.stack([self.state.turns[1], now])
+            self.state = State(positions, sought, self.state.positions[:n], drift, turned_by)
         return solution
 
     def skin(self, targets: Floats, solution: Solution) -> Floats:
@@ -130,18 +143,30 @@ class Sequence:
         """What the skin is drawn to [mm] for an expression of the head without p."""
         return targets if self._neutral is None else self._neutral.targets(targets)
 
-    def _solved(self, targets: Floats, *, dynamic: bool) -> tuple[Solution, Scene]:
+    def _solved(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
         scene = facial_scene(self.head, self.parameters, self._drawn(targets), **self._choices)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
         asked = self._tolerance * float(np.linalg.norm(springs))
         if dynamic and self.recurrence is not None and self.state is not None:
-            scene = _with_inertia(scene, self.recurrence, self.state)
+            scene = self._with_inertia(scene, self.recurrence, self.state, base)
         if dynamic not in self._prepared:
             self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
         prepared = self._prepared[dynamic]
         start = self._start(scene, _target(scene))
         return self._minimised(prepared, scene, start, self._until(asked, prepared, scene, start)), scene
+
+    def _with_inertia(self, scene: Scene, recurrence: Recurrence, state: State, base: Floats | None) -> Scene:
+        """The scene with targets by Eq. 9, the base's motion in them, and their stiffness over γ."""
+        static = _target(scene)
+        last, before = state.positions[: len(static.vertices)], state.before
+        sought = recurrence.target(static.positions, last, before)
+        now = state.turns[1] if base is None else base
+        behind = lag(now, last - self._pivot, before - self._pivot, state.turns)
+        if behind is not None:
+            sought = sought + recurrence.driven_by(behind)
+        moving = replace(static, positions=sought, stiffness=recurrence.stiffness(static.stiffness))
+        return replace(scene, terms=tuple(moving if term is static else term for term in scene.terms))
 
     def _until(self, asked: float, prepared: Prepared, scene: Scene, start: Floats) -> dict[str, float]:
         """What makes the solver stop at a gradient norm [mN], where it knows no such option as a share of the first."""
@@ -194,15 +219,3 @@ class Sequence:
 def _target(scene: Scene) -> Target:
     """The term that draws the skin wrap to the expression: the first of its kind."""
     return scene.of(Target)[0]
-
-
-def _with_inertia(scene: Scene, recurrence: Recurrence, state: State) -> Scene:
-    """The scene with targets by Eq. 9 and their stiffness over γ."""
-    static = _target(scene)
-    n = len(static.vertices)
-    moving = replace(
-        static,
-        positions=recurrence.target(static.positions, state.positions[:n], state.before),
-        stiffness=recurrence.stiffness(static.stiffness),
-    )
-    return replace(scene, terms=tuple(moving if term is static else term for term in scene.terms))

@@ -7,6 +7,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import signal
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,7 +71,9 @@ def command(monkeypatch, capsys):
     def run(*arguments) -> Ended:
         monkeypatch.setattr(sys, "argv", ["softdeca", *map(str, arguments)])
         capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
+        # A process of its own would leave these out, and main's way of showing warnings ends with it.
+        with warnings.catch_warnings(), pytest.raises(SystemExit) as ended:
+            warnings.simplefilter("ignore", DeprecationWarning)
             main()
         out, err = capsys.readouterr()
         return Ended(ended.value.code, out, [line for line in err.splitlines() if not line.endswith(" s)")])

@@ -3,7 +3,8 @@
 from ..arkit import ARKIT
 from .blending import blend, checked_weights, index, weights_of
 from .combinations import combinations, sample_weights
-from .conversation import conversation
+from .conversation import conversation, conversation_take
+from .head_motion import head_motion
 from .head_rotation import rotations
 from .recordings import Recording, recordings, starts
 from .rigging import PersonalRig, personalised
@@ -20,6 +21,8 @@ __all__ = [
     "checked_weights",
     "combinations",
     "conversation",
+    "conversation_take",
+    "head_motion",
     "index",
     "personalised",
     "read_take",

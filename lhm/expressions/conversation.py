@@ -18,7 +18,8 @@ from scipy.signal import lfilter
 from ..arkit import ARKIT
 from ..errors import InputError
 from ..mesh import Floats
-from .take import check_rate
+from .head_motion import head_motion
+from .take import Take, check_rate
 
 # Mouth targets at full effort; names without a side stand for both sides.
 CONSONANTS: tuple[dict[str, float], ...] = (
@@ -73,6 +74,13 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     _brows_and_nose(face, talking)
     _eyes(face, rng)
     return face.weights()
+
+
+def conversation_take(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Take:
+    """A conversation's weights as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
+    weights = conversation(rng, frames, rate=rate)
+    head = head_motion(rng, frames, rate=rate)
+    return Take(weights, rate, np.arange(frames) / rate, head=head, synthetic="made-up conversation")
 
 
 class _Face:

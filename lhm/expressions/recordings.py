@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..mesh import Ints
 from .combinations import combinations
-from .conversation import conversation
+from .conversation import conversation_take
 from .speech import PACE, speech, texts
 from .take import Take, check_rate, read_take, resampled
 
@@ -119,5 +119,5 @@ def _made(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Tak
         return resampled(speech(origin, pace=pace), rate)
     rng, times = np.random.default_rng(int(origin)), np.arange(frames) / rate
     if kind == "conversation":
-        return Take(conversation(rng, frames, rate=rate), rate, times, synthetic="made-up conversation")
+        return conversation_take(rng, frames, rate=rate)
     return Take(combinations(rng, frames, rate=rate), rate, times, synthetic="random combinations")

@@ -11,6 +11,7 @@ from ...lhm.expressions import Take, rotations
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
 from ...reference import Sequence
+from ...reference.base import turns_before
 from ...reference.velocities import Velocities, plausible
 from .group import Answer, Group
 from .plan import LENGTH, RATE, CorpusPlan
@@ -51,11 +52,10 @@ def rolled(
         velocity = _velocity(group.head, velocities, rng)
         running = Sequence.of(group.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
         expressions = [group.expression(w) for w in weights]
-        begun = running.begin(expressions[0], velocity=velocity)
+        begun = running.begin(expressions[0], velocity=velocity, base=turns_before(turned))
         at_rest = group.corrected(weights[0], begun.positions)
-        answers = [
-            group.answer(w, running.frame(expression)) for w, expression in zip(weights, expressions, strict=True)
-        ]
+        frames = zip(weights, expressions, turned, strict=True)
+        answers = [group.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
     except SoftdecaError as error:
         return Rolled.failed(f"sequence: {error}", take, first, n)
     return Rolled(

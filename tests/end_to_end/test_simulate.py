@@ -17,6 +17,7 @@ from softdeca.benchmarks.take import TakeConfig, cut, run_take, take_from_text
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.progress import silent
 from softdeca.reference import Parameters, SceneError, Sequence, settled, solve
+from softdeca.reference.base import turned, turns_before
 from softdeca.reference.parameter_file import read_parameters
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
@@ -41,14 +42,23 @@ def take(frames=8):
     return expressions.Take(weights, 60.0, t)
 
 
+def nodding(frames=8):
+    """The take on a head that nods and shakes."""
+    t = np.arange(frames) / 60
+    return replace(take(frames), head=np.stack([0.2 * np.sin(12 * t), 0.3 * np.sin(9 * t + 1), 0 * t], axis=1))
+
+
 def contents(folder):
     files = sorted(p for p in folder.rglob("*") if p.suffix in (".npz", ".vtkhdf"))
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}, [{**row, "seconds": 0} for row in log]
 
 
-@pytest.mark.parametrize(("dynamic", "bones"), [(False, "prescribed"), (True, "prescribed"), (True, "rigid")])
-def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_path, dynamic, bones):
+@pytest.mark.parametrize(
+    ("dynamic", "bones", "take"),
+    [(False, "prescribed", take), (True, "prescribed", take), (True, "rigid", take), (True, "rigid", nodding)],
+)
+def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_path, dynamic, bones, take):
     p = Parameters(gravity=1.5, soft_volume=1.2)
 
     def run(name, progress=silent):
@@ -77,10 +87,32 @@ def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_pa
         played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
     assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
     sequence = Sequence.of(settled(sphere_head, p, bones=bones), dynamic=dynamic)
+    bases = expressions.rotations(np.zeros((8, 3)) if take().head is None else take().head)
     for k in range(8):
         targets = sphere_head.skin.vertices + np.tensordot(take().weights[k], deltas, axes=1)
-        skin = sequence.skin(targets, sequence.frame(targets))
+        if not k:
+            sequence.begin(targets, base=turns_before(bases))
+        skin = sequence.skin(targets, sequence.frame(targets, base=bases[k]))
         assert moved[k] == pytest.approx(skin - sphere_head.skin.vertices, abs=1e-5)
+
+
+def test_a_head_that_turns_shakes_the_face_and_is_written_in_its_own_frame_or_turned(sphere_head, deltas, tmp_path):
+    def played(name, shaken, **choices):
+        config = TakeConfig(tmp_path / name, dynamic=True, **choices)
+        run_take(config, sphere_head, deltas, shaken, Parameters(), silent)
+        with h5py.File(tmp_path / name / "take.vtkhdf") as file:
+            return file["VTKHDF/Points"][()].reshape(8, -1, 3)
+
+    still, own = played("still", take()), played("own", nodding())
+    assert np.linalg.norm(own - still, axis=2).max() > 1.0
+    room = played("own", nodding(), turned=True)  # of the same folder: nothing is simulated anew
+    for k, base in enumerate(expressions.rotations(nodding().head)):
+        assert room[k] == pytest.approx(turned(sphere_head, own[k], base), abs=1e-4)
+    assert np.linalg.norm(room - own, axis=2).max() > 20.0
+    with pytest.raises(InputError, match="another head rotation"):
+        played("own", replace(nodding(), head=-nodding().head))
+    with pytest.raises(InputError, match="turned: the take has no head rotation"):
+        played("still", take(), turned=True)
 
 
 def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
@@ -136,11 +168,11 @@ def test_another_take_in_the_folder_and_a_second_run_are_refused(sphere_head, de
 def test_frames_that_fail_are_listed_and_the_rest_goes_on(sphere_head, deltas, tmp_path, monkeypatch):
     frame, calls = Sequence.frame, []
 
-    def breaks(self, targets):
+    def breaks(self, targets, **given):
         calls.append(0)
         if len(calls) == 3:
             raise SceneError("made to fail")
-        return frame(self, targets)
+        return frame(self, targets, **given)
 
     monkeypatch.setattr(Sequence, "frame", breaks)
     done = run_take(TakeConfig(tmp_path), sphere_head, deltas, take(5), Parameters(), silent)
@@ -188,6 +220,8 @@ def test_a_recorded_take_is_simulated(command, data, tmp_path):
     )
     assert ended.status == 0 and "6 frames, 0 failed" in ended.out
     assert not ended.errors  # the one weight that is clipped lies elsewhere
+    turned = command("simulate", file, "--turned", "--out", tmp_path / "turned")
+    assert turned.status != 0 and "has no head rotation" in turned.errors[0] and len(turned.errors) == 1
 
 
 def test_a_spoken_text_is_simulated_and_lost_frames_are_told(command, data, tmp_path):

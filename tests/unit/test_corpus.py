@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import FitError, InputError
-from softdeca.reference import Parameters
+from softdeca.lhm.expressions import conversation_take
+from softdeca.reference import Parameters, Sequence
+from softdeca.reference.base import turns_before
+from softdeca.reference.velocities import Velocities
 from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.group import Group
@@ -18,6 +21,7 @@ from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import Rates, predicted
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
+from softdeca.surrogate.corpus.sequences import rolled
 from softdeca.surrogate.corpus.simulate import simulate_static
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
@@ -58,6 +62,27 @@ def test_any_frame_can_be_had_again_alone(made):
     for identity in range(PLAN.identities):
         again = simulate_static(PLAN, PEOPLE, identity, 1)
         np.testing.assert_array_equal(again.corrected, made.shard(identity).statics.corrected[1])
+
+
+def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
+    """From what is kept of it, rotations in 24 bits, the sequence can be had again; without them it is another."""
+    person = PEOPLE.person(PLAN.rng(0, 0))
+    group = Group.of(PLAN, PEOPLE, person, PEOPLE.head(person), PLAN.parameter_numbers(0)[0])
+    n, take = len(person.skin.vertices), conversation_take(np.random.default_rng(0), 40)
+    still = Velocities(np.zeros((1, n, 3), np.float32))
+    kept = rolled(PLAN, group, take, 20, still, np.random.default_rng(0))
+    turned = kept.rotations.astype(np.float32)
+    assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
+    off = []
+    for bases in (turned, np.tile(np.eye(3), (LENGTH, 1, 1))):
+        running = Sequence.of(group.neutral, dynamic=True, tolerance=PLAN.tolerance)
+        running.begin(group.expression(kept.weights[0]), base=turns_before(bases))
+        again = [
+            group.corrected(w, running.frame(group.expression(w), base=base).positions)
+            for w, base in zip(kept.weights, bases, strict=True)
+        ]
+        off.append(np.abs(np.array(again) - kept.corrected).max())
+    assert off[0] < 0.01 and off[1] > 0.1
 
 
 def test_derivatives_are_those_of_the_simulated_frames(made):

@@ -1,0 +1,214 @@
+"""A head that turns: the room's inertia in the head's frame, beside masses on springs that were never put in one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from softdeca.lhm import InputError
+from softdeca.reference import Parameters, Sequence, facial_scene, solve
+from softdeca.reference.base import lag, pivot, turned, turns_before
+from softdeca.reference.dynamics import coefficients, implicit_euler
+
+STEP = 1 / 60
+STILL = np.stack([np.eye(3)] * 2)
+P = Parameters(target_stiffness=30.0, soft_stiffness=1.0, skin_stiffness=5.0, volume_ratio=5.0)
+
+
+def nod(times):
+    """A head that nods, shakes and tilts by some twenty degrees, shape (times, 3, 3)."""
+    t = np.asarray(times)
+    angles = [0.3 * np.sin(9 * t), 0.25 * np.sin(6 * t + 1), 0.1 * np.cos(5 * t)]
+    return Rotation.from_euler("yxz", np.stack(angles, axis=-1)).as_matrix()
+
+
+def spin(rate, frames):
+    """A head that turns evenly [rad/s] about y, shape (frames, 3, 3)."""
+    return Rotation.from_rotvec(np.arange(frames)[:, None] * STEP * rate * np.array([0.0, 1.0, 0.0])).as_matrix()
+
+
+def rolled(recurrence, targets, rotations, last, before):
+    """The recurrence alone, without tissue; rotations begin two frames before the targets."""
+    frames = [before, last]
+    for k, target in enumerate(targets):
+        behind = lag(rotations[k + 2], frames[-1], frames[-2], rotations[k : k + 2])
+        sought = recurrence.target(target, frames[-1], frames[-2])
+        frames.append(sought if behind is None else sought + recurrence.driven_by(behind))
+    return np.array(frames[2:])
+
+
+def test_a_mass_on_a_spring_in_the_room_is_where_the_head_has_it():
+    """Implicit Euler of a mass whose spring's other end the head carries: (k R S + m/h² (2 x₁ - x₂)) / (k + m/h²)."""
+    rng = np.random.default_rng(0)
+    f, rotations = rng.uniform(2, 8, 5), nod(np.arange(42) * STEP)
+    s = 80 * rng.normal(size=(40, 5, 3))
+    x = [s[0] @ rotations[0].T, s[0] @ rotations[1].T + 0.3]
+    stiff = (2 * np.pi * f * STEP)[:, None] ** 2
+    for target, base in zip(s, rotations[2:], strict=True):
+        x.append((stiff * target @ base.T + 2 * x[-1] - x[-2]) / (stiff + 1))
+    inside = np.einsum("fni,fij->fnj", x, rotations)
+    found = rolled(implicit_euler(f, STEP), s, rotations, inside[1], inside[0])
+    assert found == pytest.approx(inside[2:], abs=1e-9)
+    without = rolled(implicit_euler(f, STEP), s, np.stack([np.eye(3)] * 42), inside[1], inside[0])
+    assert np.abs(without - inside[2:]).max() > 5.0
+
+
+def test_the_motion_nears_that_of_the_differential_equation_as_frames_come_closer():
+    """x'' = -ω² (x - R S) - 2ζω (x' - R' Rᵀ x) in the room, integrated by Dormand-Prince."""
+    f, zeta, rest = 4.0, 0.3, np.array([20.0, 60.0, 90.0])
+    omega = 2 * np.pi * f
+
+    def force(t, z):
+        base, speed = nod(t), (nod(t + 1e-6) - nod(t - 1e-6)) / 2e-6
+        dragged = speed @ base.T @ z[:3]
+        return np.r_[z[3:], -(omega**2) * (z[:3] - base @ rest) - 2 * zeta * omega * (z[3:] - dragged)]
+
+    start, off = nod(0.0) @ rest, []
+    moving = (nod(1e-6) - nod(-1e-6)) / 2e-6 @ rest
+    ends = nod(1.0).T @ solve_ivp(force, (0, 1), np.r_[start, moving], method="DOP853", rtol=1e-9, atol=1e-9).y[:3, -1]
+    assert np.linalg.norm(ends - rest) > 1.0
+    for rate in (60, 120, 240, 480):
+        rotations = nod(np.arange(-1, rate + 1) / rate)
+        end = rolled(coefficients(f, zeta, 1 / rate), [rest[None]] * rate, rotations, rest[None], rest[None])[-1, 0]
+        off.append(np.linalg.norm(end - ends))
+    assert np.log2(off[:-1]) - np.log2(off[1:]) == pytest.approx([1.0, 1.0, 1.0], abs=0.25)
+
+
+@pytest.mark.parametrize("loose", [1.0, 0.6])
+def test_skin_that_is_spun_evenly_flies_out_to_its_closed_form(loose):
+    """x = S / (1 - (Ω/ω)²) across the axis, to first order in Ωh; along it S. Loose in part, ω is that over loose."""
+    f, rate, fine = 4.0, 5.0, 20
+    rotations = Rotation.from_rotvec(np.arange(3000)[:, None] * [0.0, STEP / fine * rate, 0.0]).as_matrix()
+    s = np.array([[40.0, 70.0, -30.0]])
+    found = rolled(coefficients(f, 0.3, STEP / fine, loose=loose), [s] * 2998, rotations, s, s)[-1, 0]
+    out = 1 / (1 - (rate * loose / (2 * np.pi * f)) ** 2)
+    assert np.linalg.norm(found[[0, 2]]) == pytest.approx(50.0 * out, rel=1e-4)
+    assert np.linalg.norm(found[[0, 2]] - s[0, [0, 2]] * out) < 2 * (out - 1) * 50.0 * rate * STEP / fine
+    assert found[1] == pytest.approx(70.0, abs=1e-9)
+
+
+def test_what_is_not_loose_stays_in_the_head():
+    none = coefficients(4.0, 0.3, STEP, loose=np.array([1.0, 0.01, 0.0]))
+    assert none.driven[0] == pytest.approx(none.gamma[0] / (8 * np.pi * STEP) ** 2, rel=1e-12)
+    assert none.driven[1] == pytest.approx(1e-4 / (8 * np.pi * STEP) ** 2, rel=1e-6) and none.driven[2] == 0.0
+    euler = implicit_euler(4.0, STEP)
+    assert euler.driven == euler.beta
+
+
+def test_a_spun_face_rests_where_statics_have_it_with_targets_that_fly_out(sphere_head):
+    """At rest D = -(1 - Qᵀ)² y of one frame's turn Q; the answer minimises the static energy for S + D/(ωh)²."""
+    p, rotations = replace(P, frequency=3.0, damping=0.5), spin(4.0, 80)
+    rest, middle = sphere_head.skin.vertices, pivot(sphere_head)
+    sequence = Sequence(sphere_head, p, dynamic=True, tolerance=1e-8)
+    sequence.begin(rest, base=turns_before(rotations))
+    for base in rotations:
+        moved = sequence.frame(rest, base=base).positions
+    skin = moved[: len(rest)]
+    once = np.eye(3) - rotations[1].T
+    aside = -(skin - middle) @ (once @ once).T / (2 * np.pi * 3.0 * STEP) ** 2
+    alone = solve(facial_scene(sphere_head, p, rest + aside), start=moved, tolerance=1e-10)
+    assert np.abs(moved - alone.positions).max() < 5e-4
+    still = solve(facial_scene(sphere_head, p, rest), tolerance=1e-10)
+    assert np.abs(moved - still.positions).max() > 1.0
+
+
+def test_a_head_that_does_not_turn_has_the_frames_it_had_to_the_bit(sphere_head):
+    x, leant = sphere_head.skin.vertices, nod(0.2)
+    frames = [x + np.sin(0.4 * k) * np.clip(-x[:, 1:2] / 100, 0, 1) * [0.0, -5.0, 2.0] for k in range(5)]
+    plain, upright, leaning = (Sequence(sphere_head, P, dynamic=True) for _ in range(3))
+    for s in frames:
+        expected = plain.frame(s).positions
+        assert np.array_equal(upright.frame(s, base=np.eye(3)).positions, expected)
+        assert np.array_equal(leaning.frame(s, base=leant).positions, expected)
+    kept, told = (Sequence(sphere_head, P, dynamic=True) for _ in range(2))
+    for k, s in enumerate(frames):
+        told.frame(s, base=nod(0.1 * min(k, 2)))
+        kept.frame(s, base=nod(0.1 * k) if k < 3 else None)  # left out, it stays as it was
+    assert np.array_equal(kept.state.positions, told.state.positions)
+    assert np.abs(told.state.positions - plain.state.positions).max() > 0.5
+
+
+def test_only_how_a_head_turns_matters_not_where_it_looks(sphere_head):
+    x, away = sphere_head.skin.vertices, Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
+    one, other = (Sequence(sphere_head, P, dynamic=True, tolerance=1e-9) for _ in range(2))
+    for base in nod(np.arange(5) * STEP):
+        moved = one.frame(x, base=base).positions
+        assert other.frame(x, base=away @ base).positions == pytest.approx(moved, abs=1e-7)
+    assert np.abs(moved[: len(x)] - x).max() > 1.0
+
+
+def test_a_motion_goes_on_into_its_first_frame(sphere_head):
+    """Begun as if at rest, a head that turns already is jerked: skin is thrown back by far more than it flies out."""
+    x, rotations = sphere_head.skin.vertices, spin(1.5, 9)
+    assert turns_before(rotations[2:]) == pytest.approx(rotations[:2], abs=1e-12)
+    assert np.array_equal(turns_before(rotations[4:5]), rotations[[4, 4]])
+    thrown = []
+    for begun in (turns_before(rotations), rotations[0]):
+        sequence = Sequence(sphere_head, P, dynamic=True)
+        start = sequence.begin(x, base=begun).positions
+        thrown.append(max(np.abs(sequence.frame(x, base=base).positions - start).max() for base in rotations))
+    assert 0.1 < thrown[0] < 0.25 * thrown[1]
+
+
+def test_statics_do_not_know_how_a_head_turns(sphere_head):
+    x = sphere_head.skin.vertices
+    plain, turning = Sequence(sphere_head, P), Sequence(sphere_head, P)
+    for k, base in enumerate(nod(np.arange(3) * STEP)):
+        s = x * (1 + 0.01 * k)
+        assert np.array_equal(plain.frame(s).positions, turning.frame(s, base=base).positions)
+
+
+def test_a_state_carries_how_the_head_turned(sphere_head):
+    x, rotations = sphere_head.skin.vertices, nod(np.arange(6) * STEP)
+    whole, first, second = (Sequence(sphere_head, P, dynamic=True) for _ in range(3))
+    expected = [whole.frame(x, base=base).positions for base in rotations]
+    for base in rotations[:3]:
+        first.frame(x, base=base)
+    assert np.array_equal(first.state.turns, rotations[1:3])
+    second.state = first.state
+    assert np.array_equal([second.frame(x, base=base).positions for base in rotations[3:]], expected[3:])
+
+
+def test_a_head_turns_about_its_neck(sphere_head):
+    x = sphere_head.skin_wrap.vertices
+    assert pivot(sphere_head) == pytest.approx(x.mean(axis=0))
+    low = replace(sphere_head, regions={"neck": x[:, 1] < -80})
+    assert pivot(low) == pytest.approx(x[x[:, 1] < -80].mean(axis=0))
+    leant = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    there = turned(low, np.array([pivot(low), pivot(low) + [0.0, 10.0, 0.0]]), leant)
+    assert there == pytest.approx(pivot(low) + np.array([[0.0, 0, 0], [0, 0, 10]]))
+
+
+@pytest.mark.parametrize(
+    ("base", "message"),
+    [
+        (np.eye(4), r"base: expected a rotation of shape \(3, 3\), got \(4, 4\)"),
+        (np.zeros(3), r"base: expected a rotation of shape \(3, 3\), got \(3,\)"),
+        (np.full((3, 3), np.nan), "base: no rotation; R\\^T R is off the identity by inf"),
+        (1.01 * np.eye(3), r"off the identity by 0\.0201, at most 0\.0001 may be"),
+        (np.diag([1.0, 1.0, -1.0]), "base: no rotation but a reflection"),
+    ],
+)
+def test_what_is_no_rotation_is_named_and_the_state_stays(sphere_head, base, message):
+    x = sphere_head.skin.vertices
+    sequence = Sequence(sphere_head, P, dynamic=True)
+    with pytest.raises(InputError, match=message):
+        sequence.begin(x, base=base)
+    sequence.begin(x)
+    before = sequence.state
+    with pytest.raises(InputError, match=message):
+        sequence.frame(x, base=base)
+    assert sequence.state is before
+    if np.shape(base) == (3, 3):
+        with pytest.raises(InputError, match=message):
+            turns_before(np.stack([np.eye(3), base]))
+
+
+def test_a_beginning_wants_one_rotation_or_two(sphere_head):
+    with pytest.raises(InputError, match=r"base: expected one rotation \(3, 3\), or those of two frames"):
+        Sequence(sphere_head, P, dynamic=True).begin(sphere_head.skin.vertices, base=np.stack([np.eye(3)] * 3))
+    sequence = Sequence(sphere_head, P, dynamic=True)
+    sequence.begin(sphere_head.skin.vertices, base=np.eye(3, dtype=np.float32))
+    assert np.array_equal(sequence.state.turns, STILL)
