@@ -32,7 +32,9 @@ def _plan(plan_file: Path | None, preset: str | None, takes: Path | None, identi
 
     if plan_file is not None and preset is not None:
         raise click.UsageError("a plan's file and --preset both say which plan; give one", click.get_current_context())
-    plan = CorpusPlan.of({"preset": preset or "tiny"}) if plan_file is None else read_plan(plan_file)
+    plan = (
+        CorpusPlan.of({"preset": "tiny" if preset is None else preset}) if plan_file is None else read_plan(plan_file)
+    )
     plan = plan if takes is None else replace(plan, takes=str(takes))
     return plan if identities_count is None else replace(plan, identities=identities_count)
 

@@ -82,6 +82,10 @@ def fit(
     """
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
+    about = {"--unit": unit, "--up": up, "--front": front, "--landmarks": landmarks}
+    for option in about if skin is None else ():
+        if about[option] is not None:
+            raise click.UsageError(f"{option} is of --skin, which is not given", click.get_current_context())
     if template_file is not None and level is not None:
         raise click.UsageError("--template has a level; --level is of the space's own", click.get_current_context())
     with shown() as progress:

@@ -55,7 +55,7 @@ def facial_scene(
     layers: tuple[int, int] = (1, 1),
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
-    contact: Sequence[str] = (),
+    contact: Sequence[str | np.ndarray] = (),
     attached: Sequence[Attached] = (),
     rule: StrainRule = "clamp",
 ) -> Scene:
@@ -238,7 +238,7 @@ def _mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:
     return mask
 
 
-def _touching(head: LayeredHead, names: Sequence[str]) -> Ints:
+def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
     """The skin wrap's triangles within the union of some regions and WIDER edges around it, shape (k, 3)."""
     touching = np.any([_mask(head, name) for name in names], axis=0)
     triangles = head.skin_wrap.triangles
