@@ -17,6 +17,7 @@ from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
 from .landmarks import landmarks_command
+from .personalise import personalise
 from .progress import shown
 from .train_regressor import train_regressor
 
@@ -31,6 +32,7 @@ def head() -> None:
 
 head.add_command(train_regressor)
 head.add_command(landmarks_command)
+head.add_command(personalise)
 
 
 @head.command()
