@@ -27,6 +27,8 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
     CSV with the line "scan,mouthSmileLeft,..." and one for each scan. Expressions that it does not name stay as they
     are. Exit status 1 if the head then misses a gate.
     """
+    from ..benchmarks.posed_gates import posed_figures
+
     guesses = scans.read_guesses(weights)
     given = load_head(head_file)
     with shown() as progress:
@@ -35,7 +37,8 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
         done = scans.personalised_head(given, template, guesses, progress=progress)
         progress("head", 1.0)
     save_head(out, done.head)
-    before, after = check_head(given), check_head(done.head)
+    before = {figure.name for figure in (*check_head(given).gates, *posed_figures(given)) if figure.missed}
+    after = [figure for figure in (*check_head(done.head).gates, *posed_figures(done.head)) if figure.missed]
     names = [path.name for path in guesses]
     if as_json:
         fitted = {
@@ -43,12 +46,12 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
             for name, row in zip(names, done.rig.weights, strict=True)
         }
         result = {"weights": fitted, "rms_mm": done.rig.history.tolist(), "notes": done.notes}
-        click.echo(json.dumps(result | {"problems": after.problems, "files": [str(out)]}, indent=1))
+        click.echo(json.dumps(result | {"problems": [str(figure) for figure in after], "files": [str(out)]}, indent=1))
     else:
         for line in (*done.notes, *scans.told(done.rig, names)):
             click.echo(line)
         click.echo(f"wrote {out}")
-    new = [problem for problem in after.problems if problem not in before.problems]
+    new = [str(figure) for figure in after if figure.name not in before]
     if new:
         raise FitError(f"{out} is written, but misses {'; '.join(new)}")
     return 0
