@@ -1,5 +1,5 @@
 # make study   the whole chain on the default head -> out/study/index.html
-# make test    every test        make check   ruff, mypy, import-linter
+# make test    every test, two at a time        make check   ruff, mypy, import-linter
 # Each does first all set-up that is missing (tools/set-up), and starts at once when nothing is.
 .PHONY: study test check setup clean
 PYTHON := .venv/bin/python
@@ -8,7 +8,7 @@ study: setup
 	.venv/bin/softdeca study
 
 test: setup
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n 2 --dist worksteal
 
 check: setup
 	.venv/bin/ruff check .

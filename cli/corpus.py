@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from ..lhm.errors import InputError
 from .progress import shown
+from .written_file import PNG
 
 AFolder = click.Path(path_type=Path, file_okay=False)
 AFile = click.Path(path_type=Path, dir_okay=False)
@@ -32,7 +32,9 @@ def _plan(plan_file: Path | None, preset: str | None, takes: Path | None, identi
 
     if plan_file is not None and preset is not None:
         raise click.UsageError("a plan's file and --preset both say which plan; give one", click.get_current_context())
-    plan = CorpusPlan.of({"preset": preset or "tiny"}) if plan_file is None else read_plan(plan_file)
+    plan = (
+        CorpusPlan.of({"preset": "tiny" if preset is None else preset}) if plan_file is None else read_plan(plan_file)
+    )
     plan = plan if takes is None else replace(plan, takes=str(takes))
     return plan if identities_count is None else replace(plan, identities=identities_count)
 
@@ -196,15 +198,13 @@ def verify(folder: Path) -> int:
 @click.argument("folder", type=AFolder)
 @click.option("--count", type=click.IntRange(1, 200), default=12, help="frames")
 @click.option("--seed", type=click.IntRange(0), default=0, help="of the choice")
-@click.option("--out", type=AFile, help="PNG; default: FOLDER/sample.png")
+@click.option("--out", type=PNG, help="default: FOLDER/sample.png")
 def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
     """A contact sheet of random accepted frames: blendshapes S, simulation T, and |T - S| as colours."""
     from ..benchmarks.contact_sheet import contact_sheet
     from ..lhm.files.atomic import write_whole
 
     out = folder / "sample.png" if out is None else out
-    if out.suffix != ".png":
-        raise InputError(f"{out}: expected a file that ends in .png")
     with shown() as progress:
         write_whole(out, contact_sheet(folder, count, seed, progress))
     click.echo(out)

@@ -17,10 +17,12 @@ from ..lhm.files.template_file import read_template, save_template
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
+from ..lhm.template import DEFAULT_LEVEL
 from .landmarks import landmarks_command
 from .personalise import personalise
 from .progress import shown
 from .train_regressor import train_regressor
+from .written_file import NPZ, PNG
 
 AFile = click.Path(path_type=Path)
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
@@ -52,12 +54,12 @@ head.add_command(personalise)
     "--landmarks", type=AFile, help="JSON of named points on --skin, in its coordinates or in mm along its axes"
 )
 @click.option("--template", "template_file", type=AFile, help="a template by `head template`; default: the space's own")
-@click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
+@click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap")
 @click.option("--regressor", "regressor_file", type=AFile, help="depths by `head train-regressor`; default: a prior")
 @click.option("--seed", type=click.IntRange(min=0), help="sample a random identity instead")
-@click.option("--out", type=AFile, default="out/head.npz", help="the head to write")
+@click.option("--out", type=NPZ, default="out/head.npz", help="the head to write")
 @click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
-@click.option("--picture", type=AFile, help="also draw the layers into this PNG")
+@click.option("--picture", type=PNG, help="also draw the layers into this PNG")
 @as_json_option
 def fit(
     space_name: str,
@@ -69,7 +71,7 @@ def fit(
     keep_sealed: bool,
     landmarks: Path | None,
     template_file: Path | None,
-    level: int,
+    level: int | None,
     regressor_file: Path | None,
     seed: int | None,
     out: Path,
@@ -83,11 +85,17 @@ def fit(
     """
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
+    about = {"--unit": unit, "--up": up, "--front": front, "--landmarks": landmarks}
+    for option in about if skin is None else ():
+        if about[option] is not None:
+            raise click.UsageError(f"{option} is of --skin, which is not given", click.get_current_context())
+    if template_file is not None and level is not None:
+        raise click.UsageError("--template has a level; --level is of the space's own", click.get_current_context())
     with shown() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
         if template_file is None:
-            template = load_template(space, level=level, progress=progress)
+            template = load_template(space, level=level or DEFAULT_LEVEL, progress=progress)
         else:
             template = _in_space(read_template(template_file), space)
         regressor = None
@@ -124,7 +132,7 @@ def fit(
 @click.option("--identities", "space_name", default="ict:ict_facekit.npz", help="whose mean head: anny or ict:FILE")
 @click.option("--anatomy", type=AFile, required=True, help="bones and muscles: BodyParts3D's head as .npz")
 @click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
-@click.option("--out", type=AFile, default="out/template.npz", help="the template to write; `head fit --template` it")
+@click.option("--out", type=NPZ, default="out/template.npz", help="the template to write; `head fit --template` it")
 @as_json_option
 def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: bool) -> int:
     """Build a template from real anatomy (some two minutes), write it and check its own head."""

@@ -10,6 +10,7 @@ import numpy as np
 from ..lhm import expressions, fit_head, identities, load_template
 from ..lhm.errors import InputError
 from ..lhm.files.head_file import load_head
+from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.parameter_file import read_parameters
 from .progress import shown
@@ -22,7 +23,7 @@ AFile = click.Path(path_type=Path)
 @click.option("--head", "head_file", type=AFile, help="a head by `head fit`; default: one fitted to --identities")
 @click.option("--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with --head: whose expressions")
 @click.option("--seed", type=click.IntRange(min=0), help="of a random identity; default: the mean")
-@click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
+@click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults")
 @click.option("--out", default="out/take", type=AFile, help="folder of the results; what is done there is kept")
 @click.option("--format", "kind", type=click.Choice(["vtkhdf", "gltf"]), default="vtkhdf", help="of the moving skin")
@@ -44,7 +45,7 @@ def simulate(
     head_file: Path | None,
     space_name: str | None,
     seed: int | None,
-    level: int,
+    level: int | None,
     parameter_file: Path | None,
     out: Path,
     kind: str,
@@ -71,6 +72,8 @@ def simulate(
 
     if head_file is not None and seed is not None:
         raise click.UsageError("--head and --seed both say which head; give one", click.get_current_context())
+    if head_file is not None and level is not None:
+        raise click.UsageError("--level is of a head yet to be fitted; --head has its own", click.get_current_context())
     recorded = take_from_text(take)
     recorded = expressions.resampled(recorded, recorded.rate if fps is None else fps)
     recorded = recorded if chosen is None else cut(recorded, chosen)
@@ -90,7 +93,7 @@ def simulate(
                 deltas = deltas_of(head, str(head_file), space_name)
             else:
                 space = identities.from_text(space_name or "anny")
-                template = load_template(space, level=level, progress=progress)
+                template = load_template(space, level=level or DEFAULT_LEVEL, progress=progress)
                 code = np.zeros(space.code_size) if seed is None else space.sample(np.random.default_rng(seed))[0]
                 head, deltas = fit_head(template, space.skin(code)), space.expression_deltas(code)
             progress("head", 1.0)

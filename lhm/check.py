@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from .errors import MeshError, expect
+from .checked import checked
+from .errors import MeshError
 from .geometry.bvh import TriangleTree
 from .geometry.closing import closed
 from .geometry.distance import SignedDistance, is_closed
@@ -162,9 +163,9 @@ _WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
 
+@checked
 def check_head(head: LayeredHead) -> HeadReport:
     """Measure all gates of a head (a quarter of a second)."""
-    expect(LayeredHead, head=head)
     rigged = None if head.rig is None else (head.rig, head.skin_from_wrap)
     wraps = (head.skin_wrap, head.muscle_wrap, head.skull_wrap)
     return check_layers(head.skin, wraps, head.bone, head.regions, rigged=rigged)

@@ -21,16 +21,5 @@ class SceneError(SoftdecaError):
     """A scene, or what a solver is asked to do with it, is inconsistent."""
 
 
-def expect(kind: type, **values: object) -> None:
-    """Raise InputError for the first value, by its name, that is not of a kind."""
-    for name, value in values.items():
-        if not isinstance(value, kind):
-            raise InputError(f"{name}: expected {_article(kind.__name__)}, got {_article(type(value).__name__)}")
-
-
-def _article(word: str) -> str:
-    return word if word == "NoneType" else f"{'an' if word[0] in 'AEIOUaeiou' else 'a'} {word}"
-
-
 class MissingDependencyError(SoftdecaError):
     """An optional package is not installed; the message says what to install."""

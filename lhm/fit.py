@@ -10,7 +10,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
-from .errors import InputError, expect
+from .checked import checked
+from .errors import InputError
 from .expressions.transfer import transfer_expressions
 from .geometry.rigid import rigid_motion
 from .geometry.warp import TriharmonicWarp, farthest_points
@@ -62,6 +63,7 @@ class _Prepared:
 _prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
 
 
+@checked
 def fit_head(
     template: Template,
     skin: Surface,
@@ -89,8 +91,6 @@ def fit_head(
     InputError for a skin of the template's triangles that is not of its size or does not look its way; and what
     `register` and `registered_by` raise.
     """
-    expect(Template, template=template)
-    expect(Surface, skin=skin)
     same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
         skin.triangles, template.skin.triangles
     )

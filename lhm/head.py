@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from .checked import checked
 from .errors import InputError, MeshError
 from .layers import sub_layers
 from .mesh import Floats, Ints, Surface, TetMesh
@@ -16,6 +17,7 @@ from .rig import Rig
 FREE, CRANIUM, MANDIBLE = 0, 1, 2
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LayeredHead:
     """One person's neutral head.
@@ -55,7 +57,7 @@ class LayeredHead:
             wrap = getattr(self, name)
             if len(wrap.vertices) != n or not np.array_equal(wrap.triangles, triangles):
                 raise MeshError(f"{name}: its triangulation differs from the skin wrap's")
-        if self.bone.shape != (n,) or not np.isin(self.bone, (FREE, CRANIUM, MANDIBLE)).all():
+        if np.shape(self.bone) != (n,) or not np.isin(self.bone, (FREE, CRANIUM, MANDIBLE)).all():
             raise MeshError(f"bone: expected shape ({n},) of 0, 1 or 2")
         for name, shape in (
             ("wrap_from_skin", (n, len(self.skin.vertices))),
@@ -65,6 +67,9 @@ class LayeredHead:
                 raise MeshError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
         if self.rig is not None and self.rig.deltas.shape[1] != len(self.skin.vertices):
             raise MeshError(f"rig: it has {self.rig.deltas.shape[1]} vertices, the skin {len(self.skin.vertices)}")
+        for name, mask in self.regions.items():
+            if np.shape(mask) != (n,):
+                raise MeshError(f"regions: {name!r} has shape {np.shape(mask)}, expected ({n},)")
         try:
             soft, muscle = self.sub_layers(1, 1) if self.volume is None else self._checked(*self.volume)
         except MeshError as error:
@@ -78,6 +83,7 @@ class LayeredHead:
             raise MeshError(f"volume: its first {len(stack)} vertices, shared by both meshes, must be the wraps'")
         return soft, muscle
 
+    @checked
     def sub_layers(self, soft: int, muscle: int) -> tuple[TetMesh, TetMesh]:
         """Soft tissue and muscle with their prisms split into so many layers, over shared vertices; see `layers`."""
         wraps = (self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices)
@@ -100,13 +106,23 @@ class LayeredHead:
             raise InputError("head: it has no expressions of its own; fit it anew, or name an identity space that has")
         return self.skin.vertices + self.rig.moved(weights)
 
+    @checked
     def wrap_targets(self, expression: Floats) -> Floats:
         """Where a skin expression [mm], shape (skin vertices, 3), takes the skin wrap's vertices, shape (n, 3)."""
-        return self.skin_wrap.vertices + self.wrap_from_skin @ (expression - self.skin.vertices)
+        moved = _of_shape("expression", expression, self.skin.vertices) - self.skin.vertices
+        return self.skin_wrap.vertices + self.wrap_from_skin @ moved
 
+    @checked
     def skin_after(self, expression: Floats, wrap: Floats) -> Floats:
         """The skin [mm] that an expression becomes when the skin wrap ends at `wrap`, shape (n, 3).
 
         The wrap's deviation from its target is added to the expression, so detail finer than the wrap is kept.
         """
-        return expression + self.skin_from_wrap @ (wrap - self.wrap_targets(expression))
+        moved = _of_shape("wrap", wrap, self.skin_wrap.vertices) - self.wrap_targets(expression)
+        return expression + self.skin_from_wrap @ moved
+
+
+def _of_shape(name: str, values: Floats, like: Floats) -> Floats:
+    if np.shape(values) != like.shape:
+        raise MeshError(f"{name}: expected shape {like.shape}, got {np.shape(values)}")
+    return np.asarray(values, dtype=np.float64)

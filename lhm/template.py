@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from .checked import checked
 from .head import LayeredHead
 from .identities import Anny
 from .identities.space import LinearSpace
@@ -94,6 +95,7 @@ class Template:
         return LayeredHead(skin, *wraps, self.bone, *ties, self.regions, muscles, skull)
 
 
+@checked
 def load_template(
     space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
 ) -> Template:

@@ -12,7 +12,8 @@ from typing import get_args
 
 import numpy as np
 
-from ..lhm.errors import SceneError, expect
+from ..lhm.checked import checked
+from ..lhm.errors import SceneError
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ..lhm.mesh import Floats, Ints
 from . import terms
@@ -44,6 +45,7 @@ WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
 
+@checked
 def facial_scene(
     head: LayeredHead,
     parameters: Parameters,
@@ -53,7 +55,7 @@ def facial_scene(
     layers: tuple[int, int] = (1, 1),
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
-    contact: Sequence[str] = (),
+    contact: Sequence[str | np.ndarray] = (),
     attached: Sequence[Attached] = (),
     rule: StrainRule = "clamp",
 ) -> Scene:
@@ -71,8 +73,6 @@ def facial_scene(
     Raises SceneError for targets of another shape, that are not finite or more than 200 mm from the skin, and for
     unknown or contradicting choices.
     """
-    expect(LayeredHead, head=head)
-    expect(Parameters, parameters=parameters)
     targets = _checked_targets(head, targets)
     _check_choices(bones, without, attached)
     wrap_targets = head.wrap_targets(targets)
@@ -238,7 +238,7 @@ def _mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:
     return mask
 
 
-def _touching(head: LayeredHead, names: Sequence[str]) -> Ints:
+def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
     """The skin wrap's triangles within the union of some regions and WIDER edges around it, shape (k, 3)."""
     touching = np.any([_mask(head, name) for name in names], axis=0)
     triangles = head.skin_wrap.triangles
@@ -275,6 +275,7 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
         raise SceneError("soft bones are the skull wrap itself: attach eyes to it, but no bone")
 
 
+@checked
 def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
@@ -283,7 +284,6 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     left out, since the law is one itself. Raises SceneError where a layer has no such counterpart: strain limit or
     growth other than 1, or stiffnesses that vary within a term.
     """
-    expect(Scene, scene=scene)
     strains = [strain for strain in scene.of(terms.Strain) if not is_guard(strain)]
     volumes = scene.of(terms.Volume)
     others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]

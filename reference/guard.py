@@ -14,7 +14,7 @@ from .terms import Strain
 
 FREE_STRETCH = 3.0
 """Stretches within [1 / FREE_STRETCH, FREE_STRETCH] are left alone: no answer within them changes."""
-THIN = 2.5
+THIN = 4.0
 """[mm] Tets of less height are guarded, the more the thinner they are."""
 STIFFNESS = 20.0
 """A guard's stiffness over soft tissue's: STIFFNESS (THIN / height - 1), so that it resists displacements alike."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..lhm.checked import checked
 from ..lhm.geometry import cholmod
 from ..lhm.geometry.factor import LinearSolver
 from ..lhm.mesh import Floats
@@ -104,6 +105,7 @@ class Linearised:
         return dict(zip(found, skins, strict=True))
 
 
+@checked
 def linearised(face: Settled, *, like: Linearised | None = None) -> Linearised:
     """Prepare a settled face's scenes, solve the neutral one tightly and factor its tangent.
 

@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from ..lhm.checked import checked
 from ..lhm.errors import SceneError
 from ..lhm.mesh import Floats, Ints
 from .scene import Scene
@@ -19,6 +20,8 @@ from .trajectory import OnStep, Trajectory
 SOLVERS = ("fenicsx",)
 MASSES = ("lumped", "consistent")
 
+LONGEST = 1e6
+"""A time step [s]: eleven days."""
 Course: TypeAlias = Callable[[float], Floats] | Floats
 """A function of time [s], or its values at the steps' ends, first axis (steps,)."""
 
@@ -71,6 +74,7 @@ class Motion:
         return course[step - 1] if step else None
 
 
+@checked
 def march(
     scene: Scene,
     *,
@@ -137,8 +141,8 @@ def _checked(
     if scene.of(Inertia):
         raise SceneError("march: the scene has an Inertia term; mass is given by density and skin_density")
     step = np.asarray(time_step, dtype=np.float64)
-    if step.shape != () or not (np.isfinite(step) and step > 0.0):
-        raise SceneError(f"time_step: must be finite and above 0 s, got {time_step!r}")
+    if step.shape != () or not 0.0 < step <= LONGEST:
+        raise SceneError(f"time_step: must be above 0 s and at most {LONGEST:g}, got {time_step!r}")
     if not isinstance(steps, (int, np.integer)) or steps < 1:
         raise SceneError(f"steps: must be a whole number of at least 1, got {steps!r}")
     if mass not in MASSES:
@@ -158,9 +162,9 @@ def _checked(
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
     for name, course in (("targets", targets), ("fixed", fixed), ("acceleration", acceleration)):
-        if course is not None and not callable(course) and len(course) < steps:
-            raise SceneError(f"{name}: {len(course)} values for {steps} steps")
-    if scenes is not None and not (callable(scenes) and isinstance(scenes(0.0), Scene)):
+        if course is not None and not callable(course) and (np.ndim(course) == 0 or len(course) < steps):
+            raise SceneError(f"{name}: expected values of {steps} steps, got shape {np.shape(course)}")
+    if scenes is not None and not isinstance(scenes(0.0), Scene):
         raise SceneError("scenes: expected a function from time [s] to a Scene")
     vertices = np.arange(len(scene.vertices)) if keep is None else np.asarray(keep)
     if vertices.ndim != 1 or not np.issubdtype(vertices.dtype, np.integer):

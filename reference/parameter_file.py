@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..lhm.checked import checked
 from ..lhm.errors import InputError, MissingDependencyError
 from ..lhm.mesh import Floats
 from .parameters import Parameters
 
 
+@checked
 def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     """The parameters in a TOML file; what it does not name keeps its default.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..lhm.checked import checked
 from ..lhm.errors import SceneError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
@@ -58,6 +59,7 @@ class Sequence:
     time step at which the frequency cannot be followed. `of` makes one whose neutral face has settled under p.
     """
 
+    @checked
     def __init__(
         self,
         head: LayeredHead,
@@ -84,6 +86,7 @@ class Sequence:
         self._pivot = pivot(head)
 
     @classmethod
+    @checked
     def of(cls, neutral: Settled, **options: Any) -> Sequence:
         """Frames of a face settled under its p: expressions stay those of the head without p.
 
@@ -93,6 +96,7 @@ class Sequence:
         sequence._neutral = neutral
         return sequence
 
+    @checked
     def begin(self, targets: Floats, *, velocity: Floats | None = None, base: Floats | None = None) -> Solution:
         """Put the head at rest in an expression [mm], shape (skin vertices, 3), but moving at `velocity` [mm/s].
 
@@ -110,6 +114,7 @@ class Sequence:
         self.state = State(solution.positions, _target(scene).positions, before, turns=turned)
         return solution
 
+    @checked
     def frame(self, targets: Floats, *, base: Floats | None = None) -> Solution:
         """The next frame, towards an expression [mm], shape (skin vertices, 3); the first begins at rest in its own.
 
@@ -135,6 +140,7 @@ class Sequence:
             self.state = State(positions, sought, self.state.positions[:n], drift, turned_by)
         return solution
 
+    @checked
     def skin(self, targets: Floats, solution: Solution) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
         return self.head.skin_after(self._drawn(targets), solution.positions[: len(self.head.bone)])

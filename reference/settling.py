@@ -15,6 +15,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
+from ..lhm.checked import checked
+from ..lhm.errors import SceneError
 from ..lhm.flesh import LEAN_REGIONS, fleshy
 from ..lhm.head import FREE, LayeredHead
 from ..lhm.mesh import Floats
@@ -73,6 +75,7 @@ class Settled:
         return facial_scene(self.head, self.parameters, self.targets(expression), **self.choices | choices)
 
 
+@checked
 def settled(
     head: LayeredHead,
     parameters: Parameters,
@@ -87,6 +90,8 @@ def settled(
     `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
     answer that has not converged says so by `reason`. Raises what `facial_scene` and the solver raise.
     """
+    if not 0.0 < tolerance < 1.0:
+        raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
     stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
     if not changes_neutral(parameters):
         kept = facial_scene(head, parameters, head.skin.vertices, **choices)

@@ -10,7 +10,8 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..lhm.errors import InputError, expect
+from ..lhm.checked import checked
+from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced
 from .scene import Scene
 from .solution import Solution
@@ -18,6 +19,7 @@ from .solution import Solution
 SUFFIXES = (".vtu", ".vtk")
 
 
+@checked
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with what the solution found, whole or not at all.
 
@@ -25,8 +27,6 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     row by row). Raises InputError for another suffix, a solution of another scene, and a place that cannot be written.
     """
     path = Path(path)
-    expect(Scene, scene=scene)
-    expect(Solution, solution=solution)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
     if solution.positions.shape != scene.vertices.shape or len(solution.volume_ratio) != len(scene.tets):

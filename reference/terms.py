@@ -29,6 +29,14 @@ def _numbers(name: str, values) -> np.ndarray:
         raise SceneError(f"{name}: expected numbers, got {values!r:.60}") from None
 
 
+def _one(name: str, value, low: float, *, strict: bool = False) -> float:
+    """A finite number, at least (strict: above) low."""
+    number = _per_item(name, value, None, low, strict=strict)
+    if number.ndim:
+        raise SceneError(f"{name}: expected one number, got shape {number.shape}")
+    return float(number)
+
+
 def _per_item(name: str, values, count: int | None, low: float, *, strict: bool = False):
     """A finite number or a read-only array (count,), each at least (strict: above) low."""
     array = _numbers(name, values)
@@ -399,6 +407,6 @@ class Contact(Term):
     def __post_init__(self):
         self._set(
             triangles=_triangles("Contact.triangles", self.triangles),
-            stiffness=float(_per_item("Contact.stiffness", self.stiffness, 0, 0.0, strict=True)),
-            thickness=float(_per_item("Contact.thickness", self.thickness, 0, 0.0)),
+            stiffness=_one("Contact.stiffness", self.stiffness, 0.0, strict=True),
+            thickness=_one("Contact.thickness", self.thickness, 0.0),
         )

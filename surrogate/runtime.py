@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm import identities
+from ..lhm.checked import checked
 from ..lhm.errors import InputError
 from ..lhm.files import cache
 from ..lhm.geometry.deformation import DeformationTransfer, weighted_edges
@@ -34,6 +35,7 @@ class Surrogate:
         self._transfer = DeformationTransfer(checkpoint.reference, checkpoint.anchors, dtype=np.float32)
 
     @classmethod
+    @checked
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
         """Read a checkpoint; None is the one that the study has trained. InputError if it is missing or damaged."""
         return cls(Checkpoint.load(default_path() if path is None else path))

@@ -9,17 +9,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..errors import InputError, expect
+from ..checked import checked
+from ..errors import InputError
 from ..identities.space import LinearSpace
 from ..mesh import Floats
 
 
+@checked
 def index(name: str) -> int:
     """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
     if name in ARKIT:
         return ARKIT.index(name)
-    if not isinstance(name, str):
-        raise InputError(f"unknown ARKit expression {name!r:.40}")
     by_lower = {known.lower(): known for known in ARKIT}
     near = difflib.get_close_matches(name.lower(), by_lower, n=3)
     hint = f"; did you mean {' or '.join(by_lower[match] for match in near)}?" if near else ""
@@ -63,13 +63,13 @@ def checked_weights(weights) -> Floats:
     return np.clip(values, 0.0, 1.0)
 
 
+@checked
 def blend(space: LinearSpace, code, weights) -> Floats:
     """Skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
 
     `code` as in `space.skin`, `weights` (frames, 52) or (52,) in [0, 1] (clipped with a warning that counts them);
     returns (frames, n, 3). Raises InputError for another shape and for weights that are not finite.
     """
-    expect(LinearSpace, space=space)
     values = np.atleast_2d(checked_weights(weights))
     deltas = space.expression_deltas(code)
     used = np.flatnonzero(values.any(axis=0))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..arkit import ARKIT
-from ..errors import InputError
+from ..checked import checked
 from ..mesh import Floats
 from .blending import index
-from .take import check_rate
+from .take import check_frames
 
 UNITS: tuple[tuple[str, ...], ...] = (
     *(
@@ -59,6 +59,7 @@ MOVED, HELD, MEET = (0.15, 0.6), (0.1, 0.4), 0.3  # [s], [s], share of a fall in
 JAW_SHARE, SYMMETRIC_SHARE, MORE_UNITS = 0.6, 0.8, 2.0
 
 
+@checked
 def sample_weights(rng: np.random.Generator) -> Floats:
     """One random expression: ARKit weights in [0, 1], shape (52,).
 
@@ -85,6 +86,7 @@ def sample_weights(rng: np.random.Generator) -> Floats:
     return weights if weights.any() else sample_weights(rng)
 
 
+@checked
 def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
     """Weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
 
@@ -92,9 +94,7 @@ def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     other one is below 0.15; it is held for 0.1 to 0.4 s. Raises InputError for fewer than one frame and a rate that is
     not positive.
     """
-    if frames < 1:
-        raise InputError(f"frames: {frames}, expected 1 or more")
-    check_rate(rate)
+    check_frames(frames, rate)
     times, weights = np.arange(frames) / rate, np.zeros((frames, len(ARKIT)))
     start, expression = 0.0, sample_weights(rng)
     while start <= times[-1]:

@@ -16,10 +16,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from ..arkit import ARKIT
-from ..errors import InputError
+from ..checked import checked
 from ..mesh import Floats
 from .head_motion import head_motion
-from .take import Take, check_rate
+from .take import Take, check_frames
 
 # Mouth targets at full effort; names without a side stand for both sides.
 CONSONANTS: tuple[dict[str, float], ...] = (
@@ -56,6 +56,7 @@ COARTICULATION = 0.035  # [s]
 UNEVEN = 0.08
 
 
+@checked
 def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
     """Weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
 
@@ -63,9 +64,7 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     mouthRight, smile and frown, up and down, in and out of a gaze) one is zero, eyeWide fades while the eye blinks,
     mouthClose is at most jawOpen. Raises InputError for fewer than one frame and a rate that is not positive.
     """
-    if frames < 1:
-        raise InputError(f"frames: {frames}, expected 1 or more")
-    check_rate(rate)
+    check_frames(frames, rate)
     face = _Face(rng, frames, rate)
     talking = _turns(rng, face.times)
     smile = _smiles(face, rng)
@@ -76,6 +75,7 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     return face.weights()
 
 
+@checked
 def conversation_take(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Take:
     """A conversation's weights as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
     weights = conversation(rng, frames, rate=rate)

@@ -16,12 +16,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checked import checked
 from ..errors import InputError
 from ..mesh import Ints
 from .combinations import combinations
 from .conversation import conversation_take
 from .speech import PACE, speech, texts
-from .take import Take, check_rate, read_take, resampled
+from .take import Take, check_frames, read_take, resampled
 
 Kind = Literal["real", "speech", "conversation", "random"]
 RATE = 60.0
@@ -53,6 +54,7 @@ class Recording:
         return take
 
 
+@checked
 def recordings(
     folder: str | os.PathLike[str] | None = None,
     *,
@@ -69,9 +71,9 @@ def recordings(
     `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`: how many, each of `seconds`.
     Raises InputError for a folder that is not there, counts below 0, and what `speech` and the makers raise.
     """
-    check_rate(rate)
-    if min(conversations, random) < 0 or not (np.isfinite(seconds) and seconds * rate >= 1.0):
-        raise InputError("recordings: counts must be 0 or more, and seconds hold a frame")
+    if min(conversations, random) < 0:
+        raise InputError("recordings: counts must be 0 or more")
+    check_frames(seconds * rate, rate)
     frames = round(seconds * rate)
     found = [] if folder is None else _real(Path(folder), rate)
     for number, text in enumerate(texts() if spoken is None else spoken):

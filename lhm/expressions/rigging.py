@@ -20,6 +20,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from ..arkit import ARKIT
+from ..checked import checked
 from ..errors import InputError, MeshError
 from ..geometry.deformation import DeformationTransfer, deformation_gradients, require_area
 from ..mesh import Floats, Ints, Surface
@@ -48,6 +49,7 @@ class PersonalRig:
     history: Floats
 
 
+@checked
 def personalised(neutral: Surface, deltas, examples, weights, *, rounds: int = ROUNDS) -> PersonalRig:
     """Fit the shapes to scanned expressions of one person.
 

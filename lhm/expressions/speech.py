@@ -10,6 +10,7 @@ import re
 import zlib
 from importlib import resources
 
+from ..checked import checked
 from ..errors import InputError
 from .livelink import parse_csv
 from .take import Take
@@ -25,6 +26,7 @@ GESTURES = {
 }
 
 
+@checked
 def speech(text: str, *, pace: float = PACE) -> Take:
     """A take of someone saying an English text, at 60 Hz; the same text and pace [sounds per second] give the same.
 

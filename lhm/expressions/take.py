@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arkit import ARKIT
+from ..checked import checked
 from ..errors import InputError
 from ..mesh import Floats
 
@@ -17,6 +18,7 @@ GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class Take:
     """Weights in ARKit's order, shape (frames, 52), in [0, 1], at `times` [s], shape (frames,), rising.
@@ -104,12 +106,26 @@ class Take:
         return tuple(text for there, text in said if there)
 
 
+MOST_FRAMES = 10_000_000
+"""Of a take: nearly two days at 60 Hz, and 4 GB."""
+FASTEST = 10_000.0
+"""Frames per second [Hz]."""
+
+
 def check_rate(rate: float) -> None:
-    """Raise InputError unless a frame rate [Hz] is finite and positive."""
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"rate: {rate:g} Hz, expected a finite number above 0")
+    """Raise InputError unless a frame rate [Hz] is positive, and no more than FASTEST."""
+    if not 0.0 < rate <= FASTEST:
+        raise InputError(f"rate: {rate:g} Hz, expected a number above 0, {FASTEST:,.0f} at most")
 
 
+def check_frames(frames: float, rate: float) -> None:
+    """Raise InputError unless a take can have so many frames at this rate [Hz]."""
+    check_rate(rate)
+    if not 1 <= frames <= MOST_FRAMES:
+        raise InputError(f"frames: {frames:.0f}, expected 1 to {MOST_FRAMES:,}")
+
+
+@checked
 def read_take(path: str | os.PathLike[str]) -> Take:
     """A take from a CSV of LiveLink Face (`livelink`) or of a row per quantity (`weights_csv`), or JSON (`take_json`).
 
@@ -167,6 +183,7 @@ def take_of(
     )
 
 
+@checked
 def resampled(take: Take, rate: float) -> Take:
     """The take at evenly spaced times from its first to its last, `rate` [Hz].
 
@@ -175,8 +192,8 @@ def resampled(take: Take, rate: float) -> Take:
     over 1/rate around each new time (as much of it as lies within the take), so that what is faster than the new rate
     fades rather than folds back. Raises InputError for a rate that is not positive.
     """
-    check_rate(rate)
     start, end = take.times[0], take.times[-1]
+    check_frames(1 + (end - start) * rate, rate)
     times = start + np.arange(int(np.floor((end - start) * rate + 1e-6)) + 1) / rate
     times = np.minimum(times, end)
     weights = _at(take, take.weights, times, rate)

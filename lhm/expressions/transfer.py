@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arkit import ARKIT
+from ..checked import checked
 from ..errors import MeshError
 from ..geometry.deformation import DeformationTransfer, deformation_gradients, require_area
 from ..geometry.parts import connected_parts
@@ -48,6 +49,7 @@ class Anchors:
         return motion
 
 
+@checked
 def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface) -> Floats:
     """The displacements [mm] of the target's 52 expressions, shape (52, n, 3).
 

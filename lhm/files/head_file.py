@@ -14,6 +14,7 @@ from scipy.sparse import csr_matrix
 
 from ..arkit import ARKIT
 from ..check import HeadReport, check_layers
+from ..checked import checked
 from ..errors import InputError, MeshError
 from ..head import LayeredHead
 from ..mesh import Surface, TetMesh
@@ -27,6 +28,7 @@ _INSIDE = ("muscles", "skull")
 _WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
 
 
+@checked
 def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     """Write a head to a .npz file, whole or not at all."""
     arrays = {"format": np.array(FORMAT), "bone": head.bone, "triangles": head.skin_wrap.triangles}
@@ -80,6 +82,7 @@ def surface_in(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
     return Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
 
 
+@checked
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
     with _named(path):

@@ -18,7 +18,12 @@ MOST_BYTES = 2_000_000_000
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays by name, compressed; InputError if the file cannot be written, and then it is as it was."""
+    """Write arrays by name, compressed; InputError if the file cannot be written, and then it is as it was.
+
+    Its name has to end in .npz, since readers tell files by their ending.
+    """
+    if Path(path).suffix != ".npz":
+        raise InputError(f"{path}: expected a file that ends in .npz")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_whole(path, buffer.getvalue())

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..checked import checked
 from ..errors import InputError, MeshError
 from ..mesh import Ints, Surface
 from .scan_file import read_scan
@@ -17,6 +18,7 @@ MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
 
 
+@checked
 def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
     """A triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
 

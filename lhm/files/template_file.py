@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..checked import checked
 from ..errors import InputError, MeshError
 from ..mesh import Surface
 from ..template import Template
@@ -66,6 +67,7 @@ def save_template(path: str | os.PathLike[str], template: Template) -> None:
     write_arrays(path, arrays_of(template) | {"format": np.array(FORMAT)})
 
 
+@checked
 def read_template(path: str | os.PathLike[str]) -> Template:
     """Read a template; InputError names a file that is missing, damaged or something else."""
     arrays = read_arrays(path, of="a template")

@@ -12,6 +12,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from ..checked import checked
 from ..errors import InputError, MeshError
 from ..head import LayeredHead
 from ..mesh import Ints, TetMesh
@@ -80,6 +81,7 @@ def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
         mesh.write(temporary, **{"file_format": FORMATS[kind], **settings})
 
 
+@checked
 def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
     """The tets of a file in any of the formats, with their tags (0 where it has none) and tagged triangles.
 

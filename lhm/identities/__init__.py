@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+
+from ..checked import checked
 from ..errors import InputError
 from .space import IdentitySpace, LinearSpace
 
@@ -15,27 +18,31 @@ def Anny() -> LinearSpace:
     return load()
 
 
-def ICTFaceKit(path) -> LinearSpace:
+@checked
+def ICTFaceKit(path: str | os.PathLike[str]) -> LinearSpace:
     """ICT-FaceKit's space from its .npz [cm in the file]; see `ict`. InputError names a bad file."""
     from .ict import load
 
     return load(path)
 
 
-def FLAME(path) -> LinearSpace:
+@checked
+def FLAME(path: str | os.PathLike[str]) -> LinearSpace:
     """FLAME's space from the user's licensed .pkl or .npz [m in the file]; see `flame`. InputError names a bad file."""
     from .flame import load
 
     return load(path)
 
 
-def MeshFolder(path, *, unit: str = "mm") -> LinearSpace:
+@checked
+def MeshFolder(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     """The space of a folder of meshes that share a topology; see `folder`. InputError names a bad file."""
     from .folder import load
 
     return load(path, unit=unit)
 
 
+@checked
 def from_text(text: str) -> LinearSpace:
     """The space that a command line names: "anny", "ict:FILE", "flame:FILE" or "folder:DIR"; InputError for others."""
     kind, _, path = text.partition(":")

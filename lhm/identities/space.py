@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..checked import checked
 from ..errors import InputError
 from ..mesh import Floats, Ints, Surface
 
@@ -77,6 +78,7 @@ class LinearSpace:
         """The neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
         return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._checked(code), self.identity, axes=1))
 
+    @checked
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
         """A random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
         code = np.clip(rng.standard_normal(self.code_size), -CLIP, CLIP)

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from ...lhm.checked import checked
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..materials import Corotated, Incompressible, Material
@@ -88,6 +89,7 @@ INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 
 
+@checked
 def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
@@ -152,6 +154,7 @@ class PreparedFenicsx:
         # A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable.
         self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in INDEFINITE)
 
+    @checked
     def solve(
         self,
         scene: Scene | None = None,

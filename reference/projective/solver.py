@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from ...lhm.checked import checked
 from ...lhm.errors import SceneError
 from ...lhm.geometry.factor import LinearSolver
 from ...lhm.mesh import Floats
@@ -129,6 +130,7 @@ class ProjectivePrepared:
     system: System
     contact: Following | None
 
+    @checked
     def solve(
         self,
         scene: Scene | None = None,

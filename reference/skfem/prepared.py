@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from ...lhm.checked import checked
 from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
 from .. import terms
@@ -56,6 +57,7 @@ class Prepared:
     scene: Scene
     discretisation: Discretisation
 
+    @checked
     def solve(
         self,
         scene: Scene | None = None,
@@ -77,6 +79,9 @@ class Prepared:
         self.scene.check_prepared_for(scene, varying=VARYING)
         if not 0 < tolerance < 1:
             raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
+        limit = MAX_ITERATIONS if max_iterations is None else max_iterations
+        if limit < 0:
+            raise SceneError(f"max_iterations must be at least 0, got {limit}")
         recorder = Recorder(on_iteration)
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
@@ -91,7 +96,6 @@ class Prepared:
             goal[body.dofs] = body.rest if start is None else body.nearest(goal)
         x, forces = _begin(energy, at.flat(begin), goal, np.flatnonzero(free), scales)
         unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
-        limit = MAX_ITERATIONS if max_iterations is None else max_iterations
         descent = Descent(scene, at, energy, unknowns, scales, recorder)
         x, reason, iterations = descent.run(x, forces=forces, tolerance=tolerance, limit=limit)
         history = recorder.history()
@@ -107,6 +111,7 @@ class Prepared:
         )
 
 
+@checked
 def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 

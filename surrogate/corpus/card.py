@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, fields
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -169,13 +170,21 @@ def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
             "field": "cr:field",
             "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
             "source": "cr:source",
-            "sha256": "cr:sha256",
+            "sha256": "sc:sha256",
+            "fileSet": "cr:fileSet",
+            "includes": "cr:includes",
+            "extract": "cr:extract",
+            "fileProperty": "cr:fileProperty",
+            "citeAs": "cr:citeAs",
         },
         "@type": "sc:Dataset",
         "name": f"softdeca-corpus-{corpus.plan.digest}",
-        "description": "Simulated faces after SoftDECA: T - S of random people, materials, effects and expressions.",
+        "description": "Simulated faces after SoftDECA: T - S of random people, materials, effects and expressions. "
+        f"Each shard has tables of arrays. {_tables()}",
         "conformsTo": CROISSANT,
         "license": f"https://spdx.org/licenses/{licence.upper()}.html",
+        "citeAs": "Wagner, Schwanecke, Botsch: SoftDECA. MIG '23. https://doi.org/10.1145/3623264.3624439",
+        "datePublished": date.today().isoformat(),
         "version": "1.0.0",
         "distribution": [
             {
@@ -188,27 +197,45 @@ def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
                 "sha256": _sha256(path),
             }
             for path in files
+        ]
+        + [
+            {
+                "@type": "cr:FileSet",
+                "@id": "shards",
+                "name": "shards",
+                "description": "One person each",
+                "encodingFormat": forms[".h5"],
+                "includes": "person-*.h5",
+            }
         ],
+        # Croissant has no way to name an array of an HDF5 file: its records are the shards, the tables are in words.
         "recordSet": [
             {
                 "@type": "cr:RecordSet",
-                "@id": table,
-                "name": table,
-                "description": " ".join((kind.__doc__ or "").split()),
+                "@id": "people",
+                "name": "people",
                 "field": [
                     {
                         "@type": "cr:Field",
-                        "@id": f"{table}/{item.name}",
-                        "name": item.name,
-                        "description": f"array {table}/{item.name} of each person-NNNNN.h5",
-                        "dataType": "sc:Text" if "Texts" in str(item.type) else "sc:Float",
+                        "@id": f"people/{name}",
+                        "name": name,
+                        "dataType": "sc:Text",
+                        "source": {"fileSet": {"@id": "shards"}, "extract": {"fileProperty": name}},
                     }
-                    for item in fields(kind)
+                    for name in ("filename", "content")
                 ],
             }
-            for table, kind in TABLES.items()
         ],
     }
+
+
+def _tables() -> str:
+    """The tables' docstrings, and the names of their arrays, in one line."""
+    described = (
+        f"{table} ({', '.join(item.name for item in fields(kind))}): {' '.join((kind.__doc__ or '').split())}"
+        for table, kind in TABLES.items()
+    )
+    return " ".join(described)
 
 
 def _sha256(path: Path) -> str:

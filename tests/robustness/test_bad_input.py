@@ -1,13 +1,16 @@
 """Bad input ends in one line that names the thing, an exit status that is not 0, and no file left half-written."""
 
 import fcntl
+import resource
+import zipfile
 
 import numpy as np
 import pytest
 import trimesh
 
 from softdeca.benchmarks.study import parse_expression
-from softdeca.lhm import SoftdecaError
+from softdeca.lhm import SoftdecaError, fit_head, load_template
+from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.files.atomic import replaced
 from softdeca.lhm.files.head_file import load_head, save_head
 from softdeca.reference import Parameters, Scene, facial_scene, terms
@@ -28,11 +31,11 @@ def ball(scale: float = 1.0) -> str:
 
 SKINS = {
     "nan.obj": (lambda: "v nan 0 0\n" + ball().replace("f ", "f 1 2 3\nf ", 1), "not finite"),
-    "holes.obj": (lambda: trimesh.exchange.obj.export_obj(two_holes()), "2 holes"),
+    "holes.obj": (lambda: trimesh.exchange.obj.export_obj(two_holes()), "no face found"),
     "text.obj": (lambda: "Dear reader,\nthis is a letter.\n", "mesh"),
     "empty.obj": (lambda: "", "empty"),
     "missing.obj": (None, "no such file"),
-    "metres.obj": (lambda: ball(0.001), "units off"),
+    "metres.obj": (lambda: ball(0.001), "no face found"),
     "sphere.obj": (ball, "no face found"),
     "head.fbx": (lambda: "Kaydara", "unknown kind of file"),
 }
@@ -66,7 +69,17 @@ def test_a_bad_skin_is_named_in_one_line(command, tmp_path, name):
         (["bench", "verification", "--solver", "abaqus"], "unknown solver 'abaqus'"),
         (["head", "fit", "--seed", "-1"], "--seed"),
         (["head", "fit", "--seed", "1", "--skin", "a.obj"], "--skin and --seed"),
-        (["head", "fit", "--unit", "inch"], "'inch'"),
+        (["head", "fit", "--unit", "inch"], "--unit is of --skin, which is not given"),
+        (["head", "fit", "--template", "t.npz", "--level", "1"], "--template has a level"),
+        (["head", "fit", "--out", "head.obj"], "head.obj: expected a file that ends in .npz"),
+        (["head", "fit", "--picture", "head.jpg"], "head.jpg: expected a file that ends in .png"),
+        (["head", "template", "--anatomy", "a.npz", "--out", "t.vtu"], "expected a file that ends in .npz"),
+        (["head", "train-regressor", "--out", "depths"], "depths: expected a file that ends in .npz"),
+        (["corpus", "sample", "corpus", "--out", "sheet.pdf"], "expected a file that ends in .png"),
+        (["simulate", "conversation:1", "--head", "head.npz", "--level", "1"], "--level is of a head yet to be fitted"),
+        (["simulate", "conversation:1", "--fps", "1e12"], "rate: 1e+12 Hz, expected a number above 0, 10,000 at most"),
+        (["simulate", "conversation:3600", "--fps", "9999"], "frames: 35996234, expected 1 to 10,000,000"),
+        (["simulate", "conversation:1e9"], "expected conversation[:SECONDS[:SEED]]"),
         (["head"], "Missing command"),
         (["heads"], "heads"),
         (["--fast"], "--fast"),
@@ -111,13 +124,48 @@ def test_a_damaged_head_is_refused_wherever_the_damage_is(command, tmp_path, sph
     assert ended.status == 1 and len(ended.errors) == 1 and "head.npz" in ended.errors[0]
 
 
+def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
+    file = tmp_path / "head.npz"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("skin_vertices.npy", "w") as part:
+        for _ in range(201):
+            part.write(bytes(10_000_000))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(SoftdecaError, match=r"head\.npz: .*unpacks to 2\.0 GB, expected at most 2 GB"):
+        load_head(file)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000, "kB"
+
+
+@pytest.mark.parametrize("weight", [5.0, -1.0, float("nan"), float("inf"), "much", None, True, [0.5]])
+def test_a_weight_outside_0_to_1_is_named(weight):
+    with pytest.raises(SoftdecaError, match="the weight of jawOpen is .*expected a number in"):
+        weights_of({"jawOpen": weight})
+
+
+@pytest.mark.parametrize(
+    ("turned", "message"),
+    [
+        (lambda v: v / 1000.0, r"0\.001 times as large"),
+        (lambda v: v * 10.0, "10 times as large"),
+        (lambda v: v * [-1.0, 1.0, -1.0], "turned by 180 degrees"),
+    ],
+)
+def test_a_skin_of_another_size_or_direction_is_refused(turned, message):
+    template = load_template(level=1)
+    skin = template.skin.with_vertices(turned(template.skin.vertices))
+    with pytest.raises(SoftdecaError, match=f"^skin: {message}"):
+        fit_head(template, skin)
+
+
 def test_a_head_with_an_array_of_wrong_shape_or_missing_is_refused(tmp_path, sphere_head):
     file = tmp_path / "head.npz"
     save_head(file, sphere_head)
     with np.load(file) as whole:
         arrays = dict(whole)
     for name in arrays:
-        for wrong in ({key: value for key, value in arrays.items() if key != name}, arrays | {name: np.arange(7)}):
+        lacking = {
+            key: value for key, value in arrays.items() if key != name or name == "notes"
+        }  # older heads have none
+        for wrong in (*([lacking] if len(lacking) < len(arrays) else []), arrays | {name: np.arange(7)}):
             np.savez(file, **wrong)
             with pytest.raises(SoftdecaError, match=r"head\.npz: "):
                 load_head(file)
@@ -129,7 +177,7 @@ def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, 
     monkeypatch.setattr("softdeca.cli.head.load_template", lambda space, **_: None)
     monkeypatch.setattr("softdeca.cli.head.fit_head", lambda *_, **__: sphere_head)
     (tmp_path / "way").write_text("a file")
-    wanted = {"--out": tmp_path / "head.npz"} | {option: tmp_path / "way" / "x.png"}
+    wanted = {"--out": tmp_path / "head.npz"} | {option: tmp_path / "way" / ("x.npz" if option == "--out" else "x.png")}
     ended = command("head", "fit", *(word for pair in wanted.items() for word in pair))
     assert ended.status == 1 and len(ended.errors) == 1 and str(tmp_path / "way") in ended.errors[0], ended
     left = {p.name for p in tmp_path.iterdir()}
@@ -173,6 +221,8 @@ def fixed_at(vertex):
         (lambda head: fixed_at(-1), r"term 1 \(Fixed\): vertex -1 is outside 0..3"),
         (lambda head: facial_scene(head, Parameters(), head.skin.vertices[:-1]), "targets: expected the skin's shape"),
         (lambda head: facial_scene(head, Parameters(), head.skin.vertices * np.nan), "targets: .* not finite"),
+        (lambda head: facial_scene(head, Parameters(), head.skin.vertices + 201.0), "targets: .*200 mm"),
+        (lambda head: facial_scene(head, Parameters(), head.skin.vertices * 1e9), "targets: .*200 mm"),
     ],
 )
 def test_a_bad_scene_is_named_in_one_line(sphere_head, make, message):

@@ -75,7 +75,9 @@ def test_recovery_is_judged_by_shape_and_by_every_tet():
     assert recovery.away_from_rest(scene, replace(solution, volume_ratio=solution.volume_ratio * 0.99)) == np.inf
 
 
-@pytest.mark.parametrize("row", [r for r in homogeneous.STRAIN_ROWS if "Volume" in r.label], ids=str)
+@pytest.mark.parametrize(
+    "row", [r for r in homogeneous.STRAIN_ROWS if "Volume" in r.label], ids=lambda r: f"{r.label} {r.stretch}"
+)
 def test_the_stretched_bar_s_law_has_the_published_rows(row):
     """Six digits of V3: the law minimises over the lateral stretches and the nearest shape of volume 1 at once."""
     lateral, stress = stretched_bars.strain_and_volume(row.stretch)

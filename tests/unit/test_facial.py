@@ -191,7 +191,7 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
     assert np.all(head.skin.vertices[held, 2] <= 0)
     with pytest.raises(SceneError, match="layers"):
         facial_scene(head, Parameters(), head.skin.vertices, layers=(0, 1))
-    with pytest.raises(SceneError, match="without"):
+    with pytest.raises(InputError, match="without"):
         facial_scene(head, Parameters(), head.skin.vertices, without="muscle")
     literal = facial_scene(head, Parameters(strain_limit=1.05), head.skin.vertices, rule="indicator")
     assert [strain.rule for strain in literal.of(terms.Strain)] == ["indicator", "clamp"]

@@ -343,7 +343,7 @@ def body():
 @pytest.mark.parametrize(
     ("choices", "why"),
     [
-        ({"time_step": 0.0}, "time_step: must be finite and above 0 s"),
+        ({"time_step": 0.0}, "time_step: must be above 0 s"),
         ({"steps": 0}, "steps: must be a whole number of at least 1"),
         ({"scheme": "Heun"}, "unknown scheme 'Heun'; there are implicit Euler, Newmark, generalised-alpha"),
         ({"scheme": "generalised-alpha", "spectral_radius": 1.2}, "spectral_radius: must lie in"),
@@ -356,11 +356,11 @@ def body():
         ({"damping": (0.1, -1.0)}, "damping: expected two finite numbers"),
         ({"velocities": np.zeros((2, 3))}, "velocities: expected finite values of shape"),
         ({"positions": np.full(X.shape, np.nan)}, "positions: expected finite values"),
-        ({"targets": [X] * 2}, "targets: 2 values for 3 steps"),
+        ({"targets": [X] * 2}, r"targets: expected values of 3 steps, got shape \(2, "),
         ({"targets": lambda t: X[:4]}, "Target.positions: expected 45 rows, got 4"),
         ({"fixed": lambda t: X}, "0 Fixed terms"),
         ({"acceleration": lambda t: 9.81}, "acceleration: expected three finite numbers"),
-        ({"scenes": [swinging()]}, "scenes: expected a function"),
+        ({"scenes": lambda t: t}, "scenes: expected a function"),
         ({"keep": [99]}, "keep: a vertex is outside"),
         ({"tolerance": 0.0}, "tolerance must lie between"),
         ({"solver": "skfem"}, "unknown solver 'skfem'; there are fenicsx"),
