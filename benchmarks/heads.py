@@ -6,21 +6,24 @@ import hashlib
 import json
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from .. import lhm
-from ..lhm import Surface, Template, check_head, fit_head, identities, load_template
+from ..lhm import LayeredHead, Surface, Template, check_head, fit_head, identities, load_template
 from ..lhm.errors import InputError, SoftdecaError
 from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import write_whole
+from ..lhm.files.head_file import load_head
 from ..lhm.identities.space import CLIP, LinearSpace
 from ..lhm.progress import OnProgress
 from ..surrogate.schedule import results_of, schedule
 from . import machine
 from .head_rows import HeadRows
+from .heads_gallery import Shown, shown_head
 from .heads_report import page, summary
 
 LEAST_PAUSE = 2.0  # [s] between two words on progress
@@ -31,6 +34,7 @@ class HeadsConfig:
     """Which heads: `count` identities of seeds `seed`, `seed` + 1, ... in a space ('anny' or 'ict:FILE').
 
     `sigma` is the largest coefficient of a code: a sample, which is clipped at 2.5, is scaled by sigma / 2.5.
+    `gallery`: how many of them, and `own`, files of other heads, are simulated and drawn in the report.
     Raises InputError for a value outside its range.
     """
 
@@ -40,9 +44,11 @@ class HeadsConfig:
     seed: int = 0
     workers: int = 1
     out: Path = Path("out/heads")
+    gallery: int = 0
+    own: tuple[Path, ...] = ()
 
     def __post_init__(self):
-        for name, least in (("count", 1), ("seed", 0), ("workers", 1)):
+        for name, least in (("count", 1), ("seed", 0), ("workers", 1), ("gallery", 0)):
             if getattr(self, name) < least:
                 raise InputError(f"{name}: must be at least {least}, got {getattr(self, name)}")
         if not (math.isfinite(self.sigma) and 0 < self.sigma <= 10):
@@ -66,6 +72,7 @@ def run_heads(config: HeadsConfig, progress: OnProgress) -> dict:
     What is there of an earlier run is kept. Raises InputError if the folder holds another campaign, and SoftdecaError
     if a worker dies; a head that fails is a row with its reason.
     """
+    own = [(str(path), load_head(path)) for path in config.own]
     with alone_in(config.out, "campaign"):
         space = identities.from_text(config.identities)
         template = load_template(space, progress=progress)
@@ -89,9 +96,24 @@ def run_heads(config: HeadsConfig, progress: OnProgress) -> dict:
             "machine": machine.describe(),
             **summary([rows.by_seed[seed] for seed in config.seeds]),
         }
+        shown = _gallery(config, _Task(space, template, config.sigma), own, rows, progress)
+        results["gallery"] = [{"head": row.name, **row.figures} for row in shown]
         write_whole(config.out / "results.json", json.dumps(results, indent=1, allow_nan=False).encode())
-        write_whole(config.out / "index.html", page(results).encode())
+        write_whole(config.out / "index.html", page(results, shown).encode())
     return results
+
+
+def _gallery(
+    config: HeadsConfig, task: _Task, own: Sequence[tuple[str, LayeredHead]], rows: HeadRows, progress: OnProgress
+) -> list[Shown]:
+    """The heads of one's own, and the first of the campaign that could be fitted."""
+    seeds = [seed for seed in config.seeds if not rows.by_seed[seed]["error"]][: config.gallery]
+    count = len(own) + len(seeds)
+    shown: list[Shown] = []
+    for name, head in (*own, *((f"seed {seed}", task.head(seed)) for seed in seeds)):
+        progress(f"gallery: {name}", len(shown) / count)
+        shown.append(shown_head(name, head))
+    return shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +129,10 @@ class _Task:
         """What is done once per process, so that no head's time holds it."""
         check_head(fit_head(self.template, self.space.mean))
 
+    def head(self, seed: int) -> LayeredHead:
+        """The head of a seed."""
+        return fit_head(self.template, sample(self.space, seed, self.sigma))
+
     def __call__(self, seed: int) -> dict:
         if not self.warmed:
             self.warmed.append(True)
@@ -114,7 +140,7 @@ class _Task:
         row: dict = {"seed": seed, "error": None, "problems": [], "figures": None, "seconds": {}}
         begin = time.perf_counter(), time.process_time()
         try:
-            head = fit_head(self.template, sample(self.space, seed, self.sigma))
+            head = self.head(seed)
             middle = time.perf_counter(), time.process_time()
             report = check_head(head)
         except Exception as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -12,6 +13,7 @@ from ..lhm import HeadReport
 from ..lhm.check import Figure
 from . import plots
 from .gates import at_most
+from .heads_gallery import Shown
 from .report import machine_rows, rendered
 
 FAILURES_PER_HEAD = 1e-3
@@ -95,8 +97,8 @@ def _distribution(figure: Figure, values: Sequence[tuple[float, int]]) -> dict:
     }
 
 
-def page(results: Mapping) -> str:
-    """The self-contained report of one campaign."""
+def page(results: Mapping, shown: Sequence[Shown] = ()) -> str:
+    """The self-contained report of one campaign, and the heads of its gallery."""
     spread = results["distributions"]
     panels = []
     for name in _PLOTTED:
@@ -110,9 +112,15 @@ def page(results: Mapping) -> str:
         failure_rows=[(f["seed"], f["reason"]) for f in results["failures"]],
         reason_rows=sorted(reasons.items(), key=lambda pair: -pair[1]),
         figure_rows=[_figure_row(name, row) for name, row in spread.items()],
+        shown=[(row.name, [_encoded(row.faces), _encoded(row.layers)], list(row.figures.items())) for row in shown],
         histograms=plots.histograms(panels) if panels else "",
         machine_rows=machine_rows(results["machine"]),
     )
+
+
+def _encoded(png: bytes) -> str:
+    """A picture as it stands within a page."""
+    return base64.b64encode(png).decode()
 
 
 def _figure_row(name: str, row: Mapping) -> list:

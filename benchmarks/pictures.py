@@ -151,12 +151,17 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     return _png(plotter)
 
 
-def views(panels: Sequence[tuple[str, Surface, Sequence[float]]], *, size: int = 520) -> bytes:
-    """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions."""
+def views(
+    panels: Sequence[tuple[str, Surface, Sequence[float]]], *, size: int = 520, framed: Floats | None = None
+) -> bytes:
+    """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions.
+
+    The picture is as high as the points `framed` [mm], shape (k, 3), by default all of the first surface's.
+    """
     pyvista = _pyvista()
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
-    x = panels[0][1].vertices
+    x = panels[0][1].vertices if framed is None else framed
     centre, height = (x.max(0) + x.min(0)) / 2, 1.15 * np.ptp(x[:, 1])
     for column, (caption, surface, view) in enumerate(panels):
         plotter.subplot(0, column)

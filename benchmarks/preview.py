@@ -37,18 +37,20 @@ def pictures_of(
     captions: Sequence[str],
     *,
     size: int = 400,
+    framed: Floats | None = None,
 ) -> Iterator[Picture]:
     """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3).
 
-    The camera stands still, so that what moves is the face.
+    The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
+    all of the skin.
     """
     pyvista = _pyvista()
     rows = 2 * (23 * size // 40)
     plotter = pyvista.Plotter(off_screen=True, window_size=(2 * size, rows))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     plotter.set_background(BACKGROUND)
-    used = neutral.vertices[np.unique(neutral.triangles)]
-    centre, height = (used.max(axis=0) + used.min(axis=0)) / 2, HEADROOM * float(np.ptp(used[:, 1]))
+    framed = neutral.vertices[np.unique(neutral.triangles)] if framed is None else framed
+    centre, height = (framed.max(axis=0) + framed.min(axis=0)) / 2, HEADROOM * float(np.ptp(framed[:, 1]))
     _look(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * size / rows * right / np.linalg.norm(right)

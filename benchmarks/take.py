@@ -274,7 +274,9 @@ def _preview(
         )
         for k in shown
     )
-    pictures = pictures_of(head.skin, _told(pairs, len(shown), path.name, progress), ("blendshapes", "simulated"))
+    told = _told(pairs, len(shown), path.name, progress)
+    # The wrap ends below the neck: of a bust it is the head.
+    pictures = pictures_of(head.skin, told, ("blendshapes", "simulated"), framed=head.skin_wrap.vertices)
     write_preview(path, config.preview, pictures, take.times[shown], take.rate)
     progress(f"preview: {path.name}", 1.0)
     return path

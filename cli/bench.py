@@ -88,15 +88,27 @@ def hard(solvers: tuple[str, ...], match: str, laws: bool, as_json: bool) -> int
     type=click.Path(path_type=Path),
     help="folder of the report; heads that are in it already are kept",
 )
+@click.option("--gallery", default=2, type=click.IntRange(min=0), help="how many of them are simulated and drawn")
+@click.option("--head", "own", multiple=True, type=AFile, help="a head by `head fit` to draw as well; repeat")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
-def heads(identities: str, count: int, sigma: float, seed: int, workers: int, out: Path, as_json: bool) -> int:
+def heads(
+    identities: str,
+    count: int,
+    sigma: float,
+    seed: int,
+    workers: int,
+    out: Path,
+    gallery: int,
+    own: tuple[Path, ...],
+    as_json: bool,
+) -> int:
     """Fit and check the heads of many random identities: OUT/index.html, OUT/results.json, OUT/heads.jsonl.
 
     Exit status 1 if more than one head in 1,000 cannot be fitted or misses a gate.
     """
     from ..benchmarks.heads import HeadsConfig, run_heads
 
-    config = HeadsConfig(identities, count, sigma, seed, workers, out)
+    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own)
     with shown() as progress:
         results = run_heads(config, progress)
     if as_json:

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm import HeadReport, Template, check_head, fit_head, identities, load_template, scans
+from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, identities, load_template, scans
+from ..lhm.check import Figure
 from ..lhm.errors import FitError, InputError
 from ..lhm.files.atomic import write_whole
 from ..lhm.files.head_file import check_file, export_vtk, load_head, said_of, save_head
@@ -18,6 +19,7 @@ from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
 from .landmarks import landmarks_command
+from .personalise import personalise
 from .progress import shown
 from .train_regressor import train_regressor
 from .written_file import NPZ, PNG
@@ -33,6 +35,7 @@ def head() -> None:
 
 head.add_command(train_regressor)
 head.add_command(landmarks_command)
+head.add_command(personalise)
 
 
 @head.command()
@@ -121,7 +124,7 @@ def fit(
         write_whole(picture, cut_away(fitted))
         written.append(picture)
     _warn(skin or out, {} if fitted.rig is None else fitted.rig.doubtful)
-    _report(check_head(fitted), as_json, written, notes=fitted.notes)
+    _report(check_head(fitted), as_json, written, notes=fitted.notes, posed=_posed(fitted))
     return 0
 
 
@@ -150,7 +153,10 @@ def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
     notes, doubtful = said_of(file)
     _warn(file, doubtful)
-    _report(check_file(file), as_json, notes=notes)
+    report = check_file(file)
+    # What is no head at rest cannot be moved.
+    posed = _posed(load_head(file)) if report.inverted_tets == 0 and report.least_volume > 0 else ()
+    _report(report, as_json, notes=notes, posed=posed)
     return 0
 
 
@@ -245,21 +251,39 @@ def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
         click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
 
 
-def _report(report: HeadReport, as_json: bool, written: Sequence[Path] = (), *, notes: Sequence[str] = ()) -> None:
-    """Print the figures and the files written; FitError names the gates missed, and what was written all the same."""
+def _posed(moved: LayeredHead) -> tuple[Figure, ...]:
+    from ..benchmarks.posed_gates import posed_figures
+
+    return posed_figures(moved)
+
+
+def _report(
+    report: HeadReport,
+    as_json: bool,
+    written: Sequence[Path] = (),
+    *,
+    notes: Sequence[str] = (),
+    posed: Sequence[Figure] = (),
+) -> None:
+    """Print the figures and the files written; FitError names the gates missed, and what was written all the same.
+
+    `posed`: gates of the head as it moves.
+    """
+    all_gates = (*report.gates, *posed)
+    problems = [*report.problems, *(str(gate) for gate in posed if gate.missed)]
     if as_json:
-        gates = [asdict(gate) | {"passed": not gate.missed} for gate in report.gates]
+        gates = [asdict(gate) | {"passed": not gate.missed} for gate in all_gates]
         files = {"files": [str(path) for path in written]} if written else {}
-        more = {"gates": gates, "problems": list(report.problems), "notes": list(notes)}
-        click.echo(json.dumps(asdict(report) | more | files, indent=1))
+        more = {"gates": gates, "problems": problems, "notes": list(notes)}
+        click.echo(json.dumps(asdict(report) | {gate.name: gate.value for gate in posed} | more | files, indent=1))
     else:
-        for figure in report.figures:
+        for figure in (*report.figures, *posed):
             mark = "" if figure.bound is None else "MISSED" if figure.missed else "ok"
             click.echo(f"{mark:<7}{figure}")
         for note in notes:
             click.echo(f"{'':<7}{note}")
         for path in written:
             click.echo(f"wrote {path}")
-    if report.problems:
-        missed = "; ".join(report.problems)
+    if problems:
+        missed = "; ".join(problems)
         raise FitError(f"{written[0]} is written, but misses {missed}" if written else missed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,10 @@ from .npz import read_arrays
 from .obj import read_obj
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".npz")
+LONGEST = 65536
+"""Bytes in which a PLY's header ends."""
+FARTHEST = 1e12
+"""In the file's own unit: a head in picometres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +57,16 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         raise InputError(f"{path}: no such file")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty")
-    reader = {".obj": _obj, ".glb": _gltf, ".gltf": _gltf, ".npz": _npz}.get(path.suffix.lower(), _by_trimesh)
+    reader = {".obj": _obj, ".glb": _gltf, ".gltf": _gltf, ".npz": _npz, ".ply": _ply}.get(
+        path.suffix.lower(), _by_trimesh
+    )
     try:
         scan = reader(path)
         if not len(scan.triangles):
             raise InputError("no triangles found; is it a mesh?")
+        farthest = float(np.abs(scan.vertices).max())
+        if farthest > FARTHEST:
+            raise InputError(f"a vertex lies at {farthest:.3g}, at most {FARTHEST:g} in any unit; is the file damaged?")
     except (InputError, MeshError) as error:
         text = str(error)
         raise InputError(text if str(path) in text else f"{path}: {text}") from None
@@ -76,6 +86,19 @@ def _gltf(path: Path) -> Scan:
 def _npz(path: Path) -> Scan:
     arrays = read_arrays(path, "vertices", "triangles", of="a surface")
     return Scan(arrays["vertices"], arrays["triangles"])
+
+
+def _ply(path: Path) -> Scan:
+    header = path.read_bytes()[:LONGEST].partition(b"end_header")[0].decode("ascii", errors="replace")
+    promised = {name: int(count) for name, count in re.findall(r"^element (\w+) (\d+)\s*$", header, re.MULTILINE)}
+    if promised.get("tristrips") and not promised.get("face"):
+        raise InputError("its triangles are strips, which are not read; save it with plain faces (MeshLab does)")
+    scan = _by_trimesh(path)
+    # A text that ends early is read as far as it goes.
+    for name, found in (("vertex", len(scan.vertices)), ("face", len(scan.triangles))):
+        if found < promised.get(name, 0):
+            raise InputError(f"the file is cut off: it has {found} of {promised[name]} elements {name!r}")
+    return scan
 
 
 def _by_trimesh(path: Path) -> Scan:

@@ -190,7 +190,7 @@ def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
     tip = points[points[:, 2].argmax()]
     found = []
     for reach in (0.45, 0.7, 1.0):
-        part = upright[upright[:, 1] > top - reach * (top - low)]
+        part = upright[upright[:, 1] >= top - reach * (top - low)]
         goal = part[part[:, 2].argmax()]
         for height in (-18.0, 12.0):
             found.append(Similarity(1.0, turn, (goal + [0.0, height, 0.0]) @ turn.T - turn @ tip))

@@ -28,7 +28,7 @@ def figures(results):
 def three(tmp_path_factory):
     """Three heads by one worker: the folder and its results."""
     out = tmp_path_factory.mktemp("heads")
-    return out, run_heads(HeadsConfig(count=3, out=out), silent)
+    return out, run_heads(HeadsConfig(count=3, out=out, gallery=1), silent)
 
 
 def test_each_head_is_that_of_its_seed(three):
@@ -41,6 +41,15 @@ def test_each_head_is_that_of_its_seed(three):
     low, high = (results["distributions"]["lip_path"][key] for key in ("min", "max"))
     assert low <= report.lip_path <= high and low < high
     assert results["distributions"]["fit_seconds"]["min"] > 0
+
+
+def test_the_gallery_shows_a_head_as_it_moves(three):
+    out, results = three
+    (row,) = results["gallery"]
+    assert row["head"] == "seed 0" and row["gates missed at rest"] == 0
+    # A jaw opens by centimetres, lids close by one.
+    assert 20 < row["jawOpen: farthest motion [mm]"] < 60 and 4 < row["blink: farthest motion [mm]"] < 25
+    assert (out / "index.html").read_text().count("data:image/png") >= 2
 
 
 def test_scaled_samples_reach_further(three):

