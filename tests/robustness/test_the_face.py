@@ -76,14 +76,12 @@ def test_a_degenerate_identity_is_fitted_and_simulated_or_refused_by_name():
 
 
 def test_a_blink_leaves_nothing_behind(head):
-    """Frames whose lids invert tets, each started from the last, end where cold ones do."""
+    """Frames of shut lids, each started from the last, end where cold ones do, and invert no soft tissue."""
     shut = expressions.weights_of({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0, "eyeSquintLeft": 0.6})
     faces = expressions.blend(SPACE, np.zeros(SPACE.code_size), np.outer([0.5, 0.8, 1.0, 0.7, 0.2, 0.0], shut))
     sequence = Sequence(head, Parameters(), tolerance=1e-6)
-    inverted = []
     for targets in faces:
         warm = sequence.frame(targets)
         cold = solve(facial_scene(head, Parameters(), targets), tolerance=1e-7)
-        inverted.append(np.count_nonzero(warm.volume_ratio <= 0))
         assert np.abs(warm.positions - cold.positions).max() < 0.01
-    assert max(inverted) > 10 and inverted[-1] == 0
+        assert warm.volume_ratio[: len(head.soft.tets)].min() > 0
