@@ -63,7 +63,8 @@ def test_page_stands_alone_and_shows_what_was_measured(three):
     out, results = three
     text = (out / "index.html").read_text()
     assert json.loads((out / "results.json").read_text()) == results
-    assert text.count("<svg") == 1 and text.count("src=") == text.count('src="data:') and "<link" not in text and "http-equiv" not in text
+    assert text.count("<svg") == 1 and "<link" not in text and "http-equiv" not in text
+    assert text.count("src=") == text.count('src="data:')
     for name in ("smallest dihedral", "share below 5 degrees", "wrap to skin max", "fit seconds"):
         assert name in text
     assert "at least 2 °" in text and "missed by" in text
