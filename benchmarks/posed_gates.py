@@ -12,8 +12,8 @@ from ..lhm.head import LayeredHead
 from ..lhm.membranes import BLINK, OPEN
 from ..reference import Parameters, facial_scene, solve
 
-INVERTED = 60
-"""Random identities and scans of levels 1 and 2: 0 to 44. Sealed lips alone may stay below it: `jaw_open_torn` tells
+INVERTED = 100
+"""Random identities and scans of levels 1 and 2: 0 to 68. Sealed lips alone may stay below it: `jaw_open_torn` tells
 those."""
 GATES = (("jaw_open_inverted_tets", OPEN), ("blink_inverted_tets", BLINK))
 
