@@ -23,8 +23,9 @@ from .scene import Scene
 from .settling import Settled, neutral_scene
 from .solution import OnIteration, Solution
 
-NEAR, TIGHT = 2.5e-5, 1e-8
-"""Gradient norms, relative to that of the targets' springs each 1 mm long: of a first answer, and of the last."""
+NEAR, DIRECT, TIGHT = 2.5e-5, 2e-6, 1e-8
+"""Gradient norms, relative to that of the targets' springs each 1 mm long: of a first answer, of one that the PD matrix
+reaches sooner than another factor is made, and of the last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +107,15 @@ class Linearised:
 
 
 @checked
-def linearised(face: Settled, *, like: Linearised | None = None) -> Linearised:
+def linearised(face: Settled, *, accuracy: float = TIGHT, like: Linearised | None = None) -> Linearised:
     """Prepare a settled face's scenes, solve the neutral one tightly and factor its tangent.
 
-    `like`, another of the same template and choices, lends what was analysed. Raises SceneError for choices with
-    contact.
+    accuracy is the gradient norm of the neutral answer, relative to that of the targets' springs each 1 mm long: one
+    factor does for DIRECT and above, below it takes two. `like`, another of the same template and choices, lends what
+    was analysed. Raises SceneError for choices with contact.
     """
     scene = face.scene(face.head.skin.vertices)
-    return Linearised(face, *_tangent_of(scene, face.positions, like))
+    return Linearised(face, *_tangent_of(scene, face.positions, like, accuracy))
 
 
 def spring_norm(scene: Scene) -> float:
@@ -122,14 +124,18 @@ def spring_norm(scene: Scene) -> float:
     return float(np.linalg.norm(np.broadcast_to(target.stiffness, target.vertices.shape)))
 
 
-def _tangent_of(scene: Scene, start: Floats, like: Linearised | None) -> tuple[ProjectivePrepared, Solution, Tangent]:
-    """A scene prepared and solved: roughly by the PD matrix, then by the tangent there; and the tangent in the end."""
+def _tangent_of(
+    scene: Scene, start: Floats, like: Linearised | None, accuracy: float = TIGHT
+) -> tuple[ProjectivePrepared, Solution, Tangent]:
+    """A scene prepared and solved: by the PD matrix, where need be then by the tangent; and the tangent in the end."""
     linear_solver: LinearSolver | None = None if cholmod.library() is None else "cholmod"
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm = spring_norm(scene)
-    near = prepared.solve(start=start, absolute=NEAR * norm)
+    near = prepared.solve(start=start, absolute=(accuracy if accuracy >= DIRECT else NEAR) * norm)
     tangent = prepared.tangent(near, like=None if like is None else like.tangent)
-    answer = prepared.solve(start=near.positions, absolute=TIGHT * norm, metric=tangent, untangle=False)
+    if accuracy >= DIRECT:
+        return prepared, near, tangent
+    answer = prepared.solve(start=near.positions, absolute=accuracy * norm, metric=tangent, untangle=False)
     if answer.iterations:
         tangent = prepared.tangent(answer, like=tangent)
     return prepared, answer, tangent

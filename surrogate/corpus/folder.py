@@ -120,7 +120,7 @@ class Corpus:
         with alone_in(self.folder, "generation of a corpus"):
             for left in self.folder.glob(PARTIAL):
                 left.unlink(missing_ok=True)
-            pending = [k for k in range(self.plan.identities) if not self.is_whole(k)]
+            pending = [k for k in self._order() if not self.is_whole(k)]
             self._write_manifest()
             if self.plan.sequences and pending:
                 self._velocities(on_progress)
@@ -128,6 +128,17 @@ class Corpus:
             for seconds in results_of(self.make, pending, on=on, name="corpus"):
                 rate.add(seconds)
         return self.status()
+
+    def _order(self) -> list[int]:
+        """All people, those in test spread among the others, so that a part of a corpus is one to learn from, too."""
+        count = {"train": self.plan.identities - self.plan.tested, "test": self.plan.tested}
+        begins = {"train": 0, "test": count["train"]}
+
+        def place(identity: int) -> float:
+            split = self.plan.split(identity)
+            return (identity - begins[split] + 0.5) / count[split]
+
+        return sorted(range(self.plan.identities), key=place)
 
     def make(self, identity: int) -> float:
         """Simulate one person and write the shard; returns the processor seconds that it took."""

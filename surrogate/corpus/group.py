@@ -12,7 +12,7 @@ from ...lhm.geometry.bvh import TriangleTree
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
-from ...reference.linearised import Linearised, linearised, spring_norm
+from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
 from ...reference.responses import expression_responses, skin_responses
 from ...reference.solution import volume_ratio
 from .mixture import INFOS, ParameterSet
@@ -66,7 +66,7 @@ class Group:
         neutral = settled(head, drawn.parameters(head, people.mean), tolerance=SETTLED, max_iterations=MAX_SETTLING)
         if not neutral.converged:
             raise SceneError(str(neutral.reason))
-        linear = linearised(neutral, like=_last.get(people.name))
+        linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
         _last.clear()
         _last[people.name] = linear
         moved = expression_responses(linear.tangent, head, person.shapes)

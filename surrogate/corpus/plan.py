@@ -55,13 +55,13 @@ class CorpusPlan:
     """
 
     seed: int = 0
-    identities: int = 640
-    groups: int = 4
-    frames: int = 9
+    identities: int = 700
+    groups: int = 3
+    frames: int = 10
     sequences: int = 1
     responses: float = 1.0
-    parameter_responses: float = 0.25
-    references: int = 0
+    parameter_responses: float = 0.05
+    references: int = 5
     kinds: Mapping[str, float] = field(default_factory=lambda: {"materials": 0.15, "effects": 0.4, "both": 0.45})
     varying: float = 0.5
     sources: Mapping[str, float] = field(
@@ -71,8 +71,8 @@ class CorpusPlan:
     conversations: int = 40
     random: int = 40
     seconds: float = 60.0
-    run: int = 2048
-    tolerance: float = 1e-4
+    run: int = 1024
+    tolerance: float = 1e-3
     max_iterations: int = 200
     inverted_share: float = 1e-3
 
@@ -299,6 +299,7 @@ PRESETS: dict[str, CorpusPlan] = {
         groups=9,
         frames=2,
         sequences=0,
+        references=0,
         responses=0.0,
         kinds={"few": 1.0},
         varying=0.0,
@@ -306,16 +307,15 @@ PRESETS: dict[str, CorpusPlan] = {
         conversations=0,
         random=20,
     ),
-    # A night on two cores; what the shipped surrogate is trained on.
-    "small": CorpusPlan(references=5),
+    # Some two hours of two cores; what the shipped surrogate is trained on.
+    "small": CorpusPlan(),
     # SoftDECA's 500,000 frames, a quarter of them in sequences.
     "paper": CorpusPlan(
         identities=7813,
         groups=4,
         frames=12,
-        sequences=1,
+        references=0,
         responses=0.1,
-        parameter_responses=0.1,
         conversations=400,
         random=400,
     ),

@@ -26,11 +26,16 @@ class Reference:
     iterations: int = 0
 
 
-def reference(group: Group, weights: Floats, answer: Answer, law: str) -> Reference:
-    """A frame by FEniCSx, with one of FEM_LAWS; it starts at the answer of projective dynamics."""
+def references(group: Group, weights: Floats, answer: Answer) -> list[Reference]:
+    """A frame by FEniCSx with each of FEM_LAWS; it starts at the answer of projective dynamics."""
+    positions = group.solve(weights).positions
+    return [_reference(group, weights, positions, answer, law) for law in FEM_LAWS]
+
+
+def _reference(group: Group, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
     none = np.zeros(answer.corrected.shape, dtype=np.float16)
     try:
-        scene, positions = group.scene(weights), group.solve(weights).positions
+        scene = group.scene(weights)
         if law != FEM_LAWS[0]:
             scene = neo_hookean_scene(scene)
         prepared = prepare(scene, solver="fenicsx")

@@ -21,7 +21,7 @@ from .group import Answer, Group
 from .mixture import ParameterSet
 from .person import People, Person
 from .plan import IDENTITY, LENGTH, VELOCITIES, CorpusPlan
-from .references import FEM_LAWS, reference
+from .references import FEM_LAWS, references
 from .sequences import Rolled, rolled
 from .shard import (
     ACCEPTED,
@@ -36,7 +36,7 @@ from .shard import (
     texts,
 )
 
-GENERATOR = 1
+GENERATOR = 2
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
 
 
@@ -227,7 +227,8 @@ def _references(plan: CorpusPlan, person, identity: int, made, answers: list[Ans
         for row in [row for row in order if answers[row].status == ACCEPTED][:wanted]:
             group = made[row // plan.frames].group
             weights = plan.weights(plan.static(identity, row)).astype(np.float32).astype(np.float64)
-            found += [(row, law, reference(group, weights, answers[row], law)) for law in FEM_LAWS]
+            answered = references(group, weights, answers[row])
+            found += [(row, law, one) for law, one in zip(FEM_LAWS, answered, strict=True)]
     return References(
         static=np.array([row for row, _, _ in found], dtype=np.int64),
         law=texts(law for _, law, _ in found),

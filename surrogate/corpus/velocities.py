@@ -17,7 +17,7 @@ from .person import People, Person
 from .plan import RATE, VELOCITIES, CorpusPlan
 
 FILE = "velocities.npz"
-TOLERANCE = 1e-4
+TOLERANCE = 5e-4
 """Of the run: what its velocities are good for are starts that nobody has measured."""
 
 
