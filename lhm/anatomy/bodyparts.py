@@ -18,7 +18,7 @@ from ..files.npz import read_arrays
 from ..mesh import Floats, Ints, Surface
 
 _NEEDED = ("vertices", "faces", "face_part", "part_name", "part_group")
-_EYES, _MANDIBLE = "eyelid/eyeball", "mandible"
+_EYES, _MANDIBLE = "eyeball", "mandible"
 _MUSCLES = ("expression", "jaw")
 
 
@@ -49,7 +49,11 @@ class Anatomy:
 
 def load(path: str | os.PathLike[str]) -> Anatomy:
     """The anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
-    data = read_arrays(path, *_NEEDED, of="BodyParts3D's data")
+    return anatomy_of(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
+
+
+def anatomy_of(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:
+    """The anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _anatomy(data)
     except (MeshError, ValueError, IndexError, TypeError) as error:

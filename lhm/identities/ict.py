@@ -39,7 +39,11 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
     Raises InputError naming the file if it is missing, damaged or lacks an array.
     """
-    data = read_arrays(path, *_NEEDED, of="ICT-FaceKit's data")
+    return space_of(read_arrays(path, *_NEEDED, of="ICT-FaceKit's data"), path)
+
+
+def space_of(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> LinearSpace:
+    """The space of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _space(data)
     except (MeshError, ValueError, IndexError, TypeError) as error:
