@@ -26,6 +26,8 @@ from .solution import OnIteration, Solution
 NEAR, DIRECT, TIGHT = 2.5e-5, 2e-6, 1e-8
 """Gradient norms, relative to that of the targets' springs each 1 mm long: of a first answer, of one that the PD matrix
 reaches sooner than another factor is made, and of the last."""
+DIRECTLY = 400
+"""Iterations of the PD matrix before the tangent takes over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +133,10 @@ def _tangent_of(
     linear_solver: LinearSolver | None = None if cholmod.library() is None else "cholmod"
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm = spring_norm(scene)
-    near = prepared.solve(start=start, absolute=(accuracy if accuracy >= DIRECT else NEAR) * norm)
+    direct = accuracy >= DIRECT
+    near = prepared.solve(start=start, absolute=(accuracy if direct else NEAR) * norm, max_iterations=DIRECTLY)
     tangent = prepared.tangent(near, like=None if like is None else like.tangent)
-    if accuracy >= DIRECT:
+    if direct and near.converged:
         return prepared, near, tangent
     answer = prepared.solve(start=near.positions, absolute=accuracy * norm, metric=tangent, untangle=False)
     if answer.iterations:

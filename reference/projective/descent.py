@@ -21,6 +21,7 @@ from .memory import Memory
 
 ARMIJO = 1e-4
 MAX_HALVINGS = 6
+MOST_HALVINGS = 40
 PATIENCE = 200
 MIXED = 10
 ROUNDING = 1e-13
@@ -150,11 +151,12 @@ def plain(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
 def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, Point]:
     """The step against `uphill` = A⁻¹ ∇E, halved while the energy rises, and its end.
 
-    Where A holds a share of what bounds the energy, a step of twice this share would lower it.
+    Where A holds a share of what bounds the energy, a step of twice this share would lower it; the Hessian at another
+    point, which may be all but singular, bounds nothing, and its step is halved until it does.
     """
     step = -uphill
     ahead = problem.after(point, step)
-    for _ in range(MAX_HALVINGS):
+    for _ in range(MOST_HALVINGS):
         if ahead.energy <= point.energy + ROUNDING * abs(point.energy):
             break
         step = 0.5 * step

@@ -14,7 +14,6 @@ from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
 from ...reference.responses import expression_responses, skin_responses
-from ...reference.solution import volume_ratio
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
 from .plan import CorpusPlan
@@ -128,17 +127,13 @@ class Group:
     def solve(self, weights: Floats) -> Solution:
         """The simulator's answer to an expression; it begins where the derivatives lead.
 
-        In the tangent's metric, unless that beginning has inverted tets, out of which the PD matrix leads sooner; where
-        one fails the other goes on.
+        By the PD matrix, whose factor stays in a core's cache; where that fails, in the tangent's metric.
         """
         scene = self.scene(weights)
         start = self.linear.answer.positions + np.tensordot(weights, self.first_order, axes=1)
         stop = self.plan.tolerance * spring_norm(scene)
-        metrics = [self.linear.tangent, None]
-        if (volume_ratio(scene, start) <= 0.0).any():
-            metrics.reverse()
         spent = 0
-        for metric in metrics:
+        for metric in (None, self.linear.tangent):
             solution = self.linear.prepared.solve(
                 scene, start=start, absolute=stop, max_iterations=self.plan.max_iterations, metric=metric,
                 untangle=False,

@@ -72,7 +72,7 @@ class CorpusPlan:
     random: int = 40
     seconds: float = 60.0
     run: int = 1024
-    tolerance: float = 1e-3
+    tolerance: float = 5e-4
     max_iterations: int = 200
     inverted_share: float = 1e-3
 

@@ -9,19 +9,20 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ...lhm.errors import SoftdecaError
 from ...lhm.head import LayeredHead
+from ...lhm.mesh import Floats
 from ...reference.velocities import Velocities
 from .group import Answer, Group
 from .mixture import ParameterSet
 from .person import People, Person
-from .plan import IDENTITY, LENGTH, VELOCITIES, CorpusPlan
-from .references import FEM_LAWS, references
+from .plan import IDENTITY, LENGTH, VELOCITIES, CorpusPlan, Static
+from .references import FEM_LAWS, Reference, references
 from .sequences import Rolled, rolled
 from .shard import (
     ACCEPTED,
@@ -36,18 +37,27 @@ from .shard import (
     texts,
 )
 
-GENERATOR = 2
+GENERATOR = 3
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Made:
-    """One group's row of the plan, and what was simulated of it, None where the head or the settling failed."""
+    """One group's row of the plan, and what is simulated under it.
+
+    failure: why there is no settled face, else empty; then answers are those of all frames all the same.
+    """
 
     number: int
     parameters: ParameterSet
-    group: Group | None
-    status: str
+    failure: str = ""
+    settled: np.ndarray | None = None
+    frames: list[tuple[Static, Floats]] = field(default_factory=list)
+    answers: list[Answer] = field(default_factory=list)
+    sequences: list[tuple[str, int, Rolled]] = field(default_factory=list)
+    responses: list[tuple[bool, Floats, Floats]] = field(default_factory=list)
+    parameter_responses: dict[str, Floats] = field(default_factory=dict)
+    references: list[tuple[int, list[Reference]]] = field(default_factory=list)
 
 
 def simulate_person(plan: CorpusPlan, people: People, identity: int, velocities: Velocities | None = None) -> Shard:
@@ -60,18 +70,19 @@ def simulate_person(plan: CorpusPlan, people: People, identity: int, velocities:
         person = people.person(plan.rng(IDENTITY, identity))
     with clock("fit"):
         head, failure = _head(people, person)
-    made = [_made(plan, people, person, head, failure, number, clock) for number in plan.parameter_numbers(identity)]
-    statics, answers = _statics(plan, person, identity, made, clock)
-    with clock("derivatives"):
-        responses, parameter_responses = _responses(person, made), _parameter_responses(person, made)
+    made = [_Made(number, plan.parameter_set(number), failure) for number in plan.parameter_numbers(identity)]
+    turns = _turns(plan, identity, made)
+    for k, one in enumerate(made):  # and forgets each group's factors, a quarter of a gigabyte, before the next
+        group = None if head is None else _group(plan, people, person, head, one, clock)
+        _simulate(plan, person, identity, k, group, one, velocities, turns[k], clock)
     return Shard(
         persons=_persons(person),
         groups=_groups(person, made),
-        statics=statics,
-        sequences=_sequences(plan, person, identity, made, velocities, clock),
-        responses=responses,
-        parameter_responses=parameter_responses,
-        references=_references(plan, person, identity, made, answers, clock),
+        statics=_statics(person, made),
+        sequences=_sequences(person, made),
+        responses=_responses(person, made),
+        parameter_responses=_parameter_responses(person, made),
+        references=_references(plan, person, made),
         seconds=clock.seconds,
     )
 
@@ -94,16 +105,64 @@ def _head(people: People, person: Person) -> tuple[LayeredHead | None, str]:
         return None, f"head: {error}"
 
 
-def _made(plan, people, person, head, failure, number, clock) -> _Made:
-    parameters = plan.parameter_set(number)
-    if head is None:
-        return _Made(number, parameters, None, failure)
+def _group(plan, people, person, head, one: _Made, clock) -> Group | None:
     try:
         with clock("settling"):
-            group = Group.of(plan, people, person, head, number)
-        return _Made(number, parameters, group, ACCEPTED)
+            return Group.of(plan, people, person, head, one.number)
     except SoftdecaError as error:
-        return _Made(number, parameters, None, f"settling: {error}")
+        one.failure = f"settling: {error}"
+        return None
+
+
+def _simulate(
+    plan: CorpusPlan,
+    person: Person,
+    identity: int,
+    k: int,
+    group: Group | None,
+    one: _Made,
+    velocities: Velocities | None,
+    references_wanted: int,
+    clock: _Clock,
+):
+    """Fill in what the plan asks of a person's k-th group."""
+    statics = [plan.static(identity, k * plan.frames + frame) for frame in range(plan.frames)]
+    one.frames = [(static, plan.weights(static).astype(np.float32)) for static in statics]
+    with clock("statics"):
+        for _, weights in one.frames:
+            one.answers.append(Answer.failed(one.failure, person.skin) if group is None else group.static(weights))
+    if k < plan.sequences:
+        with clock("sequences"):
+            one.sequences.append(_sequence(plan, person, identity, k, group, one, velocities))
+    if group is None:
+        return
+    one.settled = group.settled
+    with clock("derivatives"):
+        if group.wanted[0]:
+            one.responses.append((group.exact, group.offset, group.responses))
+        if group.wanted[1]:
+            one.parameter_responses = group.parameter_responses
+    with clock("references"):
+        accepted = [row for row, answer in enumerate(one.answers) if answer.status == ACCEPTED]
+        for row in accepted[:references_wanted]:
+            weights = one.frames[row][1].astype(np.float64)
+            one.references.append((row, references(group, weights, one.answers[row])))
+
+
+def _sequence(plan, person, identity, k, group, one: _Made, velocities) -> tuple[str, int, Rolled]:
+    name, first = plan.sequence(identity, k)
+    take = plan.take(name)
+    if group is None:
+        return name, first, Rolled.failed(one.failure, take, first, len(person.skin.vertices))
+    return name, first, rolled(plan, group, take, first, velocities, plan.rng(VELOCITIES, 2, identity, k))
+
+
+def _turns(plan: CorpusPlan, identity: int, made: list[_Made]) -> list[int]:
+    """How many frames of each group FEniCSx solves, too: of people in test, in turns of groups that have both laws."""
+    wanted = plan.references if plan.split(identity) == "test" else 0
+    plain = [g for g, one in enumerate(made) if one.parameters.uniform and "strain_limit" not in one.parameters.names]
+    order = [g for _ in range(plan.frames) for g in (plain or range(len(made)))]
+    return [order[:wanted].count(g) for g in range(len(made))]
 
 
 def _persons(person: Person) -> Persons:
@@ -119,27 +178,20 @@ def _groups(person: Person, made: list[_Made]) -> Groups:
         kind=texts(one.parameters.kind for one in made),
         varied=np.stack([one.parameters.varied for one in made]),
         coefficients=np.stack([one.parameters.coefficients for one in made]),
-        settled=np.stack([none if one.group is None else one.group.settled for one in made]).astype(np.float16),
-        status=texts(one.status for one in made),
+        settled=np.stack([none if one.settled is None else one.settled for one in made]).astype(np.float16),
+        status=texts(one.failure or ACCEPTED for one in made),
     )
 
 
-def _statics(plan: CorpusPlan, person: Person, identity: int, made: list[_Made], clock) -> tuple[Statics, list[Answer]]:
-    asked = [(g, plan.static(identity, g * plan.frames + k)) for g in range(len(made)) for k in range(plan.frames)]
-    weights = np.array([plan.weights(static) for _, static in asked]).reshape(-1, 52).astype(np.float32)
-    answers = []
-    with clock("statics"):
-        for (g, _), w in zip(asked, weights, strict=True):
-            group = made[g].group
-            answers.append(Answer.failed(made[g].status, person.skin) if group is None else group.static(w))
-    found = _stacked(answers, person)
+def _statics(person: Person, made: list[_Made]) -> Statics:
+    frames = [(g, static, weights) for g, one in enumerate(made) for static, weights in one.frames]
     return Statics(
-        group=np.array([g for g, _ in asked], dtype=np.int64),
-        recording=texts(static.recording for _, static in asked),
-        frame=np.array([static.frame for _, static in asked], dtype=np.int64),
-        weights=weights,
-        **found,
-    ), answers
+        group=np.array([g for g, _, _ in frames], dtype=np.int64),
+        recording=texts(static.recording for _, static, _ in frames),
+        frame=np.array([static.frame for _, static, _ in frames], dtype=np.int64),
+        weights=np.array([weights for _, _, weights in frames], dtype=np.float32).reshape(-1, 52),
+        **_stacked([answer for one in made for answer in one.answers], person),
+    )
 
 
 def _stacked(answers: list[Answer], person: Person) -> dict[str, Any]:
@@ -157,28 +209,18 @@ def _stacked(answers: list[Answer], person: Person) -> dict[str, Any]:
     }
 
 
-def _sequences(plan: CorpusPlan, person: Person, identity: int, made, velocities, clock) -> Sequences:
+def _sequences(person: Person, made: list[_Made]) -> Sequences:
     n = len(person.skin.vertices)
-    found: list[tuple[str, int, Rolled]] = []
-    with clock("sequences"):
-        for k in range(plan.sequences):
-            name, first = plan.sequence(identity, k)
-            take = plan.take(name)
-            group = made[k].group
-            if group is None:
-                found.append((name, first, Rolled.failed(made[k].status, take, first, n)))
-            else:
-                rng = plan.rng(VELOCITIES, 2, identity, k)
-                found.append((name, first, rolled(plan, group, take, first, velocities, rng)))
-    rolls = [roll for _, _, roll in found]
+    found = [(g, *sequence) for g, one in enumerate(made) for sequence in one.sequences]
+    rolls = [roll for _, _, _, roll in found]
 
     def stacked(name: str, dtype, *shape: int) -> np.ndarray:
         return np.array([getattr(roll, name) for roll in rolls], dtype=dtype).reshape(-1, *shape)
 
     return Sequences(
-        group=np.arange(len(found)),
-        recording=texts(name for name, _, _ in found),
-        frame=np.array([first for _, first, _ in found], dtype=np.int64),
+        group=np.array([g for g, _, _, _ in found], dtype=np.int64),
+        recording=texts(name for _, name, _, _ in found),
+        frame=np.array([first for _, _, first, _ in found], dtype=np.int64),
         weights=stacked("weights", np.float32, LENGTH, 52),
         rotations=stacked("rotations", np.float32, LENGTH, 3, 3),
         before=stacked("before", np.float16, 2, n, 3),
@@ -192,24 +234,20 @@ def _sequences(plan: CorpusPlan, person: Person, identity: int, made, velocities
     )
 
 
-def _wanted(made: list[_Made], kind: int) -> list[tuple[int, Group]]:
-    """The groups with derivatives by expressions (kind 0) or by parameters (kind 1)."""
-    return [(g, one.group) for g, one in enumerate(made) if one.group is not None and one.group.wanted[kind]]
-
-
 def _responses(person: Person, made: list[_Made]) -> Responses:
-    n, wanted = len(person.skin.vertices), _wanted(made, 0)
+    n = len(person.skin.vertices)
+    found = [(g, *responses) for g, one in enumerate(made) for responses in one.responses]
     return Responses(
-        group=np.array([g for g, _ in wanted], dtype=np.int64),
-        exact=np.array([group.exact for _, group in wanted], dtype=bool),
-        offset=np.array([group.offset for _, group in wanted], dtype=np.float16).reshape(-1, n, 3),
-        expressions=np.array([group.responses for _, group in wanted], dtype=np.float16).reshape(-1, 52, n, 3),
+        group=np.array([g for g, _, _, _ in found], dtype=np.int64),
+        exact=np.array([exact for _, exact, _, _ in found], dtype=bool),
+        offset=np.array([offset for _, _, offset, _ in found], dtype=np.float16).reshape(-1, n, 3),
+        expressions=np.array([changes for _, _, _, changes in found], dtype=np.float16).reshape(-1, 52, n, 3),
     )
 
 
 def _parameter_responses(person: Person, made: list[_Made]) -> ParameterResponses:
     n = len(person.skin.vertices)
-    found = [(g, name, change) for g, group in _wanted(made, 1) for name, change in group.parameter_responses.items()]
+    found = [(g, name, change) for g, one in enumerate(made) for name, change in one.parameter_responses.items()]
     return ParameterResponses(
         group=np.array([g for g, _, _ in found], dtype=np.int64),
         name=texts(name for _, name, _ in found),
@@ -217,18 +255,14 @@ def _parameter_responses(person: Person, made: list[_Made]) -> ParameterResponse
     )
 
 
-def _references(plan: CorpusPlan, person, identity: int, made, answers: list[Answer], clock) -> References:
-    """FEniCSx on the first accepted frames of a person in test, in turns of the groups that have both laws, if any."""
-    n, found = len(person.skin.vertices), []
-    wanted = plan.references if plan.split(identity) == "test" else 0
-    plain = [g for g, one in enumerate(made) if one.parameters.uniform and "strain_limit" not in one.parameters.names]
-    order = [g * plan.frames + k for k in range(plan.frames) for g in (plain or range(len(made)))]
-    with clock("references"):
-        for row in [row for row in order if answers[row].status == ACCEPTED][:wanted]:
-            group = made[row // plan.frames].group
-            weights = plan.weights(plan.static(identity, row)).astype(np.float32).astype(np.float64)
-            answered = references(group, weights, answers[row])
-            found += [(row, law, one) for law, one in zip(FEM_LAWS, answered, strict=True)]
+def _references(plan: CorpusPlan, person: Person, made: list[_Made]) -> References:
+    n = len(person.skin.vertices)
+    found = [
+        (g * plan.frames + row, law, answer)
+        for g, one in enumerate(made)
+        for row, answers in one.references
+        for law, answer in zip(FEM_LAWS, answers, strict=True)
+    ]
     return References(
         static=np.array([row for row, _, _ in found], dtype=np.int64),
         law=texts(law for _, law, _ in found),
