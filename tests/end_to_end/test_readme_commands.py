@@ -1,0 +1,176 @@
+"""Every command of the README's shell blocks: read as it stands, and run, those of minutes by smaller options.
+
+A line of `RUN` is run with the words beside it put after its own: of an option given twice the last one counts. One
+of `ELSEWHERE` would take minutes however small, so that another test runs its work; one of `NOT_HERE` needs what a
+test has not. A new line of the README has to be put into one of the three.
+"""
+
+import ast
+import re
+import shlex
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+import trimesh
+
+from softdeca.cli.app import app
+from softdeca.lhm import expressions, load_template
+from softdeca.surrogate.corpus.plan import read_plan
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text()
+
+RUN = {
+    "softdeca head fit --seed 3 --out head.npz --vtk layers --picture head.png": "--level 1",
+    "softdeca head check head.npz": "",
+    "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
+    "softdeca head show head.npz --expression jawOpen*0.5": "",
+    "softdeca simulate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
+        "--frames 0:2"
+    ),
+    "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
+    "softdeca simulate take.csv --head head.npz": "--frames 0:2 --out out/scan",
+}
+CORPUS = "test_corpus_command.py::test_a_corpus_from_plan_to_picture"
+ELSEWHERE = {
+    "softdeca study --identities ict:ict_facekit.npz --out out/ict": (
+        "test_head_default.py::test_template_passes_its_gates"
+    ),
+    "softdeca study --expressions jawOpen*0.5,cheekPuff+mouthPucker": (
+        "test_benchmarks.py::test_whatever_a_case_times_was_warmed_up_before"
+    ),
+    "softdeca train": "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on",
+    "softdeca head import-ict ICT-FaceKit": "test_imports.py::test_a_folder_of_facekits_form_becomes_a_space",
+    "softdeca head import-bodyparts3d isa_BP3D_4.0_obj_99": (
+        "test_imports.py::test_a_folder_of_bodyparts_becomes_anatomy"
+    ),
+    "softdeca head template --identities ict:ict_facekit.npz --anatomy bodyparts3d_head.npz --out template.npz": (
+        "test_anatomical_template.py::test_template_and_fit"
+    ),
+    "softdeca head personalise head.npz scans/weights.json --out own.npz": (
+        "test_personalise.py::test_the_rig_becomes_the_persons"
+    ),
+    "softdeca head train-regressor pairs/": (
+        "test_train_regressor.py::test_pairs_become_a_regressor_a_report_and_a_picture"
+    ),
+    "softdeca head show head.npz --expression jawOpen": (
+        "test_own_head.py::test_it_is_shown_and_simulated_without_a_word_more"
+    ),
+    "softdeca bench effects": "test_effects.py::test_palsy_is_measured",
+    "softdeca bench simulator": "test_bench_simulator.py::test_the_command_tells_gates_and_ends_by_them",
+    "softdeca bench hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
+    "softdeca bench hard --laws": "test_laws_recovery.py::test_a_collapsed_or_inverted_block_comes_back",
+    "softdeca bench convergence": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
+    "softdeca bench dynamics": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
+    "softdeca bench heads --count 1000": "test_bench_heads.py::test_each_head_is_that_of_its_seed",
+    "softdeca bench heads --count 2 --head own.npz": "test_bench_heads.py::test_the_gallery_shows_a_head_as_it_moves",
+    "softdeca bench shapes": "test_shapes.py::test_full_weights_invert_no_soft_tissue",
+    "softdeca bench depth --skin skin.ply --skull cranium.ply --skull mandible.ply": (
+        "test_bench_depth.py::test_a_skull_deeper_than_predicted_by_so_much_gives_that_error"
+    ),
+    "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
+    "softdeca bench unknowns": "test_bench_unknowns.py::test_one_solve_is_measured_and_drawn",
+    "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
+    "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
+    "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
+    "softdeca corpus plan --preset small --takes takes/": CORPUS,
+    "softdeca corpus generate --preset small --takes takes/ --out corpus --workers 2": CORPUS,
+    "softdeca corpus status corpus": CORPUS,
+    "softdeca corpus resume corpus --workers 2": CORPUS,
+    "softdeca corpus verify corpus": CORPUS,
+    "softdeca corpus sample corpus --count 12": CORPUS,
+    "mpirun --bind-to none -n 2 softdeca study": "test_fenicsx_mpi.py::test_two_processes_give_the_serial_answer",
+}
+NOT_HERE = {
+    "make study": "twelve minutes, and set-up as root",
+    "make test": "these tests",
+    "pip install dask-jobqueue": "the network",
+    "python -c": "a batch queue",
+    "softdeca corpus generate --preset paper --out /shared/corpus --scheduler tcp://...:PORT": "a cluster, and weeks",
+}
+
+
+def lines(text: str) -> list[list[str]]:
+    """The words of each command in a shell block, its comments left out; a quotation may go over several lines."""
+    found, begun = [], ""
+    for line in text.splitlines():
+        begun += line + "\n"
+        try:
+            words = shlex.split(begun, comments=True)
+        except ValueError:  # inside a quotation
+            continue
+        begun = ""
+        if words:
+            found.append(words)
+    assert not begun
+    return found
+
+
+COMMANDS = [words for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL) for words in lines(block)]
+
+
+def key(words: list[str]) -> str:
+    """The line as the tables have it; of a Python script its first words."""
+    return " ".join(words[:2] if words[0] == "python" else words)
+
+
+def test_every_line_is_in_one_table():
+    tables = [*RUN, *ELSEWHERE, *NOT_HERE]
+    assert len(set(tables)) == len(tables) and set(tables) == {key(words) for words in COMMANDS}
+    assert "```\n" in README and not re.search(r"^```(?!sh$|python$|toml$|text$|$)", README, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("where", sorted(set(ELSEWHERE.values())))
+def test_the_tests_that_stand_for_a_line_are_there(where):
+    file, name = where.split("::")
+    (path,) = ROOT.glob(f"tests/*/{file}")
+    assert name in {node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What the README takes for granted: a scan, a take, parameters, takes, a plan."""
+    folder = tmp_path_factory.mktemp("readme")
+    skin = load_template(level=1).skin
+    # Metres, and triangles in another order than the template's: a scan as any other.
+    trimesh.Trimesh(1e-3 * skin.vertices, skin.triangles[::-1], process=False).export(folder / "scan.glb")
+    (folder / "p.toml").write_text("soft_volume = 1.1\ngravity = 1.5\n")
+    (folder / "takes").mkdir()
+    names = [name[0].upper() + name[1:] for name in expressions.ARKIT]
+    weights = np.zeros((6, 52))
+    weights[:, expressions.index("jawOpen")] = np.linspace(0.0, 0.25, 6)
+    rows = [f"10:00:00:{k:02d}.000,52,{','.join(map(str, row))}" for k, row in enumerate(weights)]
+    (folder / "take.csv").write_text("\n".join([",".join(["Timecode", "BlendShapeCount", *names]), *rows]) + "\n")
+    (plan,) = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
+    (folder / "plan.toml").write_text(plan)
+    return folder
+
+
+@pytest.mark.parametrize("words", [w for w in COMMANDS if "softdeca" in w], ids=key)
+def test_every_command_is_read_as_it_stands(words, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    words = words[words.index("softdeca") + 1 :]
+    command: click.Command = app
+    while isinstance(command, click.Group):
+        command = command.commands[words.pop(0)]
+    context = command.make_context(command.name, words)  # a usage error if it has no such option, argument or value
+    assert not context.args
+
+
+def test_the_plan_is_read_as_it_stands(folder):
+    plan = read_plan(folder / "plan.toml")
+    assert (plan.identities, plan.groups, plan.frames, plan.sequences, plan.varying) == (200, 4, 9, 1, 0.5)
+
+
+def test_what_runs_here_ends_well(folder, command, monkeypatch):
+    pytest.importorskip("gmsh")
+    pytest.importorskip("imageio_ffmpeg")
+    monkeypatch.chdir(folder)
+    for line in dict.fromkeys(key(words) for words in COMMANDS):
+        if line in RUN:
+            ended = command(*shlex.split(line)[1:], *shlex.split(RUN[line]))
+            assert ended.status == 0, (line, ended.errors, ended.out[-500:])
+    made = ("head.npz", "head.png", "head.msh", "layers", "out/head", "out/take/preview.mp4", "out/scan/preview.gif")
+    assert all((folder / name).exists() for name in made), sorted(str(p) for p in folder.rglob("*"))
