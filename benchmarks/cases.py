@@ -10,7 +10,7 @@ import numpy as np
 
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
-from ..reference import Parameters, Reason, Scene, Solution, facial_scene, neo_hookean_scene, prepare, solve
+from ..reference import Parameters, Reason, Scene, Solution, facial_scene, neo_hookean_scene, prepare, settled, solve
 from .differences import difference
 
 TIGHT = 1e-10
@@ -55,7 +55,8 @@ class CaseResult:
 
 def run_case(head: LayeredHead, case: Case, expression: Floats, tell: Callable[[str], None]) -> CaseResult:
     """Solve one case with FEniCSx, scikit-fem and projective dynamics on PD's energy, and with the neo-Hookean law."""
-    scene = facial_scene(head, case.parameters, expression)
+    neutral = settled(head, case.parameters)
+    scene, targets = neutral.scene(expression), neutral.targets(expression)
     runs: dict[str, tuple[Solution, dict]] = {}
 
     def add(key: str, label: str, law: str, target: Scene, how: _How) -> Floats:
@@ -79,9 +80,9 @@ def run_case(head: LayeredHead, case: Case, expression: Floats, tell: Callable[[
     rest = scene.vertices
     n = len(head.bone)
     answers = {key: solution.positions for key, (solution, _) in runs.items()}
-    skins = {key: head.skin_after(expression, x[:n]) for key, x in answers.items()}
+    skins = {key: head.skin_after(targets, x[:n]) for key, x in answers.items()}
     lips = head.regions["lips"]
-    residual = np.linalg.norm(answers["pd"][:n] - head.wrap_targets(expression), axis=1)
+    residual = np.linalg.norm(answers["pd"][:n] - head.wrap_targets(targets), axis=1)
     record = {
         "name": case.name,
         "parameters": asdict(case.parameters),

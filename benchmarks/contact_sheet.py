@@ -26,7 +26,7 @@ def contact_sheet(folder: Path, count: int, seed: int, on_progress: OnProgress) 
     """A picture of `count` accepted static frames of both splits, chosen by `seed`, two to a line."""
     from PIL import Image
 
-    tables = [Table(folder, "statics", split) for split in SPLITS]
+    tables = [Table(folder, "statics", split, partial=True) for split in SPLITS]
     choices = [(table, row) for table in tables for row in range(len(table))]
     chosen = np.random.default_rng(seed).choice(len(choices), min(count, len(choices)), replace=False)
     images = []

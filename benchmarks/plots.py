@@ -50,18 +50,38 @@ def work_precision(cases: Sequence[Mapping]) -> str:
     return svg(plt, figure)
 
 
-def training(history: Sequence[Mapping]) -> str:
-    """Mean vertex error [mm] on training and validation frames against training time."""
+def learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
+    """What each point of a training has, errors in mm, against steps: PNG."""
     plt = pyplot()
-    figure, axis = plt.subplots(figsize=(6, 3))
-    seconds = [row["seconds"] for row in history]
-    for key, label in (("train_mm", "training"), ("validation_mm", "held-out identities")):
-        axis.plot(seconds, [row[key] for row in history], label=label)
-    axis.set(xlabel="training time [s]", ylabel="mean vertex error [mm]", yscale="log")
+    figure, axis = plt.subplots(figsize=(6, 3.4))
+    steps = [point["step"] for point in curve]
+    for name in curve[0]:
+        if name not in ("step", "seconds"):
+            axis.plot(steps, [point[name] for point in curve], label=name.replace("_mm", "").replace("_", " "))
+    axis.set(xlabel="step", ylabel="mean vertex error [mm]", yscale="log")
     axis.grid(alpha=0.25)
     axis.legend(frameon=False)
     figure.tight_layout()
-    return svg(plt, figure)
+    return png(plt, figure)
+
+
+def error_against_cost(scores: Sequence) -> bytes:
+    """Mean error [mm] of methods (`evaluate.Score`) against milliseconds at bind and per frame: PNG."""
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True)
+    for axis, name, label in zip(
+        axes, ("bind_ms", "frame_ms"), ("bind [ms]", "one frame of ten at a time [ms]"), strict=True
+    ):
+        for score in scores:
+            cost = max(getattr(score, name), 1e-3)
+            axis.scatter(cost, score.mean, marker="s" if score.simulates else "o")
+            axis.annotate(score.method, (cost, score.mean), fontsize=7, xytext=(4, 4), textcoords="offset points")
+        axis.set(xlabel=label, xscale="log", yscale="log")
+        axis.grid(alpha=0.25)
+    axes[0].set_ylabel("mean vertex error [mm]")
+    axes[0].set_title("squares: besides, the simulator at bind", fontsize=8)
+    figure.tight_layout()
+    return png(plt, figure)
 
 
 def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
@@ -95,6 +115,14 @@ def pyplot():
 
     plt.rcParams["svg.fonttype"] = "none"
     return plt
+
+
+def png(plt, figure) -> bytes:
+    """A figure as PNG, closed."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120)
+    plt.close(figure)
+    return buffer.getvalue()
 
 
 def svg(plt, figure) -> str:

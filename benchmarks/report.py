@@ -14,7 +14,7 @@ from . import plots
 
 def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
     """The report of one study; pictures are PNG, by name."""
-    cases, surrogate = results["cases"], results["surrogate"]
+    cases = results["cases"]
     form = [case["skin"]["PD to neo-Hookean"]["mean"] for case in cases]
     return rendered(
         "report.html",
@@ -24,7 +24,7 @@ def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
         model_form={"min": min(form), "max": max(form)},
         failed=[gate["what"] for gate in results["gates"] if not gate["passed"]],
         work_precision=plots.work_precision(cases),
-        training=plots.training(surrogate["history"]),
+        surrogate_errors=_surrogate_errors(results["surrogate"]),
         gate_rows=[(g["what"], g["value"], g["bound"], g["passed"]) for g in results["gates"]],
         head_rows=list(results["head"].items()),
         verification_rows=[
@@ -33,7 +33,7 @@ def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
         ],
         solver_rows=[row for case in cases for row in _solver_rows(case)],
         difference_rows=[row for case in cases for row in _difference_rows(case)],
-        surrogate_rows=_surrogate_rows(surrogate),
+        surrogate_rows=_surrogate_rows(results["surrogate"]),
         machine_rows=machine_rows(results["machine"])
         + [(f"seconds: {name}", float(value)) for name, value in results["seconds"].items()],
     )
@@ -94,13 +94,13 @@ def _difference_rows(case: Mapping) -> list[Sequence]:
     ]
 
 
-def _surrogate_rows(surrogate: Mapping) -> list[Sequence]:
-    methods = (
-        ("surrogate", "surrogate", surrogate["frame_ms"]),
-        ("ridge regression", "ridge", None),
-        ("blendshapes (T = S)", "blendshapes", surrogate["blend_ms"]),
-    )
+def _surrogate_rows(tested: Mapping | None) -> list[Sequence]:
     return [
-        (name, surrogate["test"][key]["mean"], surrogate["test"][key]["p95"], surrogate["test"][key]["max"], ms)
-        for name, key, ms in methods
+        (s["method"], s["kind"], s["frames"], s["mean"], s["p95"], s["largest"], s["share"], s["frame_ms"])
+        for s in (tested["scores"] if tested else [])
     ]
+
+
+def _surrogate_errors(tested: Mapping | None) -> dict[str, float]:
+    """Mean error [mm] over all frames by method."""
+    return {s["method"]: s["mean"] for s in (tested["scores"] if tested else []) if s["kind"] == "all"}

@@ -36,7 +36,8 @@ class StudyConfig:
     """What to study.
 
     identities is 'anny' or 'ict:FILE'; expressions are sums of ARKit names, each optionally scaled, as
-    'mouthSmileLeft*0.5+jawOpen'; gravity [g] of the scene that has no expression.
+    'mouthSmileLeft*0.5+jawOpen'; gravity [g] of the scene that has no expression; surrogate:
+    the weights to test, by default those that are shipped.
     """
 
     identities: str = "anny"
@@ -49,6 +50,7 @@ class StudyConfig:
         "browInnerUp",
     )
     gravity: float = 3.0
+    surrogate: Path | None = None
 
 
 def parse_expression(text: str) -> Floats:
@@ -102,13 +104,16 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     local_step = local_step_seconds(prepare(scene), repeats=30)
     verification = verify(progress)
     clock.lap("verification")
-    surrogate, rig = learned.study(space, template, config.out / "surrogate", progress)
-    shapes_of_space = space.expression_deltas(code)
-    skins = [
-        compare_surrogate(rig, head, code, shapes_of_space, case, result)
-        for case, result in zip(cases, done, strict=True)
-    ]
-    clock.lap("corpus, training and test of the surrogate")
+    network = _network(config, space)
+    tested, skins = None, []
+    if network is not None:
+        tested = learned.tested(network, space, template, config.out / "surrogate", progress)
+        shapes_of_space = space.expression_deltas(code)
+        skins = [
+            compare_surrogate(network, head, code, shapes_of_space, case, result)
+            for case, result in zip(cases, done, strict=True)
+        ]
+    clock.lap("test of the surrogate, with its corpus")
     results = {
         "title": f"projective dynamics, FEniCSx and a surrogate on one head ({space.name})",
         "identities": space.name,
@@ -118,7 +123,7 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
         "tets": len(head.tets),
         "local_step_ms": 1e3 * local_step,
         "verification": verification,
-        "surrogate": surrogate,
+        "surrogate": tested,
         "seconds": clock.laps,
     }
     results["gates"] = gates(results)
@@ -129,6 +134,14 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     with replaced(config.out / "index.html") as path:
         path.write_text(page(results, images))
     return results
+
+
+def _network(config: StudyConfig, space) -> Surrogate | None:
+    """The one that was asked for, else the one that is shipped for the space, if there is one."""
+    if config.surrogate is not None:
+        return Surrogate.load(config.surrogate)
+    shipped = Surrogate.load()
+    return shipped if shipped.space == space.name else None
 
 
 def compare_surrogate(
@@ -167,16 +180,17 @@ def _median_ms(step: Callable[[], object], repeats: int = 50) -> float:
 
 
 def _draw(head: LayeredHead, done: Sequence[CaseResult], skins: Sequence[Floats], progress: OnProgress):
-    """PNG pictures by name: the head, and a strip per case."""
+    """PNG pictures by name: the head, and a strip per case; `skins` of the surrogate, none where there is none."""
     images = {"head": cut_away(head)}
-    for i, (result, skin) in enumerate(zip(done, skins, strict=True)):
+    for i, result in enumerate(done):
         progress("pictures", i / len(done))
         simulated = head.skin.with_vertices(result.pd_skin)
-        errors = [distances(other, result.pd_skin) for other in (result.expression, result.neo_hookean_skin, skin)]
-        top = max(0.05, float(np.percentile(errors[0], 99.5)))
-        captions = ("blendshapes - PD", "neo-Hookean - PD", "surrogate - PD")
+        others = {"blendshapes - PD": result.expression, "neo-Hookean - PD": result.neo_hookean_skin}
+        others |= {"surrogate - PD": skins[i]} if skins else {}
+        errors = {text: distances(other, result.pd_skin) for text, other in others.items()}
+        top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
         panels = [Panel("target", head.skin.with_vertices(result.expression)), Panel("simulated (PD)", simulated)]
-        panels += [Panel(text, simulated, error, top) for text, error in zip(captions, errors, strict=True)]
+        panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
         images[result.record["name"]] = strip(panels)
     progress("pictures", 1.0)
     return images

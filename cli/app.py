@@ -16,6 +16,7 @@ def app() -> None:
 
 app.add_command(study.study)
 app.add_command(train.train)
+app.add_command(train.evaluate)
 app.add_command(head.head)
 app.add_command(simulate.simulate)
 app.add_command(corpus.corpus)

@@ -15,22 +15,27 @@ from .progress import shown
     "--out",
     default="out/study",
     type=click.Path(path_type=Path),
-    help="folder of the report; its corpus and surrogate are reused",
+    help="folder of the report; the corpus in it is used again",
 )
 @click.option(
     "--expressions",
     default="jawOpen,mouthSmileLeft+mouthSmileRight,mouthPucker,cheekPuff,browInnerUp",
     help="ARKit expressions, separated by commas; join shapes with +, scale with *, as jawOpen*0.5",
 )
+@click.option(
+    "--surrogate",
+    type=click.Path(path_type=Path),
+    help="weights to test, of `softdeca train`; by default those that are shipped, for the people they know",
+)
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
-def study(identities: str, out: Path, expressions: str, as_json: bool) -> int:
+def study(identities: str, out: Path, expressions: str, surrogate: Path | None, as_json: bool) -> int:
     """Head, scenes, every solver and the surrogate, compared: OUT/index.html and OUT/results.json.
 
     Exit status 1 if an answer misses its bound; a figure of speed that does is printed only.
     """
     from ..benchmarks.study import StudyConfig, run_study
 
-    config = StudyConfig(identities=identities, out=out, expressions=tuple(expressions.split(",")))
+    config = StudyConfig(identities=identities, out=out, expressions=tuple(expressions.split(",")), surrogate=surrogate)
     with shown() as progress:
         results = run_study(config, progress)
     if as_json:

@@ -1,45 +1,113 @@
-"""softdeca train: the surrogate of an identity space, without the study around it."""
+"""softdeca train and evaluate: a network from a corpus, and methods compared on its test faces."""
 
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
 
-from ..lhm import identities, load_template
+from ..lhm.files.atomic import replaced
 from .progress import shown
 
 
 @click.command()
+@click.argument("corpus", type=click.Path(path_type=Path))
+@click.option("--out", default="out/surrogate", type=click.Path(path_type=Path), help="folder of weights and curve")
 @click.option(
-    "--identities", "space_name", default="anny", help="whose heads: anny, ict:FILE, flame:FILE or folder:DIR"
+    "--network",
+    type=click.Choice(["modal", "paper"]),
+    default="modal",
+    help="modal: what is shipped; paper: SoftDECA's hypernetwork of deformation gradients, to compare with",
 )
+@click.option("--steps", type=click.IntRange(min=1), help="instead of the network's own number")
+@click.option("--device", default="cpu", help="as torch names it: cpu, cuda")
 @click.option(
-    "--out",
-    default="out/study/surrogate",
-    type=click.Path(path_type=Path),
-    help="folder of corpus and network, the study's; what is there is used again",
+    "--neutrals", type=click.Path(path_type=Path), help="another corpus, of settled neutral faces: preset neutral"
 )
-@click.option("--json", "as_json", is_flag=True, help="print the figures as JSON")
-def train(space_name: str, out: Path, as_json: bool) -> int:
-    """Simulate a corpus, train the surrogate and test it on unseen identities (some minutes, without FEniCSx).
+@click.option("--partial", is_flag=True, help="learn from the people that are there, of a corpus not yet complete")
+def train(
+    corpus: Path,
+    out: Path,
+    network: str,
+    steps: int | None,
+    device: str,
+    neutrals: Path | None,
+    partial: bool,
+) -> int:
+    """Train a surrogate on CORPUS, a folder of `softdeca corpus generate`; a training that was stopped goes on.
 
-    The default head's is kept where `Surrogate.load()` finds it. Exit status 1 if it is no better than blendshapes.
+    Writes OUT/modal.safetensors, which `Surrogate.load` and `softdeca study --surrogate` read, or OUT/paper.npz, and
+    the learning curve as OUT/curve.json and curve.png.
     """
-    from ..benchmarks import learned
-    from ..surrogate.runtime import default_path
-
+    out.mkdir(parents=True, exist_ok=True)
     with shown() as progress:
-        space = identities.from_text(space_name)
-        figures, _ = learned.study(space, load_template(space, progress=progress), out, progress)
+        if network == "modal":
+            path, curve = _modal(corpus, neutrals, out, steps, device, partial, progress)
+        else:
+            path, curve = _paper(corpus, out, steps, progress)
+    with replaced(out / "curve.json") as temporary:
+        temporary.write_text(json.dumps(curve, indent=1))
+    _draw(curve, out / "curve.png")
+    for written in (path, out / "curve.json", out / "curve.png"):
+        click.echo(f"wrote {written}")
+    return 0
+
+
+def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, device: str, partial: bool, progress):
+    from ..surrogate.modal.faces import Faces, Neutrals
+    from ..surrogate.modal.training import ModalTraining, train_modal
+
+    config = ModalTraining(device=device)
+    config = config if steps is None else replace(config, steps=steps)
+    faces = Faces(corpus, "train", partial=partial)
+    more = None if neutrals is None else Neutrals(neutrals, "train", partial=partial)
+    weights = train_modal(faces, config, neutrals=more, state=out / "modal.pt", on_progress=progress)
+    weights.save(out / "modal.safetensors")
+    return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
+
+
+def _paper(corpus: Path, out: Path, steps: int | None, progress):
+    from ..surrogate.paper.samples import samples_of
+    from ..surrogate.paper.train import TrainConfig
+    from ..surrogate.paper.train import train as train_paper
+
+    config = TrainConfig() if steps is None else TrainConfig(steps=steps)
+    checkpoint = train_paper(samples_of(corpus, "train"), config, state=out / "paper.pt", on_progress=progress)
+    checkpoint.save(out / "paper.npz")
+    return out / "paper.npz", [asdict(point) for point in checkpoint.summary.history]
+
+
+def _draw(curve: list[dict], path: Path) -> None:
+    from ..benchmarks.plots import learning_curve
+
+    path.write_bytes(learning_curve(curve))
+
+
+@click.command()
+@click.argument("corpus", type=click.Path(path_type=Path))
+@click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
+@click.option("--rivals", is_flag=True, help="also fit rivals that learn to the corpus' training faces (minutes)")
+@click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
+@click.option("--out", default="out/evaluate", type=click.Path(path_type=Path), help="folder of tables and pictures")
+@click.option("--json", "as_json", is_flag=True, help="print the scores as JSON")
+def evaluate(corpus: Path, surrogate: Path | None, rivals: bool, partial: bool, out: Path, as_json: bool) -> int:
+    """Compare the surrogate and its rivals on the test people of CORPUS, static frames, against the simulator.
+
+    Writes OUT/scores.json, scores.md, and error against the cost at bind and per frame as cost.png.
+    """
+    from ..benchmarks.surrogates import compare
+
+    out.mkdir(parents=True, exist_ok=True)
+    with shown() as progress:
+        scores, written = compare(corpus, out, surrogate=surrogate, rivals=rivals, partial=partial, progress=progress)
     if as_json:
-        click.echo(json.dumps(figures, indent=1))
-    else:
-        for name in ("surrogate", "blendshapes"):
-            errors = figures["test"][name]
+        click.echo(json.dumps([asdict(score) for score in scores], indent=1))
+        return 0
+    for score in scores:
+        if score.kind == "all":
             click.echo(
-                f"{name:<12} error mean {errors['mean']:.3f}  95 % {errors['p95']:.3f}  max {errors['max']:.3f} mm"
+                f"{score.method:<36} mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"
             )
-        click.echo(f"corpus and network: {out}")
-        if space.name == "anny":
-            click.echo(f"network: {default_path()}")
-    return 0 if figures["test"]["gain"] > 1.0 else 1
+    for path in written:
+        click.echo(f"wrote {path}")
+    return 0

@@ -1,4 +1,4 @@
-"""The learned surrogate of the simulator: corpus, deformation transfer, hypernetwork, training and run time."""
+"""The learned surrogate of the simulator: corpora, networks, their training, and the run time."""
 
 from .runtime import BoundSurrogate, Surrogate
 

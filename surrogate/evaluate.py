@@ -1,100 +1,97 @@
-"""Error of the surrogate and of the baselines on frames that training has not seen, and time per frame."""
+"""Table 1 again: methods on faces that training has not seen, error against the cost at bind and per frame."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.errors import InputError
 from ..lhm.mesh import Floats
-from ..reference import Parameters
-from .baselines import Ridge
-from .runtime import BoundSurrogate, Surrogate
-from .samples import Samples
+from ..lhm.progress import OnProgress, silent
+from .modal.faces import Faces
+from .rivals import Method
+
+MOVES = 0.1
+"""[mm] |T - S| from which on a vertex counts as one that moves."""
 
 
 @dataclass(frozen=True)
-class VertexErrors:
-    """Distances to the simulator's vertices [mm] over all frames, and the mean of each frame."""
+class Score:
+    """One method on some frames: distances of vertices to the simulator's [mm], and its costs.
 
+    mean, p95, largest: over all vertices of all frames; moving: mean over vertices that simulation moves by more than
+    MOVES; share: mean over that of T = S. fit_seconds, bind_ms, frame_ms: medians on one thread; of a method that
+    `simulates`, bind_ms is without the simulator's part.
+    """
+
+    method: str
+    kind: str
+    frames: int
     mean: float
     p95: float
-    max: float
-    per_frame: tuple[float, ...]
-
-    @classmethod
-    def of(cls, answers, samples: Samples) -> VertexErrors:
-        """Of answers [mm], shape (N, n, 3)."""
-        distance = np.linalg.norm(np.asarray(answers, dtype=np.float64) - samples.simulated, axis=2)
-        per_frame = tuple(float(value) for value in distance.mean(axis=1))
-        return cls(float(distance.mean()), float(np.percentile(distance, 95.0)), float(distance.max()), per_frame)
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Errors against the simulator [mm] and median times [ms] on one thread.
-
-    blendshapes is T = S_t; `gain` is its mean error over the surrogate's; bind_ms is L(p, h) of one identity and
-    material, frame_ms a frame of the surrogate (with its blendshapes), blend_ms one of the blendshapes alone.
-    """
-
-    frames: int
-    identities: int
-    surrogate: VertexErrors
-    ridge: VertexErrors
-    blendshapes: VertexErrors
+    largest: float
+    moving: float
+    share: float
+    simulates: bool
+    fit_seconds: float
     bind_ms: float
     frame_ms: float
-    blend_ms: float
-
-    @property
-    def gain(self) -> float:
-        """How many times larger the blendshapes' mean error is than the surrogate's."""
-        return self.blendshapes.mean / self.surrogate.mean
 
 
-def evaluate(surrogate: Surrogate, test: Samples, training: Samples, *, expressions: Floats) -> Evaluation:
-    """Run every test frame through the run time; `training` frames fit the ridge regression.
+def evaluate(
+    methods: Sequence[Method], test: Faces, training: Faces | None = None, *, on_progress: OnProgress = silent
+) -> list[Score]:
+    """Scores of each method over all static frames of the test faces, and per kind of parameters ("all" first).
 
-    expressions: the 52 shapes' displacements [mm] of any identity, shape (52, n, 3), for the times of a frame.
-    Raises InputError if both splits share an identity, and what `Surrogate.bind` raises.
+    `training` faces fit what is not fitted yet; None for methods that need none.
     """
-    shared = np.intersect1d(test.identity, training.identity)
-    if shared.size:
-        raise InputError(f"evaluate: identity {shared[0]} is in training and test; the errors would mean nothing")
-    answers, binding = np.empty_like(test.blended), []
-    for k in range(len(test)):
+    scores = []
+    for number, method in enumerate(methods):
         begin = time.perf_counter()
-        rig = _bind(surrogate, test, k, expressions)
+        if training is not None:
+            method.fit(training)
+        scores += _scores(method, test, time.perf_counter() - begin)
+        on_progress(f"evaluate: {method.name}", (number + 1) / len(methods))
+    return scores
+
+
+def _scores(method: Method, test: Faces, fit_seconds: float) -> list[Score]:
+    kinds, errors, motions, binding, framing = [], [], [], [], []
+    for index in range(len(test)):
+        face, frames = test.face(index), test.frames(index)
+        if not len(frames.weights):
+            continue
+        begin = time.perf_counter()
+        bound = method.bind(face)
         binding.append(time.perf_counter() - begin)
-        answers[k] = rig.frame(test.weights[k], blended=test.blended[k])
-    rig = _bind(surrogate, test, 0, expressions)
-    return Evaluation(
-        frames=len(test),
-        identities=len(np.unique(test.identity)),
-        surrogate=VertexErrors.of(answers, test),
-        ridge=VertexErrors.of(Ridge.fit(training).predict(test), test),
-        blendshapes=VertexErrors.of(test.blended, test),
-        bind_ms=1e3 * float(np.median(binding)),
-        frame_ms=_median_ms(rig.frame, test),
-        blend_ms=_median_ms(rig.blend, test),
-    )
-
-
-def _bind(surrogate: Surrogate, samples: Samples, k: int, expressions: Floats) -> BoundSurrogate:
-    values = dict(zip(samples.parameter_names, samples.parameters[k], strict=True))
-    # The neutral skin only enters frames without `blended`.
-    skin = samples.reference
-    return surrogate.bind(skin, samples.codes[k], Parameters(**values), expressions=expressions)
-
-
-def _median_ms(step, samples: Samples, repeats: int = 200) -> float:
-    times = []
-    for k in range(repeats):
-        weights = samples.weights[k % len(samples)]
         begin = time.perf_counter()
-        step(weights)
-        times.append(time.perf_counter() - begin)
-    return 1e3 * float(np.median(times))
+        answer = bound(frames.weights)
+        framing.append((time.perf_counter() - begin) / len(frames.weights))
+        truth = frames.corrected.astype(np.float32)
+        errors.append(np.linalg.norm(answer - truth, axis=2))
+        motions.append(np.linalg.norm(truth, axis=2))
+        kinds += [face.kind] * len(frames.weights)
+    error, motion, kind = np.concatenate(errors), np.concatenate(motions), np.array(kinds)
+    times = fit_seconds, 1e3 * float(np.median(binding)), 1e3 * float(np.median(framing))
+    chosen = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
+    return [_score(method, name, error[rows], motion[rows], times) for name, rows in chosen.items()]
+
+
+def _score(method: Method, kind: str, error: Floats, motion: Floats, times: tuple[float, float, float]) -> Score:
+    moves = motion > MOVES
+    return Score(
+        method=method.name,
+        kind=kind,
+        frames=len(error),
+        mean=float(error.mean()),
+        p95=float(np.percentile(error, 95.0)),
+        largest=float(error.max()),
+        moving=float(error[moves].mean()) if moves.any() else float("nan"),
+        share=float(error.mean() / motion.mean()),
+        simulates=method.simulates,
+        fit_seconds=times[0],
+        bind_ms=times[1],
+        frame_ms=times[2],
+    )

@@ -1,154 +1,195 @@
-"""The surrogate at run time: linear-blendshape interface, float32 numpy and numba, no torch (SoftDECA 3.5)."""
+"""The surrogate that is shipped: bound to a person and p once, then frames like linear blendshapes, without torch."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
+from importlib.resources import files
 from os import PathLike
-from pathlib import Path
+from typing import Any, Literal
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from ..lhm import identities
+from ..lhm import fit_head, identities, load_template
 from ..lhm.checked import checked
 from ..lhm.errors import InputError
-from ..lhm.files import cache
-from ..lhm.geometry.deformation import DeformationTransfer, weighted_edges
-from ..lhm.mesh import Floats, Surface
-from ..reference import Parameters
-from .checkpoint import Checkpoint
-from .samples import Floats32, normalise_parameters
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats, Floats32, Surface
+from ..reference import Parameters, settled
+from ..reference.linearised import DIRECT, linearised
+from .baked import BakedRig, baked
+from .modal.features import STATIC
+from .modal.rig import BoundModes, Modal, add_combination
+from .modal.weights import ModalWeights
 
-
-def default_path() -> Path:
-    """Where the study keeps the trained surrogate, in the user's cache folder."""
-    return cache.folder() / "surrogate.npz"
+Beyond = Literal["refuse", "clamp"]
+ARKIT = 52
 
 
 class Surrogate:
-    """A trained network and the transfer of its mesh, for any identity and material of its space."""
+    """A trained modal network for any person and parameters of its space; see `modal.network` for its form."""
 
-    def __init__(self, checkpoint: Checkpoint):
-        self.checkpoint = checkpoint
-        self._transfer = DeformationTransfer(checkpoint.reference, checkpoint.anchors, dtype=np.float32)
+    def __init__(self, weights: ModalWeights):
+        self.weights = weights
+        self._modal = Modal(weights)
 
     @classmethod
     @checked
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
-        """Read a checkpoint; None is the one that the study has trained. InputError if it is missing or damaged."""
-        return cls(Checkpoint.load(default_path() if path is None else path))
+        """Read weights; None is the network that is shipped, of the default space. InputError if it is damaged."""
+        if path is not None:
+            return cls(ModalWeights.load(path))
+        return cls(ModalWeights.load(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors")))
+
+    @property
+    def space(self) -> str:
+        """The name of the space of people that it knows."""
+        return self.weights.space
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The parameters that a static frame follows, in the order of the columns of an array of them."""
+        return STATIC
 
     def bind(
-        self, skin: Surface, code: Floats, parameters: Parameters | Floats | None = None, *, expressions=None
+        self,
+        skin: Surface,
+        code: Floats,
+        parameters: Parameters | Floats | None = None,
+        *,
+        expressions: Floats | None = None,
+        exact: bool = False,
+        head: LayeredHead | None = None,
+        beyond: Beyond = "refuse",
     ) -> BoundSurrogate:
-        """Compute L(p, h) of one identity and material.
+        """A rig of one person and p: in milliseconds, or with `exact` in about a second.
 
-        skin: its neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), or the
-        checkpoint's `parameter_names` per face, shape (faces, k). expressions: what the 52 weights add [mm], shape
-        (52, n, 3); by default the space of the checkpoint is asked, and if it is no built-in one, `frame` needs
-        `blended`. Raises InputError for a skin of another template, a code of another size, and parameters out of
-        range or not trained.
+        skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
+        values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
+        beyond the ranges that the network has seen is refused, or clamped with a warning, by `beyond`. expressions:
+        what the 52 weights add [mm], shape (52, n, 3); by default the space's, and where that is no built-in one
+        `frame` needs `blended`. With `exact`, offset and responses are the simulator's, on `head` or on one that is
+        fitted to the skin (the default space's only), and the network adds what is not linear. Raises InputError for a
+        skin of another template, a code of another size and parameters that are refused, and what the simulator raises.
         """
-        checkpoint = self.checkpoint
         self._check_skin(skin)
+        mean, weights = self.weights.mean, self.weights
         code = np.asarray(code, dtype=np.float64)
-        if code.shape != checkpoint.code_mean.shape or not np.isfinite(code).all():
-            raise InputError(f"code: expected {len(checkpoint.code_mean)} finite numbers, got shape {code.shape}")
-        normalised = self._normalised(Parameters() if parameters is None else parameters)
-        latents = face_latents(checkpoint.network, (code - checkpoint.code_mean) / checkpoint.code_scale, normalised)
-        return BoundSurrogate(self._transfer, checkpoint.network, latents, skin, self._expressions(code, expressions))
+        if code.shape != weights.code_mean.shape or not np.isfinite(code).all():
+            raise InputError(f"code: expected {len(weights.code_mean)} finite numbers, got shape {code.shape}")
+        chosen = Parameters() if parameters is None else parameters
+        at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
+        shapes = self._expressions(code, expressions)
+        modes = self._modal.bound(code, at_vertices)
+        if exact:
+            if shapes is None:
+                raise InputError("expressions: not known for the weights' space; bind(exact=True) needs expressions=")
+            modes = _exact(modes, self._head(skin, head), at_vertices, shapes)
+        return BoundSurrogate(skin, modes, shapes)
 
     def _check_skin(self, skin: Surface):
-        template, network = self.checkpoint.reference, f"the checkpoint's template {self.checkpoint.template}"
-        if len(skin.vertices) != len(template.vertices):
-            raise InputError(f"skin: {len(skin.vertices)} vertices, {network} has {len(template.vertices)}")
-        if not np.array_equal(skin.triangles, template.triangles):
+        mean, network = self.weights.mean, f"the weights' template {self.weights.template}"
+        if len(skin.vertices) != len(mean.vertices):
+            raise InputError(f"skin: {len(skin.vertices)} vertices, {network} has {len(mean.vertices)}")
+        if not np.array_equal(skin.triangles, mean.triangles):
             raise InputError(f"skin: its triangles are not those of {network}")
 
-    def _normalised(self, parameters: Parameters | Floats) -> Floats32:
-        names = self.checkpoint.parameter_names
-        if not isinstance(parameters, Parameters):
-            values = np.asarray(parameters, dtype=np.float64)
-            expected = (len(self.checkpoint.reference.triangles), len(names))
-            if values.shape != expected:
-                raise InputError(f"parameters: expected shape {expected} ({', '.join(names)}), got {values.shape}")
-            return normalise_parameters(names, values)
-        for info in Parameters.infos():
-            value = getattr(parameters, info.name)
-            if info.name not in names and np.any(value != info.default):
-                value = float(np.ravel(value)[0])
-                raise InputError(
-                    f"parameter {info.name} = {value:g}: this surrogate was trained at {info.default:g} only; "
-                    f"it follows {', '.join(names)}"
-                )
-        return normalise_parameters(names, parameters.vector(names))
-
-    def _expressions(self, code, expressions) -> Floats32 | None:
+    def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32 | None:
         if expressions is None:
-            space = _open_space(self.checkpoint.space)
-            if space is None:
+            if self.space != "anny":
                 return None
-            expressions = space.expression_deltas(code)
-        expressions = np.ascontiguousarray(expressions, dtype=np.float32)
-        expected = (52, *self.checkpoint.reference.vertices.shape)
-        if expressions.shape != expected:
-            raise InputError(f"expressions: expected shape {expected}, got {expressions.shape}")
-        return expressions
+            expressions = identities.Anny().expression_deltas(code)
+        shapes: Floats32 = np.ascontiguousarray(expressions, dtype=np.float32)
+        expected = (ARKIT, *self.weights.mean.vertices.shape)
+        if shapes.shape != expected or not np.isfinite(shapes).all():
+            raise InputError(f"expressions: expected finite displacements of shape {expected}, got {shapes.shape}")
+        return shapes
+
+    def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
+        if head is not None:
+            self._check_skin(head.skin)
+            return head
+        if self.space != "anny":
+            raise InputError(f"head: none is fitted for the space {self.space!r}; give bind(exact=True, head=)")
+        return fit_head(load_template(identities.Anny()), skin)
 
 
 class BoundSurrogate:
-    """One identity and material: `frame` is all that runs per frame."""
+    """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given."""
 
-    def __init__(
-        self,
-        transfer: DeformationTransfer,
-        network: Mapping[str, NDArray[np.float32]],
-        latents: Floats32,
-        skin: Surface,
-        expressions: Floats32 | None,
-    ):
-        self._transfer, self._network, self._latents = transfer, network, latents
-        self._skin = skin.vertices.astype(np.float32)
+    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None):
+        self.triangles, self.modes = skin.triangles, modes
         self._expressions = expressions
+        self._skin = skin.vertices.astype(np.float32)
+        count, n = len(modes.modes), len(self._skin)
+        self._settled = (self._skin + modes.offset).ravel()
+        self._added = np.concatenate([modes.responses, modes.modes]).reshape(ARKIT + count, 3 * n)
+        self._offset = np.ascontiguousarray(modes.offset.ravel())
+        self._amplitudes = np.zeros(ARKIT + count, dtype=np.float32)
+        self._shapes: Floats32 | None = None
+        if expressions is not None:
+            self._shapes = self._added.copy()
+            self._shapes[:ARKIT] += expressions.reshape(ARKIT, -1)
 
-    def frame(self, weights, blended=None) -> Floats32:
-        """The simulated skin [mm], shape (n, 3), for 52 ARKit weights.
+    @property
+    def neutral(self) -> Floats32:
+        """The settled neutral skin [mm], shape (n, 3)."""
+        return self._settled.reshape(-1, 3).copy()
+
+    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
+        """The simulated skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given.
 
         blended: the linear blendshapes' answer S_t [mm] of a rig of one's own, shape (n, 3). Weights outside [0, 1]
         are clipped with a warning that counts them. Raises InputError for shapes and values that are not finite.
         """
-        weights = _checked_weights(weights)
-        surface = self.blend(weights) if blended is None else self._checked_blended(blended)
-        forces = np.zeros((len(surface), 3), dtype=np.float32)
-        latent = expression_latent(self._network, weights)
-        _latent_forces(self._latents, latent, surface, self._transfer.triangles, self._transfer.stiffness, forces)
-        return surface + self._transfer.solve(forces)
-
-    def blend(self, weights) -> Floats32:
-        """Linear blendshapes S_t [mm], shape (n, 3); InputError where the expressions are not known."""
-        if self._expressions is None:
-            raise InputError("expressions: not known for the checkpoint's space; give bind(expressions=) or blended=")
-        surface = self._skin.copy()
-        _add_expressions(self._expressions, np.asarray(weights, dtype=np.float32), surface)
+        weights = checked_weights(weights)
+        surface = np.empty_like(self._skin) if out is None else self._checked_out(out)
+        flat = surface.reshape(-1)
+        self._amplitudes[:ARKIT] = weights
+        self._amplitudes[ARKIT:] = self.modes.remainder_of(weights)
+        if blended is None:
+            if self._shapes is None:
+                raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
+            flat[:] = self._settled
+            add_combination(self._amplitudes, self._shapes, flat)
+        else:
+            surface[:] = self._checked_blended(blended)
+            flat += self._offset
+            add_combination(self._amplitudes, self._added, flat)
         return surface
 
+    def blend(self, weights) -> Floats32:
+        """Linear blendshapes S_t [mm], shape (n, 3), without p; InputError where the expressions are not known."""
+        if self._expressions is None:
+            raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
+        surface = self._skin.copy()
+        shapes = self._expressions.reshape(ARKIT, -1)
+        add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
+        return surface
+
+    def bake(self, rank: int = 64) -> BakedRig:
+        """Plain morph targets, `rank` of them, with their error; InputError for a rank out of range."""
+        if self._shapes is None:
+            raise InputError("expressions: not known for the weights' space; bake needs bind(expressions=)")
+        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.triangles, rank)
+
+    def _checked_out(self, out: Floats32) -> Floats32:
+        if out.shape != self._skin.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+            raise InputError(f"out: expected contiguous float32 of shape {self._skin.shape}")
+        return out
+
     def _checked_blended(self, blended) -> Floats32:
-        blended = np.ascontiguousarray(blended, dtype=np.float32)
+        blended = np.asarray(blended, dtype=np.float32)
         if blended.shape != self._skin.shape or not np.isfinite(blended).all():
             raise InputError(f"blended: expected finite positions of shape {self._skin.shape}, got {blended.shape}")
         return blended
 
 
-def _open_space(name: str) -> identities.IdentitySpace | None:
-    """The built-in space that a checkpoint names, if it names one."""
-    return identities.Anny() if name == "anny" else None
-
-
-def _checked_weights(weights) -> Floats32:
+def checked_weights(weights) -> Floats32:
+    """The 52 weights as float32, clipped to [0, 1] with a warning; InputError for other shapes, and for NaN."""
     weights = np.asarray(weights, dtype=np.float32)
-    if weights.shape != (52,):
+    if weights.shape != (ARKIT,):
         raise InputError(f"weights: expected the 52 of ARKit, got shape {weights.shape}")
     if not np.isfinite(weights).all():
         raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
@@ -159,59 +200,77 @@ def _checked_weights(weights) -> Floats32:
     return weights
 
 
-def expression_latent(network: Mapping[str, NDArray[np.float32]], weights: Floats32) -> Floats32:
-    """z_t = f_w(w_t), shape (latent,)."""
-    hidden = weights
-    for layer in ("expression.0", "expression.2"):
-        hidden = _elu(_linear(network, layer, hidden))
-    return _linear(network, "expression.4", hidden) + network["expression_linear.weight"] @ weights
+def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
+    """STATIC mapped to [-1, 1] at the vertices, shape (n, P); what is given per face is averaged around a vertex."""
+    n, faces = len(mean.vertices), len(mean.triangles)
+    if isinstance(parameters, Parameters):
+        columns = [np.asarray(getattr(parameters, name), dtype=np.float64) for name in STATIC]
+        for name, column in zip(STATIC, columns, strict=True):
+            if column.ndim and column.shape != (faces,):
+                raise InputError(f"parameter {name}: expected one value, or one per face of the skin, ({faces},)")
+    else:
+        values = np.asarray(parameters, dtype=np.float64)
+        if values.shape != (faces, len(STATIC)) or not np.isfinite(values).all():
+            raise InputError(
+                f"parameters: expected finite values of shape ({faces}, {len(STATIC)}), got {values.shape}"
+            )
+        columns = list(values.T)
+    found = np.empty((n, len(STATIC)))
+    corners = mean.triangles.ravel()
+    around = np.maximum(np.bincount(corners, minlength=n), 1)
+    for k, (name, column) in enumerate(zip(STATIC, columns, strict=True)):
+        info = Parameters.info(name)
+        outside = ~((column >= info.low) & (column <= info.high))
+        if outside.any():
+            value = np.ravel(column)[np.ravel(outside)][0]
+            raise InputError(f"parameter {name} = {value:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
+        normalised = info.normalise(column)
+        if normalised.ndim:
+            normalised = np.bincount(corners, weights=np.repeat(normalised, 3), minlength=n) / around
+        found[:, k] = normalised
+    return found
 
 
-def face_latents(network: Mapping[str, NDArray[np.float32]], code: Floats, parameters: Floats32) -> Floats32:
-    """L(p, h) of all faces, shape (faces, 9, latent), from a normalised code (c,) and parameters (k,) or (faces, k)."""
-    code = code.astype(np.float32)
-    first = network["position"] @ network["from_position.weight"].T + network["from_code.weight"] @ code
-    hidden = _elu(_linear(network, "middle", _elu(first + _linear(network, "from_parameters", parameters))))
-    local = (hidden @ network["last.weight"].T).reshape(len(hidden), -1, 9)
-    inputs = np.concatenate([parameters, np.broadcast_to(code, (*parameters.shape[:-1], len(code)))], axis=-1)
-    gains = network["scale"] * np.exp(_linear(network, "gain.2", _elu(_linear(network, "gain.0", inputs))))
-    return np.ascontiguousarray((network["table"].transpose(1, 2, 0) + local.transpose(0, 2, 1)) * gains[..., None, :])
+def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:
+    """Parameters within what training saw of each."""
+    if beyond not in ("refuse", "clamp"):
+        raise InputError(f"beyond: expected 'refuse' or 'clamp', got {beyond!r}")
+    low, high = (np.array([seen[name][side] for name in STATIC]) for side in (0, 1))
+    slack = 1e-3 * np.maximum(high - low, 1e-3)
+    outside = ((at_vertices < low - slack) | (at_vertices > high + slack)).any(axis=0)
+    if outside.any():
+        name = STATIC[int(np.flatnonzero(outside)[0])]
+        info, k = Parameters.info(name), STATIC.index(name)
+        bounds = ", ".join(f"{info.denormalise(seen[name][side]):.4g}" for side in (0, 1))
+        worst = at_vertices[np.argmax(np.abs(at_vertices[:, k])), k]
+        text = f"parameter {name} = {info.denormalise(worst):.4g} is beyond [{bounds}], what the network has seen"
+        if beyond == "refuse":
+            raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
+        warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
+    return np.clip(at_vertices, low, high)
 
 
-def _linear(network, layer: str, values):
-    return values @ network[f"{layer}.weight"].T + network[f"{layer}.bias"]
+def _exact(modes: BoundModes, head: LayeredHead, at_vertices: Floats, shapes: Floats32) -> BoundModes:
+    """The modes with offset and responses of the simulator."""
+    neutral = settled(head, _on_wraps(head, at_vertices), tolerance=1e-4, max_iterations=2000)
+    if not neutral.converged:
+        raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
+    linear = linearised(neutral, accuracy=DIRECT)
+    deltas = shapes.astype(np.float64)
+    return replace(
+        modes,
+        offset=(linear.offset + neutral.displacement).astype(np.float32),
+        responses=(linear.of_expressions(deltas) - deltas).astype(np.float32),
+    )
 
 
-def _elu(values):
-    return np.where(values > 0.0, values, np.expm1(np.minimum(values, 0.0)))
-
-
-@numba.njit(cache=True, fastmath=True)
-def _add_expressions(expressions, weights, surface):
-    for k in range(len(weights)):
-        if weights[k] != 0.0:
-            for v in range(len(surface)):
-                for c in range(3):
-                    surface[v, c] += weights[k] * expressions[k, v, c]
-
-
-@numba.njit(cache=True, fastmath=True)
-def _latent_forces(latents, latent, surface, triangles, stiffness, forces):
-    """Gᵀ D ((J - I) G S) of one frame with z·L fused in, so that J is never stored."""
-    gradient = np.empty(9, dtype=np.float32)
-    for f in range(len(triangles)):
-        for c in range(9):
-            total = np.float32(0.0)
-            for k in range(len(latent)):
-                total += latents[f, c, k] * latent[k]
-            gradient[c] = total
-        i, j, k = triangles[f]
-        c11, c12, c22 = stiffness[f]
-        u0, u1, u2, v0, v1, v2 = weighted_edges(surface, i, j, k, c11, c12, c22)
-        for r in range(3):
-            m0, m1, m2 = gradient[3 * r], gradient[3 * r + 1], gradient[3 * r + 2]
-            at_j = m0 * u0 + m1 * u1 + m2 * u2
-            at_k = m0 * v0 + m1 * v1 + m2 * v2
-            forces[j, r] += at_j
-            forces[k, r] += at_k
-            forces[i, r] -= at_j + at_k
+def _on_wraps(head: LayeredHead, at_vertices: Floats) -> Parameters:
+    """Parameters for a simulation: numbers where uniform, else one per triangle of the wraps."""
+    values: dict[str, Any] = {}
+    for k, name in enumerate(STATIC):
+        info, column = Parameters.info(name), at_vertices[:, k]
+        if np.ptp(column) < 1e-9 or not info.local:
+            values[name] = float(info.denormalise(column[0]))
+        else:
+            values[name] = info.denormalise((head.wrap_from_skin @ column)[head.skin_wrap.triangles].mean(axis=1))
+    return Parameters(**values)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import asdict, fields
 from datetime import date
 from importlib.metadata import version
@@ -25,7 +26,7 @@ CROISSANT = "http://mlcommons.org/croissant/1.0"
 
 
 def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
-    """Write README.md and croissant.json into the corpus' folder; return the figures of the card.
+    """Write README.md, figures.json and croissant.json into the corpus' folder; return the figures of the card.
 
     Raises InputError for shards that are damaged, and where a file cannot be written.
     """
@@ -33,6 +34,8 @@ def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
     figures = corpus_figures(corpus, status)
     with replaced(corpus.folder / "README.md") as temporary:
         temporary.write_text(card_text(corpus, status, figures, licence), encoding="utf-8")
+    with replaced(corpus.folder / "figures.json") as temporary:
+        temporary.write_text(json.dumps(card_json(corpus, status, figures), indent=1), encoding="utf-8")
     with replaced(corpus.folder / "croissant.json") as temporary:
         temporary.write_text(json.dumps(croissant(corpus, licence), indent=1), encoding="utf-8")
     return figures
@@ -59,7 +62,7 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
     gathered = {key: np.concatenate(values) for key, values in moved.items()}
     reasons: dict[str, int] = {}
     for rejection in status.rejected:
-        reason = "".join(c for c in rejection.reason if not c.isdigit())[:80]
+        reason = re.sub(r"[0-9.]*[0-9]", "N", rejection.reason)[:80]
         reasons[reason] = reasons.get(reason, 0) + 1
     return {
         "frames": {key: len(values) for key, values in gathered.items()},

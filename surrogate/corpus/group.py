@@ -44,6 +44,14 @@ class Answer:
         return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
 
 
+def settled_neutral(people: People, head: LayeredHead, drawn: ParameterSet) -> Settled:
+    """The neutral face under a parameter set; SceneError where it does not come to rest."""
+    neutral = settled(head, drawn.parameters(head, people.mean), tolerance=SETTLED, max_iterations=MAX_SETTLING)
+    if not neutral.converged:
+        raise SceneError(str(neutral.reason))
+    return neutral
+
+
 @dataclass(frozen=True, eq=False)
 class Group:
     """The face of one person at rest under one parameter set, prepared for expressions.
@@ -62,9 +70,7 @@ class Group:
     def of(cls, plan: CorpusPlan, people: People, person: Person, head: LayeredHead, number: int) -> Group:
         """Settle the face under the plan's parameter set of this number; SceneError where it does not come to rest."""
         drawn = plan.parameter_set(number)
-        neutral = settled(head, drawn.parameters(head, people.mean), tolerance=SETTLED, max_iterations=MAX_SETTLING)
-        if not neutral.converged:
-            raise SceneError(str(neutral.reason))
+        neutral = settled_neutral(people, head, drawn)
         linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
         _last.clear()
         _last[people.name] = linear

@@ -23,6 +23,7 @@ from .template import read_template
 Row = dict[str, Any]
 OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "groups/number", "persons/code")
 SMALL: dict[str, tuple[str, ...]] = {
+    "groups": ("status",),
     "statics": ("group", "weights", "status", "recording", "frame", "moved"),
     "sequences": ("group", "weights", "status", "recording", "frame", "rotations"),
     "responses": ("group", "exact"),
@@ -30,6 +31,7 @@ SMALL: dict[str, tuple[str, ...]] = {
     "references": ("static", "law", "status"),
 }
 LARGE: dict[str, tuple[str, ...]] = {
+    "groups": ("settled",),
     "statics": ("corrected",),
     "sequences": ("before", "corrected"),
     "responses": ("offset", "expressions"),
@@ -51,18 +53,20 @@ class _Person:
     places: dict[str, Place]
     skin: Place
     shapes: Place
+    settled: Place
 
 
 class Table:
-    """The accepted rows of one table ("statics", "sequences", "responses", ...) of a split of a corpus.
+    """The accepted rows of one table ("statics", "sequences", "responses", ...) of a split of a corpus, or of both.
 
     A row is a dict: identity, code (c,), varied (P,), coefficients (P, 1 + WAVES), and the fields of the table as
-    `shard` says, without the first axis. Raises InputError for a folder that is no corpus, an unknown table or split,
-    shards that are missing or damaged, and where no row is accepted.
+    `shard` says, without the first axis. With `partial`, people that are not there yet are left out. Raises InputError
+    for a folder that is no corpus, an unknown table or split, shards that are missing or damaged, and where no row is
+    accepted.
     """
 
-    def __init__(self, folder: str | PathLike[str], table: str, split: Split):
-        if table not in SMALL or split not in SPLITS:
+    def __init__(self, folder: str | PathLike[str], table: str, split: Split | None, *, partial: bool = False):
+        if table not in SMALL or split not in (None, *SPLITS):
             raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
         self.folder, self.table = Path(folder), table
         manifest = read_manifest(folder)
@@ -71,18 +75,21 @@ class Table:
         owner = "-".join(str(manifest[key]) for key in ("plan", "people", "template", "generator", "format"))
         people = int(manifest["content"]["identities"])
         first = people - int(manifest["tested"])
-        numbers = range(first) if split == "train" else range(first, people)
-        self._people = {k: self._person(shard_path(self.folder, k), owner) for k in numbers}
+        numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
+        paths = {k: shard_path(self.folder, k) for k in numbers}
+        self._people = {k: self._person(path, owner) for k, path in paths.items() if path.exists() or not partial}
         rows = [(k, row) for k, person in self._people.items() for row in _accepted(person.small)]
         if not rows:
-            raise InputError(f"corpus {folder}: nothing of {table} in the {split} split was accepted; see its status")
+            raise InputError(
+                f"corpus {folder}: nothing of {table} in the {split or 'whole'} split was accepted; see its status"
+            )
         self.rows = np.array(rows)
 
     def _person(self, path: Path, owner: str) -> _Person:
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         found = read_arrays_of(path, owner, *OF_GROUPS, *names.values())
-        places = places_of(path, "persons/skin", "persons/shapes", *large.values())
+        places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
         return _Person(
             path=path,
             code=found["persons/code"][0],
@@ -93,21 +100,32 @@ class Table:
             places={name: places[key] for name, key in large.items()},
             skin=places["persons/skin"],
             shapes=places["persons/shapes"],
+            settled=places["groups/settled"],
         )
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @property
+    def groups(self) -> NDArray[np.int64]:
+        """Identity and number of the parameter set among the person's, of each row that has one, shape (rows, 2)."""
+        return np.array([(k, self._people[k].small["group"][row]) for k, row in self.rows.tolist()])
 
     def __getitem__(self, index: int) -> Row:
         identity, row = self.rows[index]
         person = self._people[int(identity)]
         small = {name: values[row] for name, values in person.small.items()}
         found: Row = {"identity": identity, "code": person.code, **small}
-        if "group" in small:
-            group = small["group"]
+        if self.table == "groups" or "group" in small:
+            group = row if self.table == "groups" else small["group"]
             found |= {"kind": person.kinds[group], "varied": person.varied[group]}
             found["coefficients"] = person.coefficients[group]
         return found | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
+
+    def settled(self, identity: int, group: int) -> NDArray:
+        """By how much p moved a person's neutral skin [mm], shape (n, 3)."""
+        person = self._people[int(identity)]
+        return person.settled.row(person.path, int(group))
 
     def skin(self, identity: int) -> Surface:
         """A person's neutral skin [mm]."""

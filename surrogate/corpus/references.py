@@ -9,10 +9,13 @@ import numpy as np
 from ...lhm.errors import SoftdecaError
 from ...lhm.mesh import Floats
 from ...reference import neo_hookean_scene, prepare
+from ...reference.linearised import spring_norm
 from .group import Answer, Group
 from .shard import ACCEPTED
 
 FEM_LAWS = ("PD", "neo-Hookean")
+SMALL = 1e-2
+"""[mm] Targets' distance whose springs' force is asked for relative to, at the least."""
 TOLERANCE = 1e-6
 """Gradient norm relative to that of rest in the frame's scene."""
 
@@ -39,9 +42,10 @@ def _reference(group: Group, weights: Floats, positions: Floats, answer: Answer,
         if law != FEM_LAWS[0]:
             scene = neo_hookean_scene(scene)
         prepared = prepare(scene, solver="fenicsx")
-        # Relative to rest: at the answer of projective dynamics the gradient is rounding already.
+        # Relative to rest, or to small targets where that is the answer: at PD's own the gradient is rounding already.
         norms = [prepared.solve(start=start, max_iterations=0).history.gradient_norm[0] for start in (None, positions)]
-        tolerance = min(TOLERANCE * norms[0] / max(norms[1], 1e-300), 0.5)
+        asked = TOLERANCE * max(norms[0], SMALL * spring_norm(group.scene(weights)))
+        tolerance = min(asked / max(norms[1], asked), 0.5)
         solution = prepared.solve(start=positions, tolerance=tolerance)
     except SoftdecaError as error:
         return Reference(none, f"fenicsx: {error}")

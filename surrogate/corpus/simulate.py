@@ -18,7 +18,7 @@ from ...lhm.errors import SoftdecaError
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
 from ...reference.velocities import Velocities
-from .group import Answer, Group
+from .group import Answer, Group, settled_neutral
 from .mixture import ParameterSet
 from .person import People, Person
 from .plan import IDENTITY, LENGTH, VELOCITIES, CorpusPlan, Static
@@ -73,7 +73,7 @@ def simulate_person(plan: CorpusPlan, people: People, identity: int, velocities:
     made = [_Made(number, plan.parameter_set(number), failure) for number in plan.parameter_numbers(identity)]
     turns = _turns(plan, identity, made)
     for k, one in enumerate(made):  # and forgets each group's factors, a quarter of a gigabyte, before the next
-        group = None if head is None else _group(plan, people, person, head, one, clock)
+        group = None if head is None else _group(plan, people, person, head, k, one, clock)
         _simulate(plan, person, identity, k, group, one, velocities, turns[k], clock)
     return Shard(
         persons=_persons(person),
@@ -105,9 +105,12 @@ def _head(people: People, person: Person) -> tuple[LayeredHead | None, str]:
         return None, f"head: {error}"
 
 
-def _group(plan, people, person, head, one: _Made, clock) -> Group | None:
+def _group(plan, people, person, head, k: int, one: _Made, clock) -> Group | None:
     try:
         with clock("settling"):
+            if plan.settles_only(k, one.number):
+                one.settled = settled_neutral(people, head, one.parameters).displacement
+                return None
             return Group.of(plan, people, person, head, one.number)
     except SoftdecaError as error:
         one.failure = f"settling: {error}"

@@ -23,7 +23,7 @@ def example(words: str) -> str:
 
 def test_every_block_is_run_here():
     """A new block has to be put into one of the tests below."""
-    run = ("neo_hookean_scene(scene)", "heavier = settled", "from_young", "fit_scan")
+    run = ("neo_hookean_scene(scene)", "heavier = settled", "Surrogate.load()", "from_young", "fit_scan")
     assert {example(words) for words in run} == set(EXAMPLES) and len(EXAMPLES) == len(run)
 
 
@@ -43,6 +43,16 @@ def test_a_face_by_three_solvers(tmp_path, monkeypatch):
     assert 2.0 < np.linalg.norm(names["neutral"] - head.skin.vertices, axis=1).max() < 10.0
     leaner = solve(facial_scene(head, Parameters(), names["targets"])).positions[: len(head.skin_wrap.vertices)]
     assert np.linalg.norm(names["grown"] - head.skin_after(names["targets"], leaner), axis=1).max() > 2.0
+
+
+def test_the_surrogate():
+    names = {"np": np, "Parameters": Parameters, "expressions": expressions}
+    exec(example("Surrogate.load()"), names)
+    simulated, rest = names["exact"], names["people"].skin(names["code"]).vertices
+    moved = np.linalg.norm(simulated.neutral - rest, axis=1).mean()
+    # Thirty percent more soft tissue: the network's neutral face is much nearer to the simulator's than the scan is.
+    assert np.linalg.norm(names["rig"].neutral - simulated.neutral, axis=1).mean() < 0.4 * moved
+    assert np.isfinite(names["skin"]).all() and names["morphs"].mean_error < 0.05
 
 
 def test_a_mesh_of_ones_own(tmp_path, monkeypatch):

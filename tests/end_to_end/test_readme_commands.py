@@ -41,7 +41,12 @@ ELSEWHERE = {
     "softdeca study --expressions jawOpen*0.5,cheekPuff+mouthPucker": (
         "test_benchmarks.py::test_whatever_a_case_times_was_warmed_up_before"
     ),
-    "softdeca train": "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on",
+    "softdeca train corpus --out trained": (
+        "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
+    ),
+    "softdeca evaluate corpus --rivals --out scores": (
+        "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
+    ),
     "softdeca head import-ict ICT-FaceKit": "test_imports.py::test_a_folder_of_facekits_form_becomes_a_space",
     "softdeca head import-bodyparts3d isa_BP3D_4.0_obj_99": (
         "test_imports.py::test_a_folder_of_bodyparts_becomes_anatomy"
@@ -161,7 +166,7 @@ def test_every_command_is_read_as_it_stands(words, folder, monkeypatch):
 
 def test_the_plan_is_read_as_it_stands(folder):
     plan = read_plan(folder / "plan.toml")
-    assert (plan.identities, plan.groups, plan.frames, plan.sequences, plan.varying) == (200, 4, 9, 1, 0.5)
+    assert (plan.identities, plan.groups, plan.frames, plan.sequences, plan.varying) == (200, 4, 10, 1, 0.5)
 
 
 def test_what_runs_here_ends_well(folder, command, monkeypatch):

@@ -1,30 +1,65 @@
-"""softdeca train: a corpus, a network and its test, by one command; small enough here to learn nothing."""
+"""softdeca train and evaluate: from a corpus to weights, a curve and scores; small enough here to learn little."""
 
 import json
-from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from softdeca.benchmarks import learned
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.checkpoint import HypernetworkConfig
-from softdeca.surrogate.train import TrainConfig
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.sphere import Spheres
+
+SPACE = Spheres(1)
+PLAN = CorpusPlan(
+    identities=12, groups=3, frames=6, sequences=0, references=0, parameter_responses=0.0,
+    varying=0.0, kinds={"few": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
+)  # fmt: skip
 
 
-def test_what_is_simulated_is_learned_from_and_tested_on(command, monkeypatch, tmp_path):
-    monkeypatch.setattr(learned, "default_path", lambda: tmp_path / "surrogate.npz")
-    monkeypatch.setattr(learned, "PLAN", replace(learned.PLAN, identities=4, groups=1, frames=2, random=4, seconds=4.0))
-    small = HypernetworkConfig(latent=4, expression_hidden=8, position=4, gain_hidden=4, hidden=4)
-    monkeypatch.setattr(learned, "TRAINING", TrainConfig(network=small, steps=4, validate_every=2))
-    ended = command("train", "--out", tmp_path / "out", "--json")
-    figures = json.loads(ended.out)
-    assert figures["training_frames"] > 0 and figures["test"]["frames"] > 0
-    assert figures["corpus"]["accepted"] + len(figures["corpus"]["rejected"]) == 8
-    assert ended.status == (0 if figures["test"]["gain"] > 1.0 else 1)
-    assert Surrogate.load(tmp_path / "surrogate.npz").checkpoint.parameter_names == (
-        "soft_stiffness",
-        "target_stiffness",
-        "gravity",
-    )
-    again = command("train", "--out", tmp_path / "out", "--json")
-    assert json.loads(again.out)["test"]["gain"] == pytest.approx(figures["test"]["gain"])
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    made = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, OfSpace(SPACE, SPACE.mean, SPACE.fit))
+    made.generate()
+    return made.folder
+
+
+def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_path):
+    out, scores = tmp_path / "trained", tmp_path / "scores"
+    ended = command("train", corpus, "--out", out, "--steps", "4")
+    assert ended.status == 0 and f"wrote {out / 'modal.safetensors'}" in ended.out
+    curve = json.loads((out / "curve.json").read_text())
+    assert curve[-1]["step"] == 4 and (out / "curve.png").read_bytes().startswith(b"\x89PNG")
+    trained = Surrogate.load(out / "modal.safetensors")
+    assert trained.weights.note.people <= 11 and np.isfinite(trained.weights.network["modes.0"]).all()
+    ended = command("evaluate", corpus, "--surrogate", out / "modal.safetensors", "--rivals", "--out", scores, "--json")
+    assert ended.status == 0
+    rows = json.loads(ended.out)
+    methods = {row["method"] for row in rows if row["kind"] == "all"}
+    assert {"network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)"} < methods
+    assert len(methods) == 8 and rows == json.loads((scores / "scores.json").read_text())
+    assert (scores / "scores.md").read_text().count("\n") == len(rows) + 2
+    assert (scores / "cost.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):
+    ended = command("train", corpus, "--network", "paper", "--out", tmp_path, "--steps", "4")
+    assert ended.status == 0 and (tmp_path / "paper.npz").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("train", "no/such/folder"), "no corpus"),
+        (("evaluate", "no/such/folder"), "no corpus"),
+        (("train", "CORPUS", "--device", "abacus"), "no device 'abacus'"),
+        (("evaluate", "CORPUS", "--surrogate", "no.safetensors"), "no such file"),
+        (("evaluate", "CORPUS"), "vertices"),
+    ],
+    ids=["train", "evaluate", "device", "weights", "template"],
+)
+def test_what_cannot_be_is_one_line(command, corpus, tmp_path, arguments, said):
+    given = [corpus if text == "CORPUS" else text for text in arguments]
+    ended = command(*given, "--out", tmp_path / "out")
+    assert ended.status != 0 and len(ended.errors) == 1 and said in ended.errors[0]

@@ -281,3 +281,28 @@ def test_people_are_picklable():
 
     again = pickle.loads(pickle.dumps(OfSpace(SPACE, SPACE.mean, partial(SPACE.fit))))
     assert again.name == "sphere1"
+
+
+def test_where_nothing_more_is_asked_the_neutral_face_settles(made, tmp_path):
+    """The same people and parameters give the same neutral faces, at a share of the price."""
+    plan = replace(PLAN, frames=0, sequences=0, responses=0.0, parameter_responses=0.0)
+    corpus = Corpus(tmp_path, plan, PEOPLE)
+    status = corpus.generate()
+    assert status.accepted["groups"] == plan.identities and status.asked["statics"] == 0
+    for identity in range(plan.identities):
+        np.testing.assert_array_equal(corpus.shard(identity).groups.settled, made.shard(identity).groups.settled)
+    table = Table(tmp_path, "groups", "train")
+    assert len(table) == 2 and table[1]["settled"].shape == (len(SPACE.mean.vertices), 3)
+    np.testing.assert_array_equal(table.settled(0, 0), table[0]["settled"])
+    with pytest.raises(InputError, match="nothing of statics in the train split was accepted"):
+        Table(tmp_path, "statics", "train")
+
+
+def test_a_part_of_a_corpus_can_be_read(tmp_path):
+    corpus = Corpus(tmp_path, PLAN, PEOPLE)
+    corpus.generate()
+    corpus.shard_path(0).unlink()
+    with pytest.raises(InputError, match="person-00000"):
+        Table(tmp_path, "statics", "train")
+    assert set(Table(tmp_path, "statics", "train", partial=True).rows[:, 0]) == {1}
+    assert set(Table(tmp_path, "statics", None, partial=True).rows[:, 0]) == {1, 2}

@@ -8,14 +8,12 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Surface
-from ..reference import Parameters
-from .corpus.mixture import INFOS, NAMES
-from .corpus.plan import Split
-from .corpus.reading import Table
-
-Floats32 = NDArray[np.float32]
+from ...lhm.errors import InputError
+from ...lhm.mesh import Floats, Floats32, Surface
+from ...reference import Parameters
+from ..corpus.mixture import INFOS, NAMES
+from ..corpus.plan import Split
+from ..corpus.reading import Table
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,24 +6,22 @@ import numpy as np
 import pytest
 import torch
 
-from softdeca.benchmarks.cases import Case, CaseResult
-from softdeca.benchmarks.study import compare_surrogate
 from softdeca.lhm import InputError, Surface
 from softdeca.lhm.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
-from softdeca.surrogate import Surrogate
-from softdeca.surrogate.anchors import still_vertices
-from softdeca.surrogate.baselines import Ridge
-from softdeca.surrogate.checkpoint import Checkpoint, HypernetworkConfig
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.evaluate import evaluate
-from softdeca.surrogate.hypernetwork import Hypernetwork, smooth_positions, transfer_delta
-from softdeca.surrogate.principal import least_gradients, principal_gradients
-from softdeca.surrogate.samples import samples_of
+from softdeca.surrogate.paper import HypernetworkSurrogate
+from softdeca.surrogate.paper.anchors import still_vertices
+from softdeca.surrogate.paper.baselines import Ridge
+from softdeca.surrogate.paper.checkpoint import Checkpoint, HypernetworkConfig
+from softdeca.surrogate.paper.evaluate import evaluate
+from softdeca.surrogate.paper.hypernetwork import Hypernetwork, smooth_positions, transfer_delta
+from softdeca.surrogate.paper.principal import least_gradients, principal_gradients
+from softdeca.surrogate.paper.samples import samples_of
+from softdeca.surrogate.paper.train import TrainConfig, split_identities, train
 from softdeca.surrogate.sphere import Spheres
-from softdeca.surrogate.train import TrainConfig, split_identities, train
 
 SPACE = Spheres(1)
 PLAN = CorpusPlan(
@@ -51,7 +49,7 @@ def checkpoint(samples):
 def surrogate(checkpoint, tmp_path_factory):
     path = tmp_path_factory.mktemp("checkpoint") / "surrogate.npz"
     checkpoint.save(path)
-    return Surrogate.load(path)
+    return HypernetworkSurrogate.load(path)
 
 
 def network_of(checkpoint):
@@ -150,7 +148,7 @@ def test_saved_and_loaded_is_the_same(checkpoint, surrogate):
     weights = np.linspace(0.0, 1.0, 52)
     arguments = SPACE.mean, np.zeros(SPACE.code_size), Parameters(gravity=2.0)
     deltas = SPACE.expression_deltas(np.zeros(SPACE.code_size))
-    before = Surrogate(checkpoint).bind(*arguments, expressions=deltas).frame(weights)
+    before = HypernetworkSurrogate(checkpoint).bind(*arguments, expressions=deltas).frame(weights)
     assert np.array_equal(before, surrogate.bind(*arguments, expressions=deltas).frame(weights))
     assert surrogate.checkpoint.summary == checkpoint.summary
     assert surrogate.checkpoint.config == SMALL
@@ -272,18 +270,3 @@ def test_anchors_are_the_stillest_of_each_part(samples):
     two = type(train_set)(**{**vars(train_set), "reference": apart, "blended": both, "simulated": far})
     anchors = still_vertices(two, 0.1)
     assert set(anchors[:4]) == set(stillest) and len(anchors) == 8 and anchors[4:].min() >= n
-
-
-def test_a_study_compares_a_surrogate_of_any_space(surrogate):
-    """The spheres are no built-in space, as ICT-FaceKit's heads from a file are not: their shapes are handed over."""
-    code, skin = SPACE.sample(np.random.default_rng(3))
-    head = SPACE.fit(skin)
-    weights = np.zeros(52)
-    weights[7] = 0.6
-    shapes = SPACE.expression_deltas(code)
-    expression = skin.vertices + 0.6 * shapes[7]
-    result = CaseResult({"skin": {}, "points": []}, expression, expression, expression, expression, head.vertices)
-    found = compare_surrogate(surrogate, head, code, shapes, Case("7", weights, Parameters()), result)
-    assert np.isfinite(found).all() and found.shape == skin.vertices.shape
-    assert [point["label"] for point in result.record["points"]] == ["surrogate", "blendshapes (T = S)"]
-    assert result.record["points"][1]["rms"] == pytest.approx(0.0, abs=1e-4)

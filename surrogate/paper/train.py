@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.files.atomic import write_whole
-from ..lhm.geometry.deformation import DeformationTransfer
-from ..lhm.progress import OnProgress, silent
+from ...lhm.errors import InputError
+from ...lhm.files.atomic import write_whole
+from ...lhm.geometry.deformation import DeformationTransfer
+from ...lhm.progress import OnProgress, silent
+from ..learning import torch
 from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary
 from .hypernetwork import Hypernetwork, smooth_positions, transfer_delta
-from .learning import torch
 from .principal import principal_gradients
 from .samples import Samples
 

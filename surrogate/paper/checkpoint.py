@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.errors import InputError
-from ..lhm.files.npz import read_arrays, write_arrays
-from ..lhm.mesh import Floats, Ints, Surface
-from .surface_hash import surface_hash
+from ...lhm.errors import InputError
+from ...lhm.files.npz import read_arrays, write_arrays
+from ...lhm.mesh import Floats, Ints, Surface
+from ..surface_hash import surface_hash
 
 FORMAT = "softdeca-surrogate-1"
 

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.geometry.deformation import DeformationTransfer
-from ..lhm.mesh import Surface
+from ...lhm.geometry.deformation import DeformationTransfer
+from ...lhm.mesh import Floats32, Surface
+from ..learning import elu, nn, torch
 from .checkpoint import HypernetworkConfig
-from .learning import elu, nn, torch
-from .samples import Floats32
 
 WEIGHTS = 52
 """ARKit blendshape weights w_t."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .samples import Floats32, Samples
+from ...lhm.mesh import Floats32
+from .samples import Samples
 
 FLOOR = 1e-4
 """Added to each squared singular value of a face's edges, relative to their sum: lids that close flatten faces."""

@@ -1,0 +1,169 @@
+"""Faces of a corpus to learn from: each a person under one parameter set, with derivatives and static frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from ...lhm.errors import InputError
+from ...lhm.mesh import Floats, Floats32, Ints, Surface
+from ..corpus.mixture import NAMES
+from ..corpus.plan import Split
+from ..corpus.reading import Table
+from .features import STATIC, Features
+
+_COLUMNS = [NAMES.index(name) for name in STATIC]
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """code (c,), coefficients of STATIC (P, 1 + WAVES), offset (n, 3) and responses (52, n, 3) of T - S [mm].
+
+    settled (n, 3) [mm]: the part of the offset by which p moved the neutral skin, before targets hold it there.
+    """
+
+    identity: int
+    kind: str
+    code: Floats
+    coefficients: Floats
+    settled: np.ndarray
+    offset: np.ndarray
+    responses: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Static frames of a face: weights (F, 52), and T - S (F, n, 3) [mm]."""
+
+    weights: Floats32
+    corrected: np.ndarray
+
+    def remainder(self, face: Face) -> Floats32:
+        """What the linearised face leaves of T - S, shape (F, n, 3)."""
+        linear = np.tensordot(self.weights, face.responses.astype(np.float32), axes=1)
+        return self.corrected.astype(np.float32) - face.offset.astype(np.float32) - linear
+
+
+class Faces:
+    """The faces of a split of a corpus, or of both, that have derivatives; read as they are asked for.
+
+    With `partial`, those that are there yet. Raises what `reading.Table` raises.
+    """
+
+    def __init__(self, folder: str | PathLike[str], split: Split | None, *, partial: bool = False):
+        self._responses = Table(folder, "responses", split, partial=partial)
+        self._statics = Table(folder, "statics", split, partial=partial)
+        self.groups = self._responses.groups
+        rows: dict[tuple[int, int], list[int]] = {}
+        for row, (identity, group) in enumerate(self._statics.groups.tolist()):
+            rows.setdefault((identity, group), []).append(row)
+        self.frames_of: list[Ints] = [
+            np.array(rows.get(key, []), dtype=np.int64) for key in map(tuple, self.groups.tolist())
+        ]
+
+    def __len__(self) -> int:
+        return len(self.groups)
+
+    @property
+    def mean(self) -> Surface:
+        """The mean skin of the space [mm]."""
+        return self._responses.template.mean
+
+    @property
+    def space(self) -> str:
+        """The name of the people's space."""
+        return self._responses.people
+
+    @property
+    def shapes(self) -> Floats:
+        """The 52 shapes that all people share [mm], shape (52, n, 3); InputError where they are personal."""
+        if self._responses.template.shapes is None:
+            raise InputError("corpus: its people have shapes of their own, and no network here is trained on these")
+        return self._responses.template.shapes
+
+    def face(self, index: int) -> Face:
+        """One face."""
+        row = self._responses[index]
+        return Face(
+            identity=int(row["identity"]),
+            kind=row["kind"].decode(),
+            code=np.asarray(row["code"], dtype=np.float64),
+            coefficients=row["coefficients"][_COLUMNS],
+            settled=self._responses.settled(*self.groups[index]),
+            offset=row["offset"],
+            responses=row["expressions"],
+        )
+
+    def frames(self, index: int, chosen: Ints | None = None) -> Frames:
+        """A face's accepted static frames, or those of the given numbers."""
+        rows = self.frames_of[index] if chosen is None else self.frames_of[index][chosen]
+        found = [self._statics[int(row)] for row in rows]
+        n = len(self.mean.vertices)
+        return Frames(
+            np.array([row["weights"] for row in found], dtype=np.float32).reshape(-1, 52),
+            np.array([row["corrected"] for row in found]).reshape(-1, n, 3),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Neutral:
+    """A settled neutral face: code (c,), coefficients as of `Face`, and settled (n, 3) [mm]."""
+
+    code: Floats
+    coefficients: Floats
+    settled: np.ndarray
+
+
+class Neutrals:
+    """The settled neutral faces of a split of a corpus; read as they are asked for. Raises as `reading.Table`."""
+
+    def __init__(self, folder: str | PathLike[str], split: Split | None, *, partial: bool = False):
+        self._table = Table(folder, "groups", split, partial=partial)
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    @property
+    def mean(self) -> Surface:
+        """The mean skin of the space [mm]."""
+        return self._table.template.mean
+
+    def face(self, index: int) -> Neutral:
+        """One of them."""
+        row = self._table[index]
+        return Neutral(np.asarray(row["code"], dtype=np.float64), row["coefficients"][_COLUMNS], row["settled"])
+
+
+def mirrored(displacement: np.ndarray, mirror: Ints) -> np.ndarray:
+    """A displacement (n, 3) of a face, as its mirror image across x = 0 has it."""
+    return displacement[mirror] * np.array([-1.0, 1.0, 1.0], dtype=displacement.dtype)
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Features of faces, for a network: `code_mean` and `code_scale` (c,) normalise codes."""
+
+    features: Features
+    code_mean: Floats
+    code_scale: Floats
+
+    @classmethod
+    def of(cls, faces: Faces) -> Inputs:
+        """From the codes of all faces."""
+        codes = np.array([faces.face(k).code for k in range(len(faces))])
+        people = np.unique(faces.groups[:, 0], return_index=True)[1]
+        return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
+
+    def code(self, code: Floats) -> Floats:
+        """A code as the network has it: all of it counts about as much as a few parameters."""
+        return 0.5 * (np.asarray(code, dtype=np.float64) - self.code_mean) / self.code_scale
+
+    def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
+        """See `Features.summary`."""
+        return self.features.summary(self.code(code), at_vertices)
+
+    def summary_of(self, face: Face | Neutral) -> Floats32:
+        """The summary of a face of a corpus."""
+        return self.summary(face.code, self.features.at_vertices(face.coefficients))

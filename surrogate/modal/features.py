@@ -1,0 +1,134 @@
+"""What the surrogate sees of p and h: p at each vertex, and one summary of both for the whole face.
+
+Without gravity a minimiser depends on ratios of stiffnesses only. Stiffnesses come mapped to [-1, 1] by their
+logarithm, in which ratios are differences; gravity comes as an acceleration, and divided by the stiffness it acts on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...lhm.mesh import Floats, Floats32, Ints, Surface
+from ...reference import Parameters
+from ..corpus.fields import basis
+from ..corpus.mixture import NAMES
+
+STATIC = tuple(name for name in NAMES if name not in ("frequency", "damping"))
+"""The parameters that a static frame depends on, in the order of the columns here."""
+POINTS = 24
+"""Places at which the summary has what varies over the face."""
+MIRRORED = 1e-3
+"""[mm] Within which a mirrored mean skin meets itself, if it is symmetric."""
+_INFOS = {name: Parameters.info(name) for name in STATIC}
+_LOCAL = tuple(k for k, name in enumerate(STATIC) if _INFOS[name].local)
+_SOFT = STATIC.index("soft_stiffness")
+_GRAVITY = tuple(STATIC.index(name) for name in ("gravity", "gravity_x", "gravity_y", "gravity_z"))
+_MOVING = tuple(
+    STATIC.index(name)
+    for name in ("soft_volume", "muscle_volume", "skin_growth", "gravity", "gravity_x", "gravity_y", "gravity_z")
+    + tuple(f"{bone}_scale_{axis}" for bone in ("mandible", "cranium") for axis in "xyz")
+)
+"""What moves a neutral face; at the default of these it stays where it is, whatever the materials."""
+_THERE = tuple(STATIC.index(name) for name in ("soft_volume", "muscle_volume", "skin_growth"))
+_BONES = tuple(STATIC.index(f"{bone}_scale_{axis}") for bone in ("mandible", "cranium") for axis in "xyz")
+EFFECTS = len(_THERE) + len(_BONES) + 3
+_DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
+_OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
+_SWAPPED = [STATIC.index(_OTHER.get(name, name)) for name in STATIC]
+_SIGNS = np.where(np.array(STATIC) == "gravity_x", -1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Features on the n vertices of a space's mean skin; all of p is mapped to [-1, 1], P columns of STATIC."""
+
+    mean: Surface
+
+    @property
+    def local_size(self) -> int:
+        """Columns of `local`."""
+        return len(STATIC) + 6
+
+    @property
+    def summary_size(self) -> int:
+        """Columns of `summary`, besides the code's."""
+        return len(STATIC) + 6 + POINTS * len(_LOCAL)
+
+    @cached_property
+    def _basis(self) -> Floats:
+        return basis(self.mean.vertices)
+
+    @cached_property
+    def mirror(self) -> Ints | None:
+        """The vertex in whose mirror image, by x, each lies, shape (n,); None where the mean skin is not symmetric."""
+        vertices = self.mean.vertices
+        away, found = cKDTree(vertices).query(vertices * [-1.0, 1.0, 1.0])
+        return found if away.max() < MIRRORED and np.array_equal(found[found], np.arange(len(found))) else None
+
+    @cached_property
+    def points(self) -> Ints:
+        """POINTS vertices far from one another, from the foremost on; with its mirror image each that has one."""
+        vertices = self.mean.vertices
+        chosen: list[int] = []
+        away = -vertices[:, 2].max() + vertices[:, 2] + 1e6
+        while len(chosen) < POINTS:
+            one = int(np.argmax(away))
+            pair = {one} if self.mirror is None else {one, int(self.mirror[one])}
+            chosen += sorted(pair)
+            away = np.minimum(away, np.min([np.linalg.norm(vertices - vertices[k], axis=1) for k in pair], axis=0))
+        return np.array(chosen[:POINTS])
+
+    def at_vertices(self, coefficients: Floats) -> Floats:
+        """P at the vertices, shape (n, P), of coefficients (P, 1 + WAVES), see `corpus.fields`."""
+        return np.clip(self._basis @ np.asarray(coefficients, dtype=np.float64).T, -1.0, 1.0)
+
+    def mirrored(self, at_vertices: Floats) -> Floats:
+        """The p of the mirrored face, for a symmetric mean skin."""
+        return at_vertices[self.mirror][:, _SWAPPED] * _SIGNS
+
+    def local(self, at_vertices: Floats) -> Floats32:
+        """Features of each vertex, shape (n, local_size)."""
+        gravity = np.broadcast_to(_added_gravity(at_vertices[0]), (len(at_vertices), 3))
+        parts = at_vertices, 0.5 * gravity, 0.5 * gravity / _softness(at_vertices[:, [_SOFT]])
+        return np.hstack(parts).astype(np.float32)
+
+    def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
+        """Features of the whole, shape (c + summary_size,): the normalised code (c,) first, as it is."""
+        level = at_vertices.mean(axis=0)
+        gravity = _added_gravity(level)
+        waves = (at_vertices[self.points] - level)[:, list(_LOCAL)].T.ravel()
+        parts = code, 0.5 * gravity, 0.5 * gravity / _softness(level[_SOFT]), level, waves
+        return np.concatenate(parts).astype(np.float32)
+
+    def effects(self, at_vertices: Floats) -> Floats32:
+        """How strong each effect is at each vertex, shape (n, EFFECTS), all zero at the defaults.
+
+        Volumes and growth there, bones' scales, and added gravity over soft tissue's stiffness there: to first order a
+        neutral face answers to these.
+        """
+        change = at_vertices - _DEFAULTS
+        gravity = _added_gravity(at_vertices[0]) / _softness(at_vertices[:, [_SOFT]])
+        return np.hstack([change[:, list(_THERE + _BONES)], gravity]).astype(np.float32)
+
+    def unmoved(self, at_vertices: Floats) -> Floats:
+        """The same materials with nothing that moves a neutral face."""
+        found = np.array(at_vertices)
+        found[:, list(_MOVING)] = _DEFAULTS[list(_MOVING)]
+        return found
+
+
+def _softness(normalised):
+    """Soft tissue's stiffness over the geometric middle of its range."""
+    info = _INFOS["soft_stiffness"]
+    return (info.high / info.low) ** (0.5 * np.asarray(normalised))
+
+
+def _added_gravity(normalised: Floats) -> Floats:
+    """The acceleration beyond the 1 g downward under which a head is made [g], shape (3,)."""
+    size, *direction = (_INFOS[STATIC[k]].denormalise(normalised[k]) for k in _GRAVITY)
+    length = float(np.linalg.norm(direction))
+    return float(size) * np.array(direction, dtype=np.float64) / max(length, 1e-9) - np.array([0.0, -1.0, 0.0])

@@ -1,0 +1,151 @@
+"""The modal network at run time, in numpy: bound to one person and p, then frames in the time of blendshapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+
+from ...lhm.mesh import Floats, Floats32
+from .features import Features
+from .weights import ModalWeights
+
+
+class Modal:
+    """Weights ready to be bound."""
+
+    def __init__(self, weights: ModalWeights):
+        self.weights = weights
+        self.features = Features(weights.mean)
+        modes = (weights.network[f"modes.{k}"] for k in range(4))
+        self._modes: list[Floats32] = [np.ascontiguousarray(part.transpose(1, 0, 2)) for part in modes]  # (n, k, 3)
+
+    def bound(self, code: Floats, at_vertices: Floats) -> BoundModes:
+        """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P)."""
+        network, weights = self.weights.network, self.weights
+        known = 0.5 * (np.asarray(code, dtype=np.float64) - weights.code_mean) / weights.code_scale
+        summary = self.features.summary(known, at_vertices)
+        unmoved = self.features.summary(known, self.features.unmoved(at_vertices))
+        own = known.astype(np.float32)
+        local = self.features.local(at_vertices)
+        wide = network["gain_in.weight"]
+        columns = local.shape[1]
+        inputs = local @ wide[:, :columns].T + network["position"] @ wide[:, columns:].T
+        hidden = _silu(inputs + network["gain_in.bias"] + network["gain_code.weight"] @ own)
+        gains = 1.0 + _linear(network, "gain_out", _silu(_linear(network, "gain_middle", hidden) + hidden))
+        split = np.cumsum([modes.shape[1] for modes in self._modes])[:-1]
+        settled, relaxed, responses, remainder = (
+            gain[:, :, None] * modes for gain, modes in zip(np.split(gains, split, axis=1), self._modes, strict=True)
+        )
+        scale = np.float32(1.0 / np.sqrt(3 * len(local)))
+        bent = [
+            np.einsum("k,nkc->nc", _offset_amplitudes(network, part, summary, unmoved) * scale, modes, optimize=True)
+            for part, modes in (("settled", settled), ("relaxed", relaxed))
+        ]
+        first = np.einsum("ne,enc->nc", self.features.effects(at_vertices), network["effects"])
+        return BoundModes(
+            offset=first + bent[0] + bent[1],
+            responses=_combined(_response_amplitudes(network, summary) * scale, responses),
+            modes=np.ascontiguousarray(remainder.transpose(1, 0, 2)) * scale,
+            remainder_of=Remainder.of(network, summary),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """N(w): two hidden layers, modulated once by p and h; `rest` is their answer to w = 0."""
+
+    inner: Floats32
+    inner_bias: Floats32
+    middle: Floats32
+    middle_bias: Floats32
+    outer: Floats32
+    linear: Floats32
+    rest: Floats32
+
+    @classmethod
+    def of(cls, network, summary: Floats32) -> Remainder:
+        """With all that depends on p and h multiplied out."""
+        hidden = _silu(_linear(network, "remainder_summary.0", summary))
+        gain, shift = np.split(_linear(network, "remainder_modulation", hidden), 2)
+        size = np.exp(_linear(network, "remainder_gain", hidden)) * network["size_remainder"]
+        made = cls(
+            inner=np.ascontiguousarray((network["remainder_in.weight"] * (1.0 + gain)[:, None]).T),
+            inner_bias=network["remainder_in.bias"] * (1.0 + gain) + shift,
+            middle=np.ascontiguousarray(network["remainder_middle.weight"].T),
+            middle_bias=network["remainder_middle.bias"],
+            outer=np.ascontiguousarray((network["remainder_out.weight"] * size[:, None]).T),
+            linear=np.ascontiguousarray((network["remainder_linear.weight"] * size[:, None]).T),
+            rest=np.zeros(len(size), dtype=np.float32),
+        )
+        rest = made(np.zeros(52, dtype=np.float32))
+        return replace(made, rest=rest)
+
+    def __call__(self, weights: Floats32) -> Floats32:
+        """Amplitudes (..., k) of weights (..., 52)."""
+        hidden = _silu(_silu(weights @ self.inner + self.inner_bias) @ self.middle + self.middle_bias)
+        return hidden @ self.outer + weights @ self.linear - self.rest
+
+
+@dataclass(frozen=True, eq=False)
+class BoundModes:
+    """offset (n, 3), responses (52, n, 3) and the remainder's modes (k, n, 3), all [mm], of one person and p."""
+
+    offset: Floats32
+    responses: Floats32
+    modes: Floats32
+    remainder_of: Remainder
+
+    def remainder(self, weights: Floats32) -> Floats32:
+        """N(w) [mm], shape (..., n, 3), of weights (..., 52)."""
+        return np.tensordot(self.remainder_of(np.asarray(weights, dtype=np.float32)), self.modes, axes=1)
+
+
+def _offset_amplitudes(network, part: str, summary: Floats32, unmoved: Floats32) -> Floats32:
+    def bent(known):
+        hidden = _silu(_linear(network, f"{part}.2", _silu(_linear(network, f"{part}.0", known))))
+        return _linear(network, f"{part}.4", hidden)
+
+    linear = network[f"{part}_linear.weight"] @ (summary - unmoved)
+    return linear + (bent(summary) - bent(unmoved)) * network[f"size_{part}"]
+
+
+def _response_amplitudes(network, summary: Floats32) -> Floats32:
+    hidden = _silu(_linear(network, "response_summary.2", _silu(_linear(network, "response_summary.0", summary))))
+    mixed = np.tensordot(_linear(network, "response_mix", hidden), network["response_tables"], axes=1)
+    return network["response_table"] * np.exp(_linear(network, "response_gain", hidden)) + mixed
+
+
+def _combined(amplitudes: Floats32, modes: Floats32) -> Floats32:
+    """Σ_k a_jk B_k, shape (j, n, 3), of modes (n, k, 3)."""
+    flat = np.ascontiguousarray(modes.transpose(1, 0, 2)).reshape(modes.shape[1], -1)
+    return (amplitudes @ flat).reshape(len(amplitudes), -1, 3)
+
+
+def _linear(network, layer: str, values):
+    return values @ network[f"{layer}.weight"].T + network[f"{layer}.bias"]
+
+
+def _silu(values):
+    return values / (1.0 + np.exp(-values))
+
+
+@numba.njit(cache=True, fastmath=True)
+def add_combination(amplitudes, shapes, surface):
+    """Add Σ_k a_k B_k to a surface (m,) in place; shapes (k, m), two at a time, zeros left out."""
+    pending = -1
+    for k in range(len(amplitudes)):
+        if amplitudes[k] == 0.0:
+            continue
+        if pending < 0:
+            pending = k
+            continue
+        a, b, one, other = amplitudes[pending], amplitudes[k], shapes[pending], shapes[k]
+        for i in range(len(surface)):
+            surface[i] += a * one[i] + b * other[i]
+        pending = -1
+    if pending >= 0:
+        a, one = amplitudes[pending], shapes[pending]
+        for i in range(len(surface)):
+            surface[i] += a * one[i]

@@ -1,0 +1,404 @@
+"""Training of the modal surrogate: a config, a visible loop, weights that carry what they were made with."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...lhm.errors import InputError
+from ...lhm.files.atomic import write_whole
+from ...lhm.mesh import Floats, Floats32
+from ...lhm.progress import OnProgress, silent
+from ..learning import torch
+from ..surface_hash import surface_hash
+from .faces import Face, Faces, Inputs, Neutral, Neutrals, mirrored
+from .features import EFFECTS, STATIC, Features
+from .network import WEIGHTS, ModalConfig, ModalNetwork, start_positions
+from .weights import ModalWeights, TrainingNote
+
+WIDENED = 0.05
+SLOW = ("modes", "position", "effects")
+"""Tables over the vertices, which start near where they end."""
+
+
+@dataclass(frozen=True)
+class ModalTraining:
+    """Options of one training, each with its reason."""
+
+    network: ModalConfig = field(default_factory=ModalConfig)
+    seed: int = 0
+    steps: int = 3600
+    faces: int = 6  # per step
+    frames: int = 6  # of each
+    neutrals: int = 10  # more faces per step of which only the settled neutral is known, where there are any
+    vertices: int = 1200  # of each, at random: a fourth teaches as much as all
+    learning_rate: float = 4e-3  # of AdamW, the highest of one cycle
+    weight_decay: float = 0.2  # with some hundred people the summary is learnt by heart without
+    validation: float = 0.04  # share of people held out, for the learning curve alone
+    validate_every: int = 400
+    sampled: int = 240  # faces whose principal components the modes start from
+    device: str = "cpu"
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Errors at a step: the mean loss on its own faces since the last point, and mean vertex errors on held-out people.
+
+    Of the network alone, with exact derivatives (`hybrid`), of these derivatives alone, and of T = S, all in mm.
+    """
+
+    step: int
+    seconds: float
+    loss: float
+    network: float
+    hybrid: float
+    linearised: float
+    blendshapes: float
+
+
+def train_modal(
+    faces: Faces,
+    config: ModalTraining | None = None,
+    *,
+    neutrals: Neutrals | None = None,
+    state: str | PathLike[str] | None = None,
+    on_progress: OnProgress = silent,
+) -> ModalWeights:
+    """Fit the network to a corpus' training faces, and to more settled `neutrals` of the same space, where given.
+
+    With `state`, a file, the training is kept there now and then, and goes on from there when called again. Raises
+    InputError for fewer than ten people, a device that is not there, and a state of another training.
+    """
+    config = ModalTraining() if config is None else config
+    loop = _Loop(faces, config, neutrals)
+    if state is not None and Path(state).is_file():
+        loop.restore(Path(state))
+    while loop.step < config.steps:
+        loop.run(min(config.validate_every, config.steps - loop.step))
+        if state is not None:
+            loop.keep(Path(state))
+        point = loop.curve[-1]
+        on_progress(
+            f"training: held-out people {point.network:.4f} mm, with exact derivatives {point.hybrid:.4f}, "
+            f"linearised {point.linearised:.4f}, T = S {point.blendshapes:.3f}",
+            loop.step / config.steps,
+        )
+    return loop.weights()
+
+
+class _Loop:
+    """All that a training holds; its steps depend on seed and number alone."""
+
+    def __init__(self, faces: Faces, config: ModalTraining, neutrals: Neutrals | None = None):
+        self.faces, self.config, self.neutrals = faces, config, neutrals
+        if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
+            raise InputError("training: the neutral faces are of another space or level than the corpus")
+        people = np.unique(faces.groups[:, 0])
+        if len(people) < 10:
+            raise InputError(f"training: {len(people)} people have derivatives; at least 10 are needed")
+        try:
+            self.device = torch.device(config.device)
+            torch.zeros(1, device=self.device)
+        except (RuntimeError, AssertionError) as error:
+            said = str(error).splitlines()[0][:80]
+            raise InputError(f"training: no device {config.device!r} ({said})") from None
+        rng = np.random.default_rng([config.seed, 0])
+        held = rng.permutation(people)[: max(1, round(config.validation * len(people)))]
+        enough = np.array([len(rows) >= config.frames for rows in faces.frames_of])
+        is_held = np.isin(faces.groups[:, 0], held)
+        self.training, self.validation = np.flatnonzero(~is_held & enough), np.flatnonzero(is_held & enough)
+        self.inputs = Inputs.of(faces)
+        self.features = self.inputs.features
+        self.seen = _seen(faces, self.training, self.features)
+        torch.manual_seed(config.seed)
+        self.network = _started(faces, self.training, neutrals, self.inputs, config, rng).to(self.device)
+        named = list(self.network.named_parameters())
+        slow = [value for name, value in named if name.startswith(SLOW)]
+        rest = [value for name, value in named if not name.startswith(SLOW)]
+        rate = config.learning_rate
+        self.optimiser = torch.optim.AdamW(
+            [{"params": rest, "weight_decay": config.weight_decay}, {"params": slow, "weight_decay": 0.0}], lr=rate
+        )
+        self.schedule = torch.optim.lr_scheduler.OneCycleLR(
+            self.optimiser, [rate, 0.3 * rate], total_steps=config.steps + 1, pct_start=0.05
+        )
+        self.step, self.seconds = 0, 0.0
+        self.curve: list[CurvePoint] = []
+
+    def run(self, steps: int):
+        begin, total = time.perf_counter(), 0.0
+        for _ in range(steps):
+            total += self._step()
+        self.seconds += time.perf_counter() - begin
+        self.curve.append(CurvePoint(self.step, self.seconds, total / steps, **self._validated()))
+
+    def _step(self) -> float:
+        config = self.config
+        rng = np.random.default_rng([config.seed, 1, self.step])
+        batch = rng.choice(self.training, min(config.faces, len(self.training)), replace=False)
+        n = len(self.faces.mean.vertices)
+        vertices = np.sort(rng.choice(n, min(config.vertices, n), replace=False))
+        loss = self._loss(batch, rng, vertices)
+        self.optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimiser.step()
+        self.schedule.step()
+        self.step += 1
+        return float(loss.detach())
+
+    def _loss(self, batch, rng, vertices):
+        """Mean distances [mm] of neutral faces, responses, and frames after exact derivatives."""
+        network = self.network
+        faces = [self.faces.face(int(index)) for index in batch]
+        loss = self._settled_loss(faces + self._some_neutrals(rng), rng, vertices)
+
+        p = [self.features.at_vertices(face.coefficients) for face in faces]
+        local, summary = self._features(faces, p, vertices)
+        _, unmoved = self._features(faces, [self.features.unmoved(one) for one in p], vertices[:1])
+        relaxed_basis, response_basis, remainder_basis = network.bases(local, summary, vertices, (1, 2, 3))
+        relaxed = self._tensor([(face.offset.astype(np.float32) - face.settled)[vertices].ravel() for face in faces])
+        own = (network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed_basis)[:, 0]
+        loss = loss + _distance(own - relaxed)
+        responses = self._tensor([face.responses[:, vertices].reshape(WEIGHTS, -1) for face in faces])
+        loss = loss + 2.0 * _distance(network.response_amplitudes(summary) @ response_basis - responses)
+        weights, remainders = [], []
+        for index, face in zip(batch, faces, strict=True):
+            chosen = rng.choice(len(self.faces.frames_of[index]), self.config.frames, replace=False)
+            frames = self.faces.frames(int(index), chosen)
+            weights.append(frames.weights)
+            corrected = frames.corrected[:, vertices].reshape(len(chosen), -1).astype(np.float32)
+            remainders.append(corrected - face.offset[vertices].ravel().astype(np.float32))
+        weights = self._tensor(weights)
+        remainder = self._tensor(remainders) - weights @ responses
+        return loss + 3.0 * _distance(network.remainder_amplitudes(summary, weights) @ remainder_basis - remainder)
+
+    def _settled_loss(self, faces, rng, vertices):
+        """Of settled neutral faces, every other one mirrored, where the mean skin is symmetric.
+
+        What is learned of one cheek is so of the other. Shapes, and the tets in lids and lips, are not symmetric enough
+        for responses.
+        """
+        network, mirror = self.network, self.features.mirror
+        p, settled = [], []
+        for face in faces:
+            at_vertices, move = self.features.at_vertices(face.coefficients), face.settled
+            if mirror is not None and rng.random() < 0.5:
+                at_vertices, move = self.features.mirrored(at_vertices), mirrored(move, mirror)
+            p.append(at_vertices)
+            settled.append(move[vertices])
+        local, summary = self._features(faces, p, vertices)
+        _, unmoved = self._features(faces, [self.features.unmoved(one) for one in p], vertices[:1])
+        (basis,) = network.bases(local, summary, vertices, (0,))
+        effects = self._tensor([self.features.effects(one)[vertices] for one in p])
+        own = (network.settled_amplitudes(summary, unmoved)[:, None] @ basis)[:, 0]
+        own = own + torch.einsum("bve,evc->bvc", effects, network.effects[:, vertices]).flatten(1)
+        return _distance(own - self._tensor([one.ravel() for one in settled]))
+
+    def _some_neutrals(self, rng) -> list[Neutral]:
+        if self.neutrals is None:
+            return []
+        return [self.neutrals.face(int(k)) for k in rng.choice(len(self.neutrals), self.config.neutrals)]
+
+    def _features(self, faces, p, vertices):
+        local = [self.features.local(one)[vertices] for one in p]
+        return self._tensor(local), self._tensor(
+            [self.inputs.summary(face.code, one) for face, one in zip(faces, p, strict=True)]
+        )
+
+    def _tensor(self, rows):
+        return torch.from_numpy(np.stack(rows).astype(np.float32)).to(self.device)
+
+    def _validated(self) -> dict[str, float]:
+        return errors_of(self.weights(), self.faces, self.validation)
+
+    def weights(self) -> ModalWeights:
+        faces, config = self.faces, self.config
+        arrays = {name: value.detach().cpu().numpy() for name, value in self.network.state_dict().items()}
+        note = TrainingNote(
+            people=len(np.unique(faces.groups[self.training, 0])),
+            faces=len(self.training),
+            frames=int(sum(len(faces.frames_of[k]) for k in self.training)),
+            steps=self.step,
+            config=asdict(config),
+            curve=tuple(asdict(point) for point in self.curve),
+            seen=self.seen,
+            neutrals=len(self.neutrals or ()),
+        )
+        return ModalWeights(faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale, arrays, note)
+
+    @property
+    def _of(self) -> list[str]:
+        """What a kept state has to be of."""
+        return [repr(self.config), f"{len(self.faces)} faces", f"{len(self.neutrals or ())} neutrals"]
+
+    def keep(self, path: Path):
+        content = {
+            "of": self._of,
+            "step": self.step,
+            "seconds": self.seconds,
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "schedule": self.schedule.state_dict(),
+            "curve": [asdict(point) for point in self.curve],
+        }
+        buffer = io.BytesIO()
+        torch.save(content, buffer)
+        write_whole(path, buffer.getvalue())
+
+    def restore(self, path: Path):
+        try:
+            kept: dict[str, Any] = torch.load(path, weights_only=True)
+            same = kept["of"] == self._of
+        except Exception as error:
+            raise InputError(f"{path}: damaged, or no state of a training ({type(error).__name__})") from None
+        if not same:
+            raise InputError(f"{path}: of another training (config or corpus); remove it, or name another file")
+        self.network.load_state_dict(kept["network"])
+        self.optimiser.load_state_dict(kept["optimiser"])
+        self.schedule.load_state_dict(kept["schedule"])
+        self.step, self.seconds = kept["step"], kept["seconds"]
+        self.curve = [CurvePoint(**point) for point in kept["curve"]]
+
+
+def _distance(error):
+    """Mean distance [mm] of errors (..., 3 v), rounded at a thousandth, where it would have no derivative."""
+    return (error.unflatten(-1, (-1, 3)).square().sum(dim=-1) + 1e-6).sqrt().mean()
+
+
+def errors_of(weights: ModalWeights, faces: Faces, chosen) -> dict[str, float]:
+    """Mean vertex errors [mm] over all static frames of some faces; see `CurvePoint`."""
+    from .rig import Modal
+
+    modal = Modal(weights)
+    sums = dict.fromkeys(("network", "hybrid", "linearised", "blendshapes"), 0.0)
+    count = 0
+    for index in chosen:
+        face, frames = faces.face(int(index)), faces.frames(int(index))
+        if not len(frames.weights):
+            continue
+        bound = modal.bound(face.code, modal.features.at_vertices(face.coefficients))
+        remainder = frames.remainder(face)
+        own = bound.remainder(frames.weights)
+        linear = (
+            frames.corrected.astype(np.float32) - bound.offset - np.tensordot(frames.weights, bound.responses, axes=1)
+        )
+        for name, error in (
+            ("network", linear - own),
+            ("hybrid", remainder - own),
+            ("linearised", remainder),
+            ("blendshapes", frames.corrected.astype(np.float32)),
+        ):
+            sums[name] += float(np.linalg.norm(error, axis=2).mean(axis=1).sum())
+        count += len(frames.weights)
+    return {name: value / max(count, 1) for name, value in sums.items()}
+
+
+def _seen(faces: Faces, training, features: Features) -> dict[str, tuple[float, float]]:
+    """The range of each parameter over the faces, a little widened, since ends of a range are hardly ever drawn."""
+    values = [features.at_vertices(faces.face(int(index)).coefficients) for index in training]
+    low = np.min([value.min(axis=0) for value in values], axis=0)
+    high = np.max([value.max(axis=0) for value in values], axis=0)
+    widened = np.where(high > low, WIDENED, 0.0)
+    low, high = np.maximum(low - widened, -1.0), np.minimum(high + widened, 1.0)
+    return {name: (float(low[k]), float(high[k])) for k, name in enumerate(STATIC)}
+
+
+def _started(
+    faces: Faces, training, neutrals: Neutrals | None, inputs: Inputs, config: ModalTraining, rng: np.random.Generator
+) -> ModalNetwork:
+    """The network with modes and linear amplitudes from principal components of what it learns."""
+    n3 = 3 * len(faces.mean.vertices)
+    known = [faces.face(int(index)) for index in rng.permutation(training)[: config.sampled]]
+    settling: list[Face | Neutral] = [*known]
+    if neutrals is not None:
+        settling += [neutrals.face(int(k)) for k in rng.permutation(len(neutrals))[: 4 * config.sampled]]
+    effects = _effects(settling, inputs.features)
+    first = [_first_order(face, effects, inputs) for face in settling]
+    relaxed = [(face.offset.astype(np.float32) - face.settled).ravel() for face in known]
+    responses, remainders, total = [], [], np.zeros((WEIGHTS, n3))
+    for face, index in zip(known, rng.permutation(training)[: config.sampled], strict=True):
+        flat = face.responses.reshape(WEIGHTS, n3).astype(np.float32)
+        total += flat / len(known)
+        kept = rng.permutation(WEIGHTS)[:12]
+        responses.append(flat[kept] / np.sqrt(np.maximum(np.linalg.norm(flat[kept], axis=1), 1e-2))[:, None])
+        face = faces.face(int(index))
+        frames = faces.frames(int(index), rng.permutation(len(faces.frames_of[index]))[:4])
+        remainders.append(frames.remainder(face).reshape(-1, n3))
+    left = np.stack([face.settled.ravel() - move for face, (_, move) in zip(settling, first, strict=True)])
+    changes = np.stack([change for change, _ in first])
+    learned = left, np.stack(relaxed), np.vstack(responses), np.vstack(remainders)
+    parts = [principal(data, size, rng) for data, size in zip(learned, config.network.modes, strict=True)]
+    modes, sizes = [part[0] for part in parts], [part[1] for part in parts]
+    network = ModalNetwork(
+        config.network,
+        code_size=len(inputs.code_mean),
+        local_size=inputs.features.local_size,
+        summary_size=inputs.features.summary_size,
+        effects=effects,
+        modes=modes,
+        sizes=sizes,
+        means=total @ modes[2].T,
+    )
+    with torch.no_grad():
+        network.position.copy_(torch.from_numpy(start_positions(faces.mean, config.network.position, rng)))
+        for layer, data, rows, mode in (
+            (network.settled_linear, left, changes, modes[0]),
+            (network.relaxed_linear, learned[1], changes[: len(known)], modes[1]),
+        ):
+            layer.weight.copy_(torch.from_numpy(_ridge(rows, data @ mode.T).T.astype(np.float32)))
+    return network
+
+
+def _first_order(face: Face | Neutral, effects: Floats32, inputs: Inputs) -> tuple[Floats32, Floats32]:
+    """How far the face's summary is from that of nothing moved, and the settled skin by effects alone, shape (3 n,)."""
+    at_vertices = inputs.features.at_vertices(face.coefficients)
+    unmoved = inputs.features.unmoved(at_vertices)
+    change = inputs.summary(face.code, at_vertices) - inputs.summary(face.code, unmoved)
+    return change, np.einsum("ve,evc->vc", inputs.features.effects(at_vertices), effects).ravel()
+
+
+def _effects(faces: Sequence[Face | Neutral], features: Features) -> Floats32:
+    """What each effect does at each vertex, by ridge regression over faces and their mirror images, (EFFECTS, n, 3)."""
+    n = len(features.mean.vertices)
+    gram, pulled = np.zeros((n, EFFECTS, EFFECTS)), np.zeros((n, EFFECTS, 3))
+    for face in faces:
+        at_vertices = features.at_vertices(face.coefficients)
+        seen = [(at_vertices, face.settled)]
+        if features.mirror is not None:
+            seen.append((features.mirrored(at_vertices), mirrored(face.settled, features.mirror)))
+        for p, settled in seen:
+            effects = features.effects(p).astype(np.float64)
+            gram += effects[:, :, None] * effects[:, None]
+            pulled += effects[:, :, None] * settled[:, None].astype(np.float64)
+    size = np.maximum(np.einsum("vee->ve", gram).mean(axis=0) / max(len(faces), 1), 1e-12)
+    return np.linalg.solve(gram + 3.0 * np.diag(size), pulled).transpose(1, 0, 2).astype(np.float32)
+
+
+def _ridge(features: Floats32, values: Floats32, penalty: float = 0.2) -> Floats:
+    rows = features.astype(np.float64)
+    gram = rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1])
+    return np.linalg.solve(gram, rows.T @ values)
+
+
+def principal(data: Floats32, count: int, rng: np.random.Generator) -> tuple[Floats32, Floats]:
+    """The `count` leading right singular vectors (count, m) of data (rows, m), and the amplitudes' mean squares' roots.
+
+    By one power iteration of random combinations (Halko, Martinsson and Tropp 2011); vectors beyond the rank are zero.
+    """
+    more = min(len(data), count + 20)
+    sketch = data.T @ (data @ (data.T @ rng.normal(size=(len(data), more)).astype(np.float32)))
+    basis = np.linalg.qr(sketch)[0]
+    _, size, vectors = np.linalg.svd(data @ basis, full_matrices=False)
+    kept = min(count, len(size))
+    modes, sizes = np.zeros((count, data.shape[1]), dtype=np.float32), np.zeros(count)
+    modes[:kept] = vectors[:kept] @ basis.T
+    sizes[:kept] = size[:kept] / np.sqrt(len(data))
+    return modes, sizes

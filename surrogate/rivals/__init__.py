@@ -1,0 +1,14 @@
+"""What a network has to beat: methods with one protocol, trained on the same faces, a file each.
+
+| file        | method                                             | needs the simulator at bind |
+|-------------|----------------------------------------------------|-----------------------------|
+| blendshapes | T = S                                              | no                          |
+| linearised  | the simulator's offset and 52 responses            | yes                         |
+| responses   | both learned by kernel ridge regression            | no                          |
+| ridge       | ridge regression of frames, raw or dimensionless   | no                          |
+| modal       | the shipped network, alone or with exact responses | no, or yes                  |
+"""
+
+from .protocol import Bound, Method
+
+__all__ = ["Bound", "Method"]

@@ -1,0 +1,23 @@
+"""T = S: no physics at all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..modal.faces import Face, Faces
+from .protocol import Bound
+
+
+class Blendshapes:
+    """The error of doing nothing."""
+
+    name = "blendshapes (T = S)"
+    simulates = False
+
+    def fit(self, faces: Faces) -> None:
+        """Nothing to learn."""
+
+    def bind(self, face: Face) -> Bound:
+        """Zero."""
+        shape = face.offset.shape
+        return lambda weights: np.zeros((len(weights), *shape), dtype=np.float32)

@@ -1,0 +1,29 @@
+"""The modal network under the rivals' protocol: alone, or with the simulator's offset and responses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..modal.faces import Face, Faces
+from ..modal.rig import Modal
+from ..modal.weights import ModalWeights
+from .protocol import Bound
+
+
+class ModalMethod:
+    """Trained weights; with `exact`, derivatives are the face's."""
+
+    def __init__(self, weights: ModalWeights, *, exact: bool = False):
+        self._modal, self.simulates = Modal(weights), exact
+        self.name = "network + simulator at bind" if exact else "network"
+
+    def fit(self, faces: Faces) -> None:
+        """Trained already."""
+
+    def bind(self, face: Face) -> Bound:
+        """By the run time's own arithmetic."""
+        modal = self._modal
+        bound = modal.bound(face.code, modal.features.at_vertices(face.coefficients))
+        offset = face.offset.astype(np.float32) if self.simulates else bound.offset
+        responses = face.responses.astype(np.float32) if self.simulates else bound.responses
+        return lambda weights: offset + np.tensordot(weights, responses, axes=1) + bound.remainder(weights)

@@ -1,0 +1,27 @@
+"""The protocol of methods that replace the simulator: fitted to faces of a corpus, bound to one, asked for frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from ...lhm.mesh import Floats32
+from ..modal.faces import Face, Faces
+
+Bound = Callable[[Floats32], Floats32]
+"""T - S [mm], shape (F, n, 3), of weights (F, 52), for one person and p."""
+
+
+class Method(Protocol):
+    """A way to frames; `simulates` says that binding needs the simulator, whose answers `Face` has."""
+
+    name: str
+    simulates: bool
+
+    def fit(self, faces: Faces) -> None:
+        """Learn from a corpus' training faces; what learns nothing returns at once."""
+        ...
+
+    def bind(self, face: Face) -> Bound:
+        """One person and p. Of the face's offset and responses only a method that `simulates` may make use."""
+        ...
