@@ -17,7 +17,7 @@ TIGHT = 1e-10
 """Gradient norm relative to its start at which solvers that are compared stop."""
 WARM = 1e-9
 """The same for those that start at PD's answer, where the gradient is smaller already."""
-ROUGH = 1e-4
+ROUGH = 1e-6
 """PD is stopped here to start scikit-fem, whose part is to check the answer and not to be fast."""
 PD_ENERGY, NEO_HOOKEAN = "PD", "neo-Hookean"
 PLAIN_STOP = 0.005
