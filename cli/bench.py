@@ -11,6 +11,7 @@ from ..lhm.errors import InputError
 from ..lhm.files.surface_file import MILLIMETRES
 from ..reference import SOLVERS
 from .progress import shown
+from .written_file import FOLDER
 
 AFile = click.Path(path_type=Path)
 
@@ -119,7 +120,7 @@ def shapes(identities: str, count: int, seed: int, workers: int, as_json: bool) 
 @click.option(
     "--out",
     default="out/heads",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     help="folder of the report; heads that are in it already are kept",
 )
 @click.option("--gallery", default=2, type=click.IntRange(min=0), help="how many of them are simulated and drawn")
@@ -167,7 +168,7 @@ def heads(
     default="throughput,precision,minimal,scaling",
     help="which, with commas between: throughput, precision, minimal, scaling  [all]",
 )
-@click.option("--out", default="out/simulator", type=AFile, help="folder of the report")
+@click.option("--out", default="out/simulator", type=FOLDER, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def simulator(parts: str, out: Path, as_json: bool) -> int:
     """Speed against error of the simulator, what pieces cost, how it grows: OUT/index.html, OUT/results.json.
@@ -193,7 +194,7 @@ def simulator(parts: str, out: Path, as_json: bool) -> int:
 @click.option("--regressor", type=AFile, help="depths by `head train-regressor`; default: a prior")
 @click.option("--identities", default="anny", help="whose topology: anny, ict:FILE, flame:FILE or folder:DIR")
 @click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of all meshes")
-@click.option("--out", default="out/depth", type=AFile, help="folder of the report")
+@click.option("--out", default="out/depth", type=FOLDER, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def depth(
     skin: Path, skulls: tuple[Path, ...], regressor: Path | None, identities: str, unit: str, out: Path, as_json: bool
@@ -218,7 +219,7 @@ def depth(
 @click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
 @click.option("--reference", default="", help="compare with fenicsx or skfem too")
 @click.option("--fan", default=0, type=click.IntRange(min=0), help="random starts of a broad smile without an effect")
-@click.option("--out", default="out/effects", type=AFile, help="folder of the report")
+@click.option("--out", default="out/effects", type=FOLDER, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def effects(names: str, identities: str, seed: int, reference: str, fan: int, out: Path, as_json: bool) -> int:
     """Palsy, weight, jaw, zombie, gravity, wrinkles on one head: OUT/index.html, OUT/results.json, pictures.
@@ -241,7 +242,7 @@ def effects(names: str, identities: str, seed: int, reference: str, fan: int, ou
 @click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
 @click.option("--level", default=1, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
 @click.option("--frames", default=24, type=click.IntRange(min=8), help="at 60 per second")
-@click.option("--out", default="out/dynamics", type=AFile, help="folder of the report")
+@click.option("--out", default="out/dynamics", type=FOLDER, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_json: bool) -> int:
     """Release a cheek and shake a head by Eq. 9, PD and FEM's time steps: OUT/index.html, OUT/results.json.
@@ -320,7 +321,7 @@ def _gate_line(gate: Mapping) -> str:
 @click.option("--expression", "texts", multiple=True, help="as jawOpen*0.5+cheekPuff; repeat for several  [three]")
 @click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
 @click.option("--quadratic", is_flag=True, help="also quadratic tets by FEniCSx on the head's own mesh (minutes)")
-@click.option("--out", default="out/convergence", type=AFile, help="folder of the report")
+@click.option("--out", default="out/convergence", type=FOLDER, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def convergence(texts: tuple[str, ...], seed: int, quadratic: bool, out: Path, as_json: bool) -> int:
     """Discretisation error of a head's mesh, from finer ones of the same space: OUT/index.html, OUT/results.json.
@@ -346,7 +347,7 @@ def convergence(texts: tuple[str, ...], seed: int, quadratic: bool, out: Path, a
     help="only meshes of at most so many unknowns; 640000 for all: forty minutes",
 )
 @click.option("--expression", default="mouthSmileLeft+mouthSmileRight", help="as jawOpen*0.5+cheekPuff")
-@click.option("--out", default="out/unknowns", type=AFile, help="folder of the report")
+@click.option("--out", default="out/unknowns", type=FOLDER, help="folder of the report")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
 def unknowns(up_to: int, expression: str, out: Path, as_json: bool) -> int:
     """Time and memory of FEniCSx by unknowns, from 18 k on one head: OUT/index.html, OUT/results.json.

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from .progress import shown
-from .written_file import PNG
+from .written_file import FOLDER, PNG
 
 AFolder = click.Path(path_type=Path, file_okay=False)
 AFile = click.Path(path_type=Path, dir_okay=False)
@@ -62,10 +62,12 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
     PLAN.toml has `preset` and any field of the plan, such as identities = 640, groups = 4, frames = 9, sequences = 1,
     responses = 1.0, references = 5, varying = 0.5, seed = 1, and tables of shares [kinds] and [sources].
     """
-    from ..surrogate.corpus.folder import Corpus
+    from ..surrogate.corpus.folder import Corpus, read_manifest
     from ..surrogate.corpus.people import people_of
     from ..surrogate.corpus.predict import Rates, predicted, probe
 
+    if out is not None:
+        read_manifest(out)  # refuses what is no corpus, before a minute is spent
     with shown() as progress:
         plan = _plan(plan_file, preset, takes, count)
         people = people_of(identities, level=level, on_progress=progress)
@@ -94,7 +96,7 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
 
 @corpus.command()
 @_options
-@click.option("--out", default="out/corpus", type=AFolder, help="folder of the corpus; what is done there is kept")
+@click.option("--out", default="out/corpus", type=FOLDER, help="folder of the corpus; what is done there is kept")
 @click.option("--workers", type=click.IntRange(1), default=1, help="processes on this machine (embedded Dask cluster)")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="of an existing Dask cluster, as tcp://host:8786, in place of them"

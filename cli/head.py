@@ -23,7 +23,7 @@ from .landmarks import landmarks_command
 from .personalise import personalise
 from .progress import shown
 from .train_regressor import train_regressor
-from .written_file import NPZ, PNG
+from .written_file import ANY, FOLDER, NPZ, PNG
 
 AFile = click.Path(path_type=Path)
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
@@ -61,7 +61,7 @@ head.add_command(import_bodyparts3d)
 @click.option("--regressor", "regressor_file", type=AFile, help="depths by `head train-regressor`; default: a prior")
 @click.option("--seed", type=click.IntRange(min=0), help="sample a random identity instead")
 @click.option("--out", type=NPZ, default="out/head.npz", help="the head to write")
-@click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
+@click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
 @click.option("--picture", type=PNG, help="also draw the layers into this PNG")
 @as_json_option
 def fit(
@@ -165,10 +165,10 @@ def check(file: Path, as_json: bool) -> int:
 
 @head.command()
 @click.argument("file", type=AFile)
-@click.option("--out", type=AFile, default="out/head", help="folder of the pictures")
+@click.option("--out", type=FOLDER, default="out/head", help="folder of the pictures")
 @click.option("--expression", help="show layers and sections simulated in this expression, as jawOpen*0.5+cheekPuff")
 @click.option("--identities", "space_name", help="whose expressions ('anny' or 'ict:FILE'); default: the head's own")
-@click.option("--vtk", type=AFile, help="also write .vtu files into this folder")
+@click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
 def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
     """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
     from ..benchmarks.head_pictures import deltas_of, head_pictures, posed
@@ -198,7 +198,7 @@ def show(file: Path, out: Path, expression: str | None, space_name: str | None, 
 @click.argument("file", type=AFile)
 @click.option("--layers", default="1,1", help="layers of soft tissue and of muscle")
 @click.option("--size", type=float, help="instead: free tets between the wraps, no larger than this inside [mm] (gmsh)")
-@click.option("--out", type=AFile, default="out/head.msh", help="the mesh to write: .msh, .vtu, .xdmf or .mesh")
+@click.option("--out", type=ANY, default="out/head.msh", help="the mesh to write: .msh, .vtu, .xdmf or .mesh")
 @as_json_option
 def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) -> int:
     """Write the tets of the layered head in FILE (by `head fit`) with tags and surfaces, and report their shape.

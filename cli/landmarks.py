@@ -10,6 +10,7 @@ from ..lhm import Surface, identities, load_template, scans
 from ..lhm.files.atomic import write_whole
 from ..lhm.registration import landmark_ids
 from .progress import shown
+from .written_file import ANY
 
 AFile = click.Path(path_type=Path)
 AROUND = 30.0
@@ -23,8 +24,8 @@ AROUND = 30.0
 @click.option("--up", type=click.Choice(scans.AXES), help="as for `head fit`")
 @click.option("--front", type=click.Choice(scans.AXES), help="as for `head fit`")
 @click.option("--identities", "space_name", default="anny", help="whose mean head is the template")
-@click.option("--out", type=AFile, default="out/landmarks.json", help="the points found, for `head fit --landmarks`")
-@click.option("--picture", type=AFile, default="out/landmarks.png", help="where they are")
+@click.option("--out", type=ANY, default="out/landmarks.json", help="the points found, for `head fit --landmarks`")
+@click.option("--picture", type=ANY, default="out/landmarks.png", help="where they are")
 def landmarks_command(
     names: bool,
     skin: Path | None,

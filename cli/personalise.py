@@ -10,6 +10,7 @@ from ..lhm.arkit import ARKIT
 from ..lhm.errors import FitError
 from ..lhm.files.head_file import load_head, save_head
 from .progress import shown
+from .written_file import NPZ
 
 AFile = click.Path(path_type=Path)
 
@@ -18,7 +19,7 @@ AFile = click.Path(path_type=Path)
 @click.argument("head_file", metavar="HEAD", type=AFile)
 @click.argument("weights", type=AFile)
 @click.option("--identities", "space_name", default="anny", help="whose template HEAD was fitted from")
-@click.option("--out", type=AFile, default="out/personal.npz", help="the head to write")
+@click.option("--out", type=NPZ, default="out/personal.npz", help="the head to write")
 @click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
 def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_json: bool) -> int:
     """Fit the expressions of HEAD (by `head fit`) to scans of its person; half a minute for each scan.

@@ -14,6 +14,7 @@ from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.parameter_file import read_parameters
 from .progress import shown
+from .written_file import FOLDER
 
 AFile = click.Path(path_type=Path)
 
@@ -25,7 +26,7 @@ AFile = click.Path(path_type=Path)
 @click.option("--seed", type=click.IntRange(min=0), help="of a random identity; default: the mean")
 @click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults")
-@click.option("--out", default="out/take", type=AFile, help="folder of the results; what is done there is kept")
+@click.option("--out", default="out/take", type=FOLDER, help="folder of the results; what is done there is kept")
 @click.option("--format", "kind", type=click.Choice(["vtkhdf", "gltf"]), default="vtkhdf", help="of the moving skin")
 @click.option("--preview", type=click.Choice(["mp4", "gif", "none"]), default="gif", help="a rendered picture of it")
 @click.option("--fps", type=float, help="frames per second; default: the take's own")

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from .progress import shown
+from .written_file import FOLDER
 
 
 @click.command()
@@ -14,7 +15,7 @@ from .progress import shown
 @click.option(
     "--out",
     default="out/study",
-    type=click.Path(path_type=Path),
+    type=FOLDER,
     help="folder of the report; the corpus in it is used again",
 )
 @click.option(

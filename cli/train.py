@@ -8,11 +8,12 @@ import click
 
 from ..lhm.files.atomic import replaced
 from .progress import shown
+from .written_file import FOLDER
 
 
 @click.command()
 @click.argument("corpus", type=click.Path(path_type=Path))
-@click.option("--out", default="out/surrogate", type=click.Path(path_type=Path), help="folder of weights and curve")
+@click.option("--out", default="out/surrogate", type=FOLDER, help="folder of weights and curve")
 @click.option(
     "--network",
     type=click.Choice(["modal", "paper"]),
@@ -88,7 +89,7 @@ def _draw(curve: list[dict], path: Path) -> None:
 @click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
 @click.option("--rivals", is_flag=True, help="also fit rivals that learn to the corpus' training faces (minutes)")
 @click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
-@click.option("--out", default="out/evaluate", type=click.Path(path_type=Path), help="folder of tables and pictures")
+@click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
 @click.option("--json", "as_json", is_flag=True, help="print the scores as JSON")
 def evaluate(corpus: Path, surrogate: Path | None, rivals: bool, partial: bool, out: Path, as_json: bool) -> int:
     """Compare the surrogate and its rivals on the test people of CORPUS, static frames, against the simulator.

@@ -1,24 +1,41 @@
-"""A file to write whose name has to say what it will be."""
+"""Places to write: refused before any work is done where nothing can be written, or where its name says otherwise."""
 
 from pathlib import Path
 
 import click
 
+from ..lhm.files.atomic import check_place
+
 
 class WrittenFile(click.Path):
-    """A path that ends as what is written does, such as .npz; another ending is refused before any work is done."""
+    """A file to write; its name ends in one of `suffixes`, such as .npz, if there are any."""
 
-    def __init__(self, suffix: str):
+    def __init__(self, *suffixes: str):
         super().__init__(path_type=Path)
-        self.suffix = suffix
+        self.suffixes = suffixes
 
     def convert(self, value, param, ctx):
-        """The path; click's usage error for another ending."""
+        """The path; click's usage error for another ending, InputError where no file can be."""
+        super().convert(value, param, ctx)
         path = Path(value)
-        super().convert(path, param, ctx)
-        if path.suffix != self.suffix:
-            self.fail(f"{path}: expected a file that ends in {self.suffix}", param, ctx)
+        if self.suffixes and path.suffix not in self.suffixes:
+            self.fail(f"{path}: expected a file that ends in {' or '.join(self.suffixes)}", param, ctx)
+        check_place(path, folder=False)
         return path
 
 
-NPZ, PNG = WrittenFile(".npz"), WrittenFile(".png")
+class WrittenFolder(click.Path):
+    """A folder to write into, made where it is missing."""
+
+    def __init__(self):
+        super().__init__(path_type=Path)
+
+    def convert(self, value, param, ctx):
+        """The path; InputError where no folder can be."""
+        super().convert(value, param, ctx)
+        path = Path(value)
+        check_place(path, folder=True)
+        return path
+
+
+NPZ, PNG, ANY, FOLDER = WrittenFile(".npz"), WrittenFile(".png"), WrittenFile(), WrittenFolder()

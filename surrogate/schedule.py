@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -33,13 +34,15 @@ RETRIES = 2
 """How often an item whose worker died is tried again."""
 PATIENCE = "30s"
 """With a scheduler that does not answer."""
+_ADDRESS = re.compile(r"\w+://\S+|[^\s/:]\S*:\d{1,5}")
 
 
 @dataclass(frozen=True)
 class Schedule:
     """`where`: "serial"; "processes", `workers` of this machine; "dask", the cluster of a scheduler at `address`.
 
-    Raises InputError for fewer than one worker, and for an address without "dask" or the other way round.
+    Raises InputError for fewer than one worker, for what is no address, and for one without "dask" or the other way
+    round.
     """
 
     where: Where = "serial"
@@ -53,6 +56,8 @@ class Schedule:
             raise InputError(f"workers: must be at least 1, got {self.workers!r}")
         if (self.where == "dask") != (self.address is not None):
             raise InputError("schedule: a scheduler's address belongs to 'dask', and 'dask' needs one")
+        if self.address is not None and not _ADDRESS.fullmatch(self.address):
+            raise InputError(f"scheduler {self.address[:60]!r}: expected an address, as tcp://host:8786")
 
 
 def schedule(workers: int = 1, address: str | None = None) -> Schedule:

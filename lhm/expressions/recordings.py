@@ -69,7 +69,8 @@ def recordings(
 
     `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
     `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`: how many, each of `seconds`.
-    Raises InputError for a folder that is not there, counts below 0, and what `speech` and the makers raise.
+    Raises InputError for a folder that is not there or has no take, counts below 0, and what `speech` and the makers
+    raise.
     """
     if min(conversations, random) < 0:
         raise InputError("recordings: counts must be 0 or more")
@@ -111,6 +112,8 @@ def _real(folder: Path, rate: float) -> list[Recording]:
             continue
         name = f"real/{path.relative_to(folder).as_posix()}"
         found.append(Recording(name, "real", count, rate, str(path.resolve())))
+    if not found:
+        raise InputError(f"{folder}: no take in it, {' or '.join(SUFFIXES)}")
     return found
 
 

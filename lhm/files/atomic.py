@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -33,6 +34,26 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         where = f": {error.filename}" if error.filename else ""
         raise InputError(f"{path}: cannot be written ({error.strerror or error}{where})") from None
+
+
+def check_place(path: str | os.PathLike[str], *, folder: bool) -> None:
+    """InputError naming a path at which no file or `folder` can be: below a file, or where writing is forbidden.
+
+    For work of minutes to fail before it begins; a disk that is full by then is another matter.
+    """
+    there = Path(path).absolute()
+    try:
+        while not there.exists():  # an OSError for a name that is too long
+            there = there.parent
+        itself = there == Path(path).absolute()
+        if not there.is_dir() and (folder or not itself):
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        if there.is_dir() and itself and not folder:
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not os.access(there, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:

@@ -2,6 +2,7 @@
 
 import fcntl
 import resource
+import time
 import zipfile
 
 import numpy as np
@@ -180,8 +181,25 @@ def test_a_file_in_the_way_of_a_folder_is_named(command, tmp_path, monkeypatch, 
     wanted = {"--out": tmp_path / "head.npz"} | {option: tmp_path / "way" / ("x.npz" if option == "--out" else "x.png")}
     ended = command("head", "fit", *(word for pair in wanted.items() for word in pair))
     assert ended.status == 1 and len(ended.errors) == 1 and str(tmp_path / "way") in ended.errors[0], ended
-    left = {p.name for p in tmp_path.iterdir()}
-    assert left == ({"way"} if option == "--out" else {"way", "head.npz"})
+    assert [p.name for p in tmp_path.iterdir()] == ["way"]  # told before anything is made
+
+
+@pytest.mark.parametrize("words", [("study", "--out"), ("bench", "heads", "--out"), ("corpus", "generate", "--out")])
+@pytest.mark.parametrize("place", ["/dev/null/x", "e" * 300])
+def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command, words, place):
+    begin = time.monotonic()
+    ended = command(*words, place)
+    assert ended.status == 1 and len(ended.errors) == 1 and "cannot be written" in ended.errors[0], ended
+    assert time.monotonic() - begin < 10
+
+
+def test_takes_that_are_none_and_corpora_that_are_none_are_told_before_the_work(command, tmp_path):
+    takes = command("corpus", "plan", "--takes", tmp_path)
+    assert takes.status == 1 and "no take in it" in takes.errors[0]
+    corpus = command("corpus", "plan", "--out", tmp_path / "none")
+    assert corpus.status == 1 and "no corpus.json" in corpus.errors[0]
+    cluster = command("corpus", "generate", "--scheduler", "nowhere")
+    assert cluster.status == 1 and "'nowhere': expected an address, as tcp://host:8786" in cluster.errors[0]
 
 
 def test_a_study_in_a_file_is_refused(command, tmp_path):

@@ -63,6 +63,8 @@ def test_nothing_is_started_for_nothing():
         ({"where": "cloud"}, "there are serial, processes, dask"),
         ({"where": "dask"}, "needs one"),
         ({"address": "tcp://127.0.0.1:1"}, "belongs to 'dask'"),
+        ({"where": "dask", "address": "nowhere"}, "scheduler 'nowhere': expected an address"),
+        ({"where": "dask", "address": ""}, "scheduler '': expected an address"),
     ],
 )
 def test_bad_schedules_are_named(options, message):
@@ -70,7 +72,7 @@ def test_bad_schedules_are_named(options, message):
         Schedule(**options)
 
 
-@pytest.mark.parametrize("address", ["nowhere", "tcp://127.0.0.1:1"])
+@pytest.mark.parametrize("address", ["nowhere.invalid:8786", "tcp://127.0.0.1:1"])
 def test_a_scheduler_that_is_not_there_is_named(address, monkeypatch):
     monkeypatch.setattr("softdeca.surrogate.schedule.PATIENCE", "2s")
     with pytest.raises(InputError, match=f"scheduler {address}: no Dask scheduler answers"):
