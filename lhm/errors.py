@@ -2,7 +2,11 @@
 
 
 class SoftdecaError(ValueError):
-    """Base of every error that softdeca raises on purpose; the command prints it as one line."""
+    """Base of every error that softdeca raises on purpose; it is one line, whatever it quotes."""
+
+    def __str__(self) -> str:
+        """The message, line ends and runs of spaces in what it quotes made one space."""
+        return " ".join(super().__str__().split())
 
 
 class MeshError(SoftdecaError):

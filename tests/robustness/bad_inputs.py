@@ -1,11 +1,11 @@
 # ruff: noqa: E402, E501
-"""Some 2,400 bad inputs for public functions and 800 for the commands, in one process that watches time and memory.
+"""Some 2,400 bad inputs for public functions and 1,200 for the commands, in one process that watches time and memory.
 
     python tests/robustness/bad_inputs.py [part of a name ...]
 
 prints what ended otherwise than it should, and counts at the end. A case is refused by a SoftdecaError (a command: by
 one line and a status that is not 0), or accepted on purpose, which `why_accepted` lists with the reason. Anything else is a
-defect: another exception, 10 s without an end, or the process' end.
+defect: another exception, 10 s of work without an end, or the process' end.
 """
 
 from __future__ import annotations
@@ -33,12 +33,15 @@ import trimesh
 from scipy.sparse import identity
 
 from softdeca import lhm, reference, surrogate
+from softdeca.benchmarks import study  # noqa: F401 (what commands import is not part of a case's time)
+from softdeca.cli.written_file import WrittenFile, WrittenFolder
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
 from softdeca.lhm.files import head_file, surface_file, template_file, tet_file
 from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, parameter_file, terms
 from softdeca.reference.problems.meshes import box
 
-SECONDS = 10
+SECONDS, PATIENCE = 10, 120
+"""Of work that a case may take, and of time: on a busy machine a second of work takes many."""
 MEMORY = 6 * 10**9
 """Bytes that a case may add to the process' address space."""
 
@@ -273,8 +276,9 @@ def calls() -> Iterator[Case]:
 
 def outcome(case: Case) -> tuple[str, str]:
     """How a case ended: refused, accepted, traceback or hang, and what was said."""
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
-    faulthandler.dump_traceback_later(6 * SECONDS, exit=True)  # where only C code runs
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    faulthandler.dump_traceback_later(2 * PATIENCE, exit=True)  # where only C code runs
     try:
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -284,19 +288,30 @@ def outcome(case: Case) -> tuple[str, str]:
         said = str(error)
         return ("refused" if said and "\n" not in said else "traceback"), said
     except TooLong:
-        return "hang", f"no end after {SECONDS} s"
+        return "hang", f"no end after {SECONDS} s of work or {PATIENCE} s"
     except BaseException as error:
         where = traceback.extract_tb(error.__traceback__)[-1]
         return "traceback", f"{type(error).__name__}: {str(error)[:100]!r} at {where.filename}:{where.lineno}"
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0)
         faulthandler.cancel_dump_traceback_later()
+
+
+def bounded() -> None:
+    """Bound this process' memory from here on, and let the timers of `outcome` end a case."""
+    for signalled in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(signalled, _too_long)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
 
 
 def _too_long(*_) -> None:
     raise TooLong
 
 
+NO_PLACES = ("/dev/null/x", "/dev/null/x.npz", "/dev/null/x.png", "é" * 300, "é" * 300 + ".npz")
+"""What every file or folder to write is given."""
 WORDS = ("", "-1", "nan", "1e400", "no/such.file", "a,b", "jawOpen*nan", "../\x01", "é" * 300)
 """What every option and argument of a command is given."""
 
@@ -307,32 +322,31 @@ def commands() -> Iterator[Case]:
 
     for names, command in _leaves(("softdeca",), app):
         for parameter in command.params:
-            # Texts that name a place to write or ask for no number are right in many forms; they are tried in tests.
-            if parameter.name in PLACES or isinstance(parameter, click.Option) and parameter.is_flag:
-                continue
-            for word in WORDS:
-                words = [word] if isinstance(parameter, click.Argument) else [parameter.opts[-1], word]
+            for words in _words_of(parameter):
                 yield Case(
-                    f"{' '.join(names)} {parameter.name} = {word[:12]!r}",
+                    f"{' '.join(names)} {parameter.name} = {words[-1][:16]!r}",
                     lambda w=(*names[1:], *words): command_ends(w),
                 )
     for words in (["head", "fits"], ["--no"], ["corpus", "plan", "a.toml", "--preset", "tiny"], ["bench"], ["head"]):
         yield Case(f"softdeca {' '.join(words)}", lambda w=words: command_ends(w))
 
 
-PLACES = {
-    "out",
-    "vtk",
-    "workers",
-    "scheduler",
-    "takes",
-    "match",
-    "folder_out",
-    "expression",
-    "texts",
-    "names",
-    "reference",
-}
+NOTHING = {"names": "all effects", "reference": "no other solver"}
+"""Texts that may be empty, and what that means: the work would begin, and is not tried."""
+MATCHING = ("no/such.file", "a,b", "é" * 300)
+"""What is part of no name; others may be, as "nan" is of another word."""
+
+
+def _words_of(parameter: click.Parameter) -> Iterator[list[str]]:
+    """Words that give a parameter a bad value; those of a flag come with a value, and with an option of no name."""
+    if isinstance(parameter, click.Option) and parameter.is_flag:
+        yield [f"{parameter.opts[-1]}=7"]
+        yield [parameter.opts[-1], "--no-such-option"]
+        return
+    written = isinstance(parameter.type, (WrittenFile, WrittenFolder))
+    for word in NO_PLACES if written else MATCHING if parameter.name == "match" else WORDS:
+        if word or parameter.name not in NOTHING:
+            yield [word] if isinstance(parameter, click.Argument) else [parameter.opts[-1], word]
 
 
 def _leaves(names: tuple[str, ...], command: click.Command) -> Iterator[tuple[tuple[str, ...], click.Command]]:
@@ -361,9 +375,7 @@ def command_ends(words) -> None:
 
 def main(arguments: list[str]) -> int:
     """Try all cases, or those of a part or with a text in their name; the number of defects."""
-    signal.signal(signal.SIGALRM, _too_long)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    bounded()
     counts = {"refused": 0, "accepted": 0, "defects": 0}
     for case in (*calls(), *commands()):
         if all(text in case.name for text in arguments):
