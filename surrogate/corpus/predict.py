@@ -78,7 +78,7 @@ def probe(plan: CorpusPlan, people: People) -> Rates:
         seconds["shapes"] + seconds["fit"],
         (seconds["settling"] + seconds["derivatives"]) / small.groups,
         seconds["statics"] / (small.groups * small.frames),
-        seconds["sequences"] / max(LENGTH * small.sequences, 1),
+        seconds.get("sequences", 0.0) / max(LENGTH * small.sequences, 1),  # a plan may have none
         None,
     )
 
