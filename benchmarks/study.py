@@ -77,11 +77,12 @@ def run_study(config: StudyConfig, progress: OnProgress) -> dict:
     cases = [Case(text, parse_expression(text), Parameters()) for text in config.expressions]
     cases.append(Case(f"gravity {config.gravity:g} g", np.zeros(52), Parameters(gravity=config.gravity)))
     space = identities.from_text(config.identities)
+    network = _network(config, space)
     with alone_in(config.out, "study"):
-        return _run(config, space, cases, progress)
+        return _run(config, space, network, cases, progress)
 
 
-def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress) -> dict:
+def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[Case], progress: OnProgress) -> dict:
     clock = _Clock()
     template = load_template(space, progress=progress)
     code = np.zeros(space.code_size)
@@ -104,7 +105,6 @@ def _run(config: StudyConfig, space, cases: Sequence[Case], progress: OnProgress
     local_step = local_step_seconds(prepare(scene), repeats=30)
     verification = verify(progress)
     clock.lap("verification")
-    network = _network(config, space)
     tested, skins = None, []
     if network is not None:
         tested = learned.tested(network, space, template, config.out / "surrogate", progress)

@@ -102,6 +102,8 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "finite and positive, of any size: a solution says by its reason what becomes of it"
     if what == "-1" and (argument.startswith("gravity_") or argument == "value"):
         return "a direction, or suction in place of pressure"
+    if (function, what) == ("Surrogate.load", "None"):
+        return "the one that is shipped"
     if (argument, what) in (("text", "a text"), ("acceleration", "a function")):
         return "what it takes"
     return ""
