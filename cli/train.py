@@ -40,7 +40,6 @@ def train(
     Writes OUT/modal.safetensors, which `Surrogate.load` and `softdeca study --surrogate` read, or OUT/paper.npz, and
     the learning curve as OUT/curve.json and curve.png.
     """
-    out.mkdir(parents=True, exist_ok=True)
     with shown() as progress:
         if network == "modal":
             path, curve = _modal(corpus, neutrals, out, steps, device, partial, progress)
@@ -62,6 +61,7 @@ def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, de
     config = config if steps is None else replace(config, steps=steps)
     faces = Faces(corpus, "train", partial=partial)
     more = None if neutrals is None else Neutrals(neutrals, "train", partial=partial)
+    out.mkdir(parents=True, exist_ok=True)
     weights = train_modal(faces, config, neutrals=more, state=out / "modal.pt", on_progress=progress)
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
@@ -73,7 +73,9 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     from ..surrogate.paper.train import train as train_paper
 
     config = TrainConfig() if steps is None else TrainConfig(steps=steps)
-    checkpoint = train_paper(samples_of(corpus, "train"), config, state=out / "paper.pt", on_progress=progress)
+    samples = samples_of(corpus, "train")
+    out.mkdir(parents=True, exist_ok=True)
+    checkpoint = train_paper(samples, config, state=out / "paper.pt", on_progress=progress)
     checkpoint.save(out / "paper.npz")
     return out / "paper.npz", [asdict(point) for point in checkpoint.summary.history]
 

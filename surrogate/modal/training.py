@@ -21,6 +21,7 @@ from ..surface_hash import surface_hash
 from .faces import Face, Faces, Inputs, Neutral, Neutrals, mirrored
 from .features import EFFECTS, STATIC, Features
 from .network import WEIGHTS, ModalConfig, ModalNetwork, start_positions
+from .principal import principal
 from .weights import ModalWeights, TrainingNote
 
 WIDENED = 0.05
@@ -386,19 +387,3 @@ def _ridge(features: Floats32, values: Floats32, penalty: float = 0.2) -> Floats
     rows = features.astype(np.float64)
     gram = rows.T @ rows + penalty * len(rows) * np.eye(rows.shape[1])
     return np.linalg.solve(gram, rows.T @ values)
-
-
-def principal(data: Floats32, count: int, rng: np.random.Generator) -> tuple[Floats32, Floats]:
-    """The `count` leading right singular vectors (count, m) of data (rows, m), and the amplitudes' mean squares' roots.
-
-    By one power iteration of random combinations (Halko, Martinsson and Tropp 2011); vectors beyond the rank are zero.
-    """
-    more = min(len(data), count + 20)
-    sketch = data.T @ (data @ (data.T @ rng.normal(size=(len(data), more)).astype(np.float32)))
-    basis = np.linalg.qr(sketch)[0]
-    _, size, vectors = np.linalg.svd(data @ basis, full_matrices=False)
-    kept = min(count, len(size))
-    modes, sizes = np.zeros((count, data.shape[1]), dtype=np.float32), np.zeros(count)
-    modes[:kept] = vectors[:kept] @ basis.T
-    sizes[:kept] = size[:kept] / np.sqrt(len(data))
-    return modes, sizes

@@ -9,7 +9,7 @@ import numpy as np
 from ...lhm.mesh import Floats
 from ..modal.faces import Face, Faces, Inputs
 from ..modal.features import STATIC
-from ..modal.training import principal
+from ..modal.principal import principal
 from .protocol import Bound
 
 FRAMES = 6000

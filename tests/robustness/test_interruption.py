@@ -239,9 +239,9 @@ except ValueError as error:
     assert ended.stdout.splitlines()[0] == "4463" and "`softdeca train` makes it" in ended.stdout
 
 
-@pytest.mark.parametrize("command", ["train", "study"])
-def test_without_torch_what_trains_says_what_to_install(command, tmp_path):
-    words = [command, "--out", tmp_path / "out"]
+@pytest.mark.parametrize("network", ["modal", "paper"])
+def test_without_torch_what_trains_says_what_to_install(network, tmp_path):
+    words = ["train", "corpus", "--network", network, "--out", tmp_path / "out"]
     ended = subprocess.run([sys.executable, "-c", BARE + MAIN, *words], capture_output=True, text=True)
     assert ended.returncode == 1 and not list(tmp_path.iterdir())
     (said,) = [line for line in ended.stderr.splitlines() if not line.endswith(" s)")]
