@@ -171,7 +171,7 @@ def test_iterations_are_counted_to_the_first_error_below():
 def test_all_gates_are_passed_by_good_results(results):
     found = gates(results)
     assert len(found) == 10 and all(gate["passed"] for gate in found)
-    assert sum(gate["answer"] for gate in found) == 7
+    assert sum(gate["answer"] for gate in found) == 8
     ratio = next(gate for gate in found if "iterations" in gate["what"])
     assert ratio["value"] == 0.1
     json.dumps(found, allow_nan=False)
