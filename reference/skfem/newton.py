@@ -69,7 +69,7 @@ def minimise(
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
         near = norm < NEAR * first
-        found = _eager(energy, state, unknowns, scales) if eager and not near else None
+        found: State | Reason | None = _eager(energy, state, unknowns, scales) if eager and not near else None
         eager = found is not None
         if found is None:
             found = _step(energy, state, unknowns, scales, near=near)
