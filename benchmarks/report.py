@@ -22,6 +22,7 @@ def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
         pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
         agreement=max(case["comparisons"]["PD to FEniCSx, same energy"]["relative"] for case in cases),
         model_form={"min": min(form), "max": max(form)},
+        two_minima=[(case["name"], case["another_minimum_mm"]) for case in cases if case["another_minimum_mm"]],
         failed=[gate["what"] for gate in results["gates"] if not gate["passed"]],
         work_precision=plots.work_precision(cases),
         surrogate_errors=_surrogate_errors(results["surrogate"]),

@@ -57,6 +57,7 @@ def scene(name: str) -> dict:
         "name": name,
         "parameters": {"gravity": 1.0},
         "largest_displacement_mm": 20.0,
+        "another_minimum_mm": None,
         "runs": [solved("FEniCSx Newton"), solved("PD, accelerated"), solved("FEniCSx Newton", "neo-Hookean")],
         "comparisons": {what: apart(1e-9, 1e-10) for what in AGREEMENTS},
         "skin": {"PD to neo-Hookean": apart(0.25, 0.01), "surrogate to PD": apart(0.1, 0.01)},
@@ -257,6 +258,34 @@ def test_whatever_a_case_times_was_warmed_up_before(sphere_head, monkeypatch):
     prepared.clear()
     cases.run_case(head, case, head.skin.vertices, lambda _: None)
     assert len(set(prepared)) == 6 and set(prepared) <= warmed
+
+
+def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere_head, monkeypatch):
+    pytest.importorskip("dolfinx")
+    head = replace(sphere_head, regions={"lips": np.arange(len(sphere_head.bone)) < 5})
+    case = cases.Case("none", np.zeros(52), Parameters(gravity=3.0))
+    run, starts = cases._run, []
+
+    def elsewhere(label, law, scene, how):
+        solution, row = run(label, law, scene, how)
+        if (how.solver, law) == ("fenicsx", cases.PD_ENERGY):
+            starts.append(row["start"])
+            if how.start is None:
+                solution = replace(solution, positions=solution.positions + [0.0, 0.5, 0.0])
+        return solution, row
+
+    monkeypatch.setattr(cases, "_run", elsewhere)
+    record = cases.run_case(head, case, head.skin.vertices, lambda _: None).record
+    assert starts == ["rest", "PD's answer"]
+    assert record["another_minimum_mm"] == pytest.approx(0.5, rel=1e-3)
+    assert record["comparisons"]["PD to FEniCSx, same energy"]["relative"] < 1e-6
+    assert [row["start"] for row in record["runs"]][:3] == ["rest", "rest", "PD's answer"]
+
+
+def test_a_second_minimum_stands_in_the_report(results):
+    assert "two minima" not in report_of(results)
+    edited("cases/0/another_minimum_mm", 0.226)(results)
+    assert "jawOpen has two minima of PD's energy: FEniCSx from rest ends 0.23 mm" in report_of(results)
 
 
 def test_a_study_warms_up_before_its_first_case(sphere_head, monkeypatch, tmp_path):
