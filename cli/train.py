@@ -54,7 +54,9 @@ def train(
 
 
 def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, device: str, partial: bool, progress):
+    from ..surrogate.corpus.people import people_of
     from ..surrogate.modal.faces import Faces, Neutrals
+    from ..surrogate.modal.looseness import Looseness
     from ..surrogate.modal.training import ModalTraining, train_modal
 
     config = ModalTraining(device=device)
@@ -63,6 +65,8 @@ def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, de
     more = None if neutrals is None else Neutrals(neutrals, "train", partial=partial)
     out.mkdir(parents=True, exist_ok=True)
     weights = train_modal(faces, config, neutrals=more, state=out / "modal.pt", on_progress=progress)
+    if faces.space == "anny":
+        weights = replace(weights, looseness=Looseness.of(people_of("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
 

@@ -11,6 +11,7 @@ from ..lhm.errors import InputError
 from ..lhm.expressions import conversation
 from ..lhm.expressions.combinations import combinations
 from ..lhm.mesh import Floats32, Ints
+from .dynamics import DynamicRig, Swing, dynamic_rig
 from .modal.rig import add_combination
 
 SAMPLED = 400
@@ -31,21 +32,34 @@ class BakedRig:
     remainder_of: Callable[[Floats32], Floats32]
     mean_error: float
     largest_error: float
+    swing: Swing | None = None
 
     def target_weights(self, weights) -> Floats32:
         """Weights of the targets, shape (..., rank), for ARKit weights (..., 52)."""
         weights = np.asarray(weights, dtype=np.float32)
         return np.concatenate([weights, self.remainder_of(weights)], axis=-1) @ self.mixing
 
-    def frame(self, weights) -> Floats32:
-        """The skin [mm], shape (n, 3), for 52 ARKit weights."""
-        surface = self.neutral.copy()
+    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
+        """The skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given. It takes no `blended`."""
+        if blended is not None:
+            raise InputError("blended: a baked rig has the blendshapes in its targets")
+        surface = self.neutral.copy() if out is None else out
+        surface[:] = self.neutral
         add_combination(self.target_weights(weights), self.targets.reshape(len(self.targets), -1), surface.reshape(-1))
         return surface
 
+    def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
+        """Frames with inertia (Eq. 21), time_step [s] apart; see `BoundSurrogate.dynamic`."""
+        return dynamic_rig(self, self.swing, time_step)
+
 
 def baked(
-    neutral: Floats32, shapes: Floats32, remainder_of: Callable[[Floats32], Floats32], triangles: Ints, rank: int
+    neutral: Floats32,
+    shapes: Floats32,
+    remainder_of: Callable[[Floats32], Floats32],
+    triangles: Ints,
+    rank: int,
+    swing: Swing | None = None,
 ) -> BakedRig:
     """The best `rank` targets for usual expressions, from shapes (52 + k, 3 n) [mm]: their principal components."""
     if isinstance(rank, bool) or not isinstance(rank, int) or not 1 <= rank <= len(shapes):
@@ -68,6 +82,7 @@ def baked(
         remainder_of=remainder_of,
         mean_error=float(distance.mean()),
         largest_error=float(distance.max()),
+        swing=swing,
     )
 
 

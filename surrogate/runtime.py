@@ -16,11 +16,12 @@ from ..lhm.checked import checked
 from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Floats32, Surface
-from ..reference import Parameters, settled
-from ..reference.linearised import DIRECT, linearised
+from ..reference import Parameters
 from .baked import BakedRig, baked
+from .dynamics import DynamicRig, Swing, dynamic_rig
+from .linear import derivatives
 from .modal.features import STATIC
-from .modal.rig import BoundModes, Modal, add_combination
+from .modal.rig import BoundModes, Modal, Remainder, add_combination
 from .modal.weights import ModalWeights
 
 Beyond = Literal["refuse", "clamp"]
@@ -70,8 +71,9 @@ class Surrogate:
         beyond the ranges that the network has seen is refused, or clamped with a warning, by `beyond`. expressions:
         what the 52 weights add [mm], shape (52, n, 3); by default the space's, and where that is no built-in one
         `frame` needs `blended`. With `exact`, offset and responses are the simulator's, on `head` or on one that is
-        fitted to the skin (the default space's only), and the network adds what is not linear. Raises InputError for a
-        skin of another template, a code of another size and parameters that are refused, and what the simulator raises.
+        fitted to the skin (the default space's only), and the network adds what is not linear. `dynamic` frames follow
+        p's frequency and damping. Raises InputError for a skin of another template, a code of another size and
+        parameters that are refused, and what the simulator raises.
         """
         self._check_skin(skin)
         mean, weights = self.weights.mean, self.weights
@@ -85,8 +87,12 @@ class Surrogate:
         if exact:
             if shapes is None:
                 raise InputError("expressions: not known for the weights' space; bind(exact=True) needs expressions=")
-            modes = _exact(modes, self._head(skin, head), at_vertices, shapes)
-        return BoundSurrogate(skin, modes, shapes)
+            fitted = self._head(skin, head)
+            offset, responses = derivatives(fitted, _on_wraps(fitted, at_vertices), shapes)
+            modes = replace(modes, offset=offset, responses=responses)
+            return BoundSurrogate(skin, modes, shapes, Swing.of_head(fitted, chosen))
+        known = weights.looseness
+        return BoundSurrogate(skin, modes, shapes, None if known is None else Swing.of(*known.at(code), chosen, skin))
 
     def _check_skin(self, skin: Surface):
         mean, network = self.weights.mean, f"the weights' template {self.weights.template}"
@@ -100,11 +106,7 @@ class Surrogate:
             if self.space != "anny":
                 return None
             expressions = identities.Anny().expression_deltas(code)
-        shapes: Floats32 = np.ascontiguousarray(expressions, dtype=np.float32)
-        expected = (ARKIT, *self.weights.mean.vertices.shape)
-        if shapes.shape != expected or not np.isfinite(shapes).all():
-            raise InputError(f"expressions: expected finite displacements of shape {expected}, got {shapes.shape}")
-        return shapes
+        return _checked_shapes(expressions, self.weights.mean)
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -115,11 +117,28 @@ class Surrogate:
         return fit_head(load_template(identities.Anny()), skin)
 
 
-class BoundSurrogate:
-    """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given."""
+@checked
+def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
+    """A rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
 
-    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None):
-        self.triangles, self.modes = skin.triangles, modes
+    expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3). What is not linear in the weights
+    is left out. Raises InputError for other shapes, and what the simulator raises.
+    """
+    chosen = Parameters() if parameters is None else parameters
+    shapes = _checked_shapes(expressions, head.skin)
+    offset, responses = derivatives(head, chosen, shapes)
+    modes = BoundModes(offset, responses, np.zeros((0, *offset.shape), dtype=np.float32), Remainder.none())
+    return BoundSurrogate(head.skin, modes, shapes, Swing.of_head(head, chosen))
+
+
+class BoundSurrogate:
+    """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given.
+
+    `swing` is what `dynamic` needs; None where the weights do not know it.
+    """
+
+    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None, swing: Swing | None):
+        self.triangles, self.modes, self.swing = skin.triangles, modes, swing
         self._expressions = expressions
         self._skin = skin.vertices.astype(np.float32)
         count, n = len(modes.modes), len(self._skin)
@@ -172,7 +191,12 @@ class BoundSurrogate:
         """Plain morph targets, `rank` of them, with their error; InputError for a rank out of range."""
         if self._shapes is None:
             raise InputError("expressions: not known for the weights' space; bake needs bind(expressions=)")
-        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.triangles, rank)
+        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.triangles, rank, self.swing)
+
+    @checked
+    def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
+        """Frames with inertia (Eq. 21), time_step [s] apart; InputError where that is too long for p's frequency."""
+        return dynamic_rig(self, self.swing, time_step)
 
     def _checked_out(self, out: Floats32) -> Floats32:
         if out.shape != self._skin.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
@@ -184,6 +208,14 @@ class BoundSurrogate:
         if blended.shape != self._skin.shape or not np.isfinite(blended).all():
             raise InputError(f"blended: expected finite positions of shape {self._skin.shape}, got {blended.shape}")
         return blended
+
+
+def _checked_shapes(expressions: Floats, skin: Surface) -> Floats32:
+    shapes: Floats32 = np.ascontiguousarray(expressions, dtype=np.float32)
+    expected = (ARKIT, *skin.vertices.shape)
+    if shapes.shape != expected or not np.isfinite(shapes).all():
+        raise InputError(f"expressions: expected finite displacements of shape {expected}, got {shapes.shape}")
+    return shapes
 
 
 def checked_weights(weights) -> Floats32:
@@ -248,20 +280,6 @@ def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: 
             raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
-
-
-def _exact(modes: BoundModes, head: LayeredHead, at_vertices: Floats, shapes: Floats32) -> BoundModes:
-    """The modes with offset and responses of the simulator."""
-    neutral = settled(head, _on_wraps(head, at_vertices), tolerance=1e-4, max_iterations=2000)
-    if not neutral.converged:
-        raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
-    linear = linearised(neutral, accuracy=DIRECT)
-    deltas = shapes.astype(np.float64)
-    return replace(
-        modes,
-        offset=(linear.offset + neutral.displacement).astype(np.float32),
-        responses=(linear.of_expressions(deltas) - deltas).astype(np.float32),
-    )
 
 
 def _on_wraps(head: LayeredHead, at_vertices: Floats) -> Parameters:

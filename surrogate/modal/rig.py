@@ -82,6 +82,13 @@ class Remainder:
         rest = made(np.zeros(52, dtype=np.float32))
         return replace(made, rest=rest)
 
+    @classmethod
+    def none(cls) -> Remainder:
+        """That of a rig without modes."""
+        inner, outer = np.zeros((52, 1), dtype=np.float32), np.zeros((52, 0), dtype=np.float32)
+        one = inner[0]
+        return cls(inner, one, inner[:1], one, outer[:1], outer, outer[0])
+
     def __call__(self, weights: Floats32) -> Floats32:
         """Amplitudes (..., k) of weights (..., 52)."""
         hidden = _silu(_silu(weights @ self.inner + self.inner_bias) @ self.middle + self.middle_bias)
