@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from os import PathLike
 
 import numpy as np
 
 from ..lhm.errors import InputError
-from ..lhm.expressions import conversation
+from ..lhm.expressions import Take, conversation
 from ..lhm.expressions.combinations import combinations
-from ..lhm.mesh import Floats32, Ints
+from ..lhm.files.gltf import Morphs, write_rig
+from ..lhm.mesh import Floats32, Ints, Surface
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .modal.rig import add_combination
 
@@ -47,6 +49,18 @@ class BakedRig:
         surface[:] = self.neutral
         add_combination(self.target_weights(weights), self.targets.reshape(len(self.targets), -1), surface.reshape(-1))
         return surface
+
+    def write_gltf(self, path: str | PathLike[str], take: Take) -> None:
+        """Write the rig as glTF: its neutral skin, its targets, and their weights over a take.
+
+        The targets serve any take, by weights that `target_weights` gives. The error of leaving out more stands in the
+        mesh's `extras`. Raises InputError for a file that cannot be written.
+        """
+        usual, played = self.target_weights(_expressions(1)), self.target_weights(take.weights)
+        reach = np.maximum(np.abs(np.concatenate([usual, played])).max(axis=0), 1e-6)
+        rig = Morphs(played / reach, self.targets * reach[:, None, None], self.largest_error)
+        neutral = Surface(self.neutral.astype(np.float64), self.triangles)
+        write_rig(path, neutral, take.times, rig, usual / reach, name="rig")
 
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Frames with inertia (Eq. 21), time_step [s] apart; see `BoundSurrogate.dynamic`."""
@@ -87,10 +101,12 @@ def baked(
 
 
 def _amplitudes(seed: int, remainder_of) -> Floats32:
-    weights = np.concatenate(
-        [
-            conversation(np.random.default_rng([seed, 0]), SAMPLED),
-            combinations(np.random.default_rng([seed, 1]), SAMPLED),
-        ]
-    ).astype(np.float32)
+    weights = _expressions(seed)
     return np.concatenate([weights, remainder_of(weights)], axis=1)
+
+
+def _expressions(seed: int) -> Floats32:
+    """Weights of usual expressions, shape (2 SAMPLED, 52)."""
+    conversations = conversation(np.random.default_rng([seed, 0]), SAMPLED)
+    random = combinations(np.random.default_rng([seed, 1]), SAMPLED)
+    return np.concatenate([conversations, random]).astype(np.float32)

@@ -25,6 +25,7 @@ from ..reference import Parameters
 from ..reference.base import lag, pivot, rotation, turns
 from ..reference.dynamics import Recurrence, coefficients
 from ..reference.inertia import loose
+from .local import at_vertices
 
 OSCILLATION = ("frequency", "damping")
 
@@ -42,32 +43,18 @@ class Swing:
     def of(cls, loose: Floats, pivot: Floats, parameters: Parameters | Floats, skin: Surface) -> Swing:
         """With p's frequency and damping, one number or one per face; an array of static parameters has defaults."""
         known = parameters if isinstance(parameters, Parameters) else Parameters()
-        return cls(loose, *(_at_vertices(name, getattr(known, name), skin) for name in OSCILLATION), pivot)
+        return cls(loose, *(at_vertices(name, getattr(known, name), skin) for name in OSCILLATION), pivot)
 
     @classmethod
     def of_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
         """Of a layered head, whose depth of bone under the skin tells where flesh is loose."""
-        return cls.of(head.skin_from_wrap @ loose(head), pivot(head), parameters, head.skin)
+        # Weights of skin off the wrap's triangles reach a little beyond their corners.
+        shares = np.clip(head.skin_from_wrap @ loose(head), 0.0, 1.0)
+        return cls.of(shares, pivot(head), parameters, head.skin)
 
     def recurrence(self, time_step: float) -> Recurrence:
         """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
         return coefficients(self.frequency, self.damping, time_step, loose=self.loose)
-
-
-def _at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
-    n, values = len(skin.vertices), np.asarray(value, dtype=np.float64)
-    info = Parameters.info(name)
-    if values.ndim and values.shape != (len(skin.triangles),):
-        raise InputError(f"parameter {name}: expected one value, or one per face of the skin, ({len(skin.triangles)},)")
-    outside = ~((values >= info.low) & (values <= info.high))
-    if outside.any():
-        worst = np.ravel(values)[np.ravel(outside)][0]
-        raise InputError(f"parameter {name} = {worst:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
-    if not values.ndim:
-        return np.full(n, float(values))
-    corners = skin.triangles.ravel()
-    found = np.bincount(corners, weights=np.repeat(values, 3), minlength=n)
-    return found / np.maximum(np.bincount(corners, minlength=n), 1)
 
 
 class StaticRig(Protocol):

@@ -20,6 +20,7 @@ from ..reference import Parameters
 from .baked import BakedRig, baked
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .linear import derivatives
+from .local import on_wraps
 from .modal.features import STATIC
 from .modal.rig import BoundModes, Modal, Remainder, add_combination
 from .modal.weights import ModalWeights
@@ -121,12 +122,13 @@ class Surrogate:
 def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
     """A rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
 
-    expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3). What is not linear in the weights
-    is left out. Raises InputError for other shapes, and what the simulator raises.
+    expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3); parameters: local values are one per
+    face of the skin. What is not linear in the weights is left out. Raises InputError for other shapes, and what the
+    simulator raises.
     """
     chosen = Parameters() if parameters is None else parameters
     shapes = _checked_shapes(expressions, head.skin)
-    offset, responses = derivatives(head, chosen, shapes)
+    offset, responses = derivatives(head, on_wraps(chosen, head), shapes)
     modes = BoundModes(offset, responses, np.zeros((0, *offset.shape), dtype=np.float32), Remainder.none())
     return BoundSurrogate(head.skin, modes, shapes, Swing.of_head(head, chosen))
 
@@ -134,11 +136,11 @@ def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameter
 class BoundSurrogate:
     """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given.
 
-    `swing` is what `dynamic` needs; None where the weights do not know it.
+    skin: the person's without p. `swing` is what `dynamic` needs; None where the weights do not know it.
     """
 
     def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None, swing: Swing | None):
-        self.triangles, self.modes, self.swing = skin.triangles, modes, swing
+        self.skin, self.modes, self.swing = skin, modes, swing
         self._expressions = expressions
         self._skin = skin.vertices.astype(np.float32)
         count, n = len(modes.modes), len(self._skin)
@@ -191,7 +193,7 @@ class BoundSurrogate:
         """Plain morph targets, `rank` of them, with their error; InputError for a rank out of range."""
         if self._shapes is None:
             raise InputError("expressions: not known for the weights' space; bake needs bind(expressions=)")
-        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.triangles, rank, self.swing)
+        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
 
     @checked
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:

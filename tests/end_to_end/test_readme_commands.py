@@ -30,6 +30,7 @@ RUN = {
     "softdeca simulate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
         "--frames 0:2"
     ),
+    "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf": "--frames 0:2",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
     "softdeca simulate take.csv --head head.npz": "--frames 0:2 --out out/scan",
 }
