@@ -17,7 +17,6 @@ from ..lhm.template import DEFAULT_LEVEL, LEVELS
 from ..reference import Parameters, Scene, facial_scene, materials, neo_hookean_scene, prepare, terms
 from . import machine
 from .apart import apart, peak_megabytes
-from .study import parse_expression
 from .throughput import default_head
 
 EXPRESSIONS = ("jawOpen*0.5", "mouthSmileLeft*0.6+mouthSmileRight*0.6")
@@ -41,7 +40,7 @@ class MixedConfig:
 
     def __post_init__(self):
         for text in self.expressions:
-            parse_expression(text)
+            expressions.parsed(text)
         for law in self.laws:
             _poisson(law)
         if self.level not in LEVELS:
@@ -65,7 +64,7 @@ def run_mixed(config: MixedConfig, progress: OnProgress) -> dict:
     """Solve each expression by each law in a process of its own; `solves` has a row each, see `solved`."""
     progress("mixed: the head", 0.0)
     space, code, head = default_head(config.seed, config.level)
-    shapes = expressions.blend(space, code, np.array([parse_expression(text) for text in config.expressions]))
+    shapes = expressions.blend(space, code, np.array([expressions.parsed(text) for text in config.expressions]))
     cases = [(name, shape, law) for name, shape in zip(config.expressions, shapes, strict=True) for law in config.laws]
     rows = []
     for i, (name, shape, law) in enumerate(cases):

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from ..lhm import check_head, expressions, fit_head, identities, load_template
-from ..lhm.errors import InputError
 from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import replaced
 from ..lhm.head import LayeredHead
@@ -53,28 +52,9 @@ class StudyConfig:
     surrogate: Path | None = None
 
 
-def parse_expression(text: str) -> Floats:
-    """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
-    named: dict[str, float] = {}
-    for part in text.split("+"):
-        name, star, factor = (piece.strip() for piece in part.partition("*"))
-        if not name:
-            raise InputError(f"expression {text!r}: a name is missing; expected as 'jawOpen*0.5+cheekPuff'")
-        try:
-            weight = float(factor) if star else 1.0
-        except ValueError:
-            raise InputError(f"expression {text!r}: {factor!r} is no number") from None
-        if not 0.0 <= weight <= 1.0:
-            raise InputError(f"expression {text!r}: the weight of {name} is {weight:g}, outside [0, 1]")
-        if name in named:
-            raise InputError(f"expression {text!r}: {name} appears twice")
-        named[name] = weight
-    return expressions.weights_of(named)
-
-
 def run_study(config: StudyConfig, progress: OnProgress) -> dict:
     """Run all of it; write results.json, PNG pictures and index.html into config.out; return the results."""
-    cases = [Case(text, parse_expression(text), Parameters()) for text in config.expressions]
+    cases = [Case(text, expressions.parsed(text), Parameters()) for text in config.expressions]
     cases.append(Case(f"gravity {config.gravity:g} g", np.zeros(52), Parameters(gravity=config.gravity)))
     space = identities.from_text(config.identities)
     network = _network(config, space)

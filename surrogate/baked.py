@@ -14,7 +14,7 @@ from ..lhm.expressions.combinations import combinations
 from ..lhm.files.gltf import Morphs, write_rig
 from ..lhm.mesh import Floats32, Ints, Surface
 from .dynamics import DynamicRig, Swing, dynamic_rig
-from .modal.rig import add_combination
+from .rigs import add_combination, checked_out
 
 SAMPLED = 400
 """Expressions of each of made-up conversation and random combinations, which the targets are chosen for."""
@@ -45,7 +45,7 @@ class BakedRig:
         """The skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given. It takes no `blended`."""
         if blended is not None:
             raise InputError("blended: a baked rig has the blendshapes in its targets")
-        surface = self.neutral.copy() if out is None else out
+        surface = checked_out(out, self.neutral.shape)
         surface[:] = self.neutral
         add_combination(self.target_weights(weights), self.targets.reshape(len(self.targets), -1), surface.reshape(-1))
         return surface

@@ -9,6 +9,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Floats32
 from ..reference import Parameters, settled
 from ..reference.linearised import DIRECT, linearised
+from ..reference.settling import FOR_TARGETS
 
 
 def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats) -> tuple[Floats32, Floats32]:
@@ -16,7 +17,7 @@ def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats) -> tu
 
     InputError for a face that does not settle under these parameters, and what the simulator raises.
     """
-    neutral = settled(head, parameters, tolerance=1e-4, max_iterations=2000)
+    neutral = settled(head, parameters, **FOR_TARGETS)
     if not neutral.converged:
         raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
     linear = linearised(neutral, accuracy=DIRECT)

@@ -22,11 +22,20 @@ from .dynamics import DynamicRig, Swing, dynamic_rig
 from .linear import derivatives
 from .local import on_wraps
 from .modal.features import STATIC
-from .modal.rig import BoundModes, Modal, Remainder, add_combination
+from .modal.rig import BoundModes, Modal, Remainder
 from .modal.weights import ModalWeights
+from .rigs import (
+    EXPRESSIONS,
+    add_combination,
+    checked_blended,
+    checked_code,
+    checked_out,
+    checked_shapes,
+    checked_skin,
+    checked_weights,
+)
 
 Beyond = Literal["refuse", "clamp"]
-ARKIT = 52
 
 
 class Surrogate:
@@ -65,7 +74,7 @@ class Surrogate:
         head: LayeredHead | None = None,
         beyond: Beyond = "refuse",
     ) -> BoundSurrogate:
-        """A rig of one person and p: in milliseconds, or with `exact` in about a second.
+        """A rig of one person and p: in milliseconds, or with `exact` in seconds.
 
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
         values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
@@ -78,9 +87,7 @@ class Surrogate:
         """
         self._check_skin(skin)
         mean, weights = self.weights.mean, self.weights
-        code = np.asarray(code, dtype=np.float64)
-        if code.shape != weights.code_mean.shape or not np.isfinite(code).all():
-            raise InputError(f"code: expected {len(weights.code_mean)} finite numbers, got shape {code.shape}")
+        code = checked_code(code, len(weights.code_mean))
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
@@ -95,19 +102,15 @@ class Surrogate:
         known = weights.looseness
         return BoundSurrogate(skin, modes, shapes, None if known is None else Swing.of(*known.at(code), chosen, skin))
 
-    def _check_skin(self, skin: Surface):
-        mean, network = self.weights.mean, f"the weights' template {self.weights.template}"
-        if len(skin.vertices) != len(mean.vertices):
-            raise InputError(f"skin: {len(skin.vertices)} vertices, {network} has {len(mean.vertices)}")
-        if not np.array_equal(skin.triangles, mean.triangles):
-            raise InputError(f"skin: its triangles are not those of {network}")
+    def _check_skin(self, skin: Surface) -> None:
+        checked_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
 
     def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32 | None:
         if expressions is None:
             if self.space != "anny":
                 return None
             expressions = identities.Anny().expression_deltas(code)
-        return _checked_shapes(expressions, self.weights.mean)
+        return checked_shapes(expressions, len(self.weights.mean.vertices))
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -127,7 +130,7 @@ def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameter
     simulator raises.
     """
     chosen = Parameters() if parameters is None else parameters
-    shapes = _checked_shapes(expressions, head.skin)
+    shapes = checked_shapes(expressions, len(head.skin.vertices))
     offset, responses = derivatives(head, on_wraps(chosen, head), shapes)
     modes = BoundModes(offset, responses, np.zeros((0, *offset.shape), dtype=np.float32), Remainder.none())
     return BoundSurrogate(head.skin, modes, shapes, Swing.of_head(head, chosen))
@@ -145,13 +148,13 @@ class BoundSurrogate:
         self._skin = skin.vertices.astype(np.float32)
         count, n = len(modes.modes), len(self._skin)
         self._settled = (self._skin + modes.offset).ravel()
-        self._added = np.concatenate([modes.responses, modes.modes]).reshape(ARKIT + count, 3 * n)
+        self._added = np.concatenate([modes.responses, modes.modes]).reshape(EXPRESSIONS + count, 3 * n)
         self._offset = np.ascontiguousarray(modes.offset.ravel())
-        self._amplitudes = np.zeros(ARKIT + count, dtype=np.float32)
+        self._amplitudes = np.zeros(EXPRESSIONS + count, dtype=np.float32)
         self._shapes: Floats32 | None = None
         if expressions is not None:
             self._shapes = self._added.copy()
-            self._shapes[:ARKIT] += expressions.reshape(ARKIT, -1)
+            self._shapes[:EXPRESSIONS] += expressions.reshape(EXPRESSIONS, -1)
 
     @property
     def neutral(self) -> Floats32:
@@ -165,17 +168,17 @@ class BoundSurrogate:
         are clipped with a warning that counts them. Raises InputError for shapes and values that are not finite.
         """
         weights = checked_weights(weights)
-        surface = np.empty_like(self._skin) if out is None else self._checked_out(out)
+        surface = checked_out(out, self._skin.shape)
         flat = surface.reshape(-1)
-        self._amplitudes[:ARKIT] = weights
-        self._amplitudes[ARKIT:] = self.modes.remainder_of(weights)
+        self._amplitudes[:EXPRESSIONS] = weights
+        self._amplitudes[EXPRESSIONS:] = self.modes.remainder_of(weights)
         if blended is None:
             if self._shapes is None:
                 raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
             flat[:] = self._settled
             add_combination(self._amplitudes, self._shapes, flat)
         else:
-            surface[:] = self._checked_blended(blended)
+            surface[:] = checked_blended(blended, self._skin.shape)
             flat += self._offset
             add_combination(self._amplitudes, self._added, flat)
         return surface
@@ -185,7 +188,7 @@ class BoundSurrogate:
         if self._expressions is None:
             raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
         surface = self._skin.copy()
-        shapes = self._expressions.reshape(ARKIT, -1)
+        shapes = self._expressions.reshape(EXPRESSIONS, -1)
         add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
         return surface
 
@@ -199,39 +202,6 @@ class BoundSurrogate:
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Frames with inertia (Eq. 21), time_step [s] apart; InputError where that is too long for p's frequency."""
         return dynamic_rig(self, self.swing, time_step)
-
-    def _checked_out(self, out: Floats32) -> Floats32:
-        if out.shape != self._skin.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
-            raise InputError(f"out: expected contiguous float32 of shape {self._skin.shape}")
-        return out
-
-    def _checked_blended(self, blended) -> Floats32:
-        blended = np.asarray(blended, dtype=np.float32)
-        if blended.shape != self._skin.shape or not np.isfinite(blended).all():
-            raise InputError(f"blended: expected finite positions of shape {self._skin.shape}, got {blended.shape}")
-        return blended
-
-
-def _checked_shapes(expressions: Floats, skin: Surface) -> Floats32:
-    shapes: Floats32 = np.ascontiguousarray(expressions, dtype=np.float32)
-    expected = (ARKIT, *skin.vertices.shape)
-    if shapes.shape != expected or not np.isfinite(shapes).all():
-        raise InputError(f"expressions: expected finite displacements of shape {expected}, got {shapes.shape}")
-    return shapes
-
-
-def checked_weights(weights) -> Floats32:
-    """The 52 weights as float32, clipped to [0, 1] with a warning; InputError for other shapes, and for NaN."""
-    weights = np.asarray(weights, dtype=np.float32)
-    if weights.shape != (ARKIT,):
-        raise InputError(f"weights: expected the 52 of ARKit, got shape {weights.shape}")
-    if not np.isfinite(weights).all():
-        raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
-    outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    if outside:
-        warnings.warn(f"{outside} of 52 weights outside [0, 1] were clipped", stacklevel=3)
-        weights = np.clip(weights, 0.0, 1.0)
-    return weights
 
 
 def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
