@@ -50,11 +50,11 @@ def evaluate_dynamic(
     for number, method in enumerate(methods):
         played = [_played(method, table, k, faces.face(row), looseness) for k, row in pairs]
         motion = np.concatenate([one.motion for one in played])
-        times = 0.0, 1e3 * float(np.median([one.bind for one in played])), 0.0
+        bind = 1e3 * float(np.median([one.bind for one in played]))
         for kind in (DYNAMIC, STILL):
             errors = np.concatenate([one.errors[kind] for one in played])
             frame = 1e3 * float(np.median([one.frame[kind] for one in played]))
-            scores.append(score_of(method, kind, errors, motion, (*times[:2], frame)))
+            scores.append(score_of(method, kind, errors, motion, (None, bind, frame)))
         on_progress(f"evaluate, dynamic: {method.name}", (number + 1) / len(methods))
     return scores
 
