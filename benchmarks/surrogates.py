@@ -7,11 +7,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced
 from ..lhm.progress import OnProgress
 from ..surrogate import Surrogate
 from ..surrogate.corpus.folder import read_manifest
+from ..surrogate.corpus.people import people_of
+from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import Split
 from ..surrogate.evaluate import Score, evaluate
 from ..surrogate.evaluate_dynamic import evaluate_dynamic
@@ -23,10 +27,14 @@ from ..surrogate.rivals.linearised import Linearised
 from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
+from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
 from ..surrogate.surface_hash import surface_hash
 from . import plots
 from .breakeven import Breakeven, breakeven
+from .surrogate_frames import frames_png
 
+ITERATIONS = (1, 5, 20)
+"""Of projective dynamics stopped early."""
 EXTERNAL = "external"
 """Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
 
@@ -40,11 +48,14 @@ def compare(
     partial: bool,
     progress: OnProgress,
     external: Path | None = None,
+    simulated: int = 0,
 ) -> tuple[list[Score], list[Path]]:
     """Scores of all methods, and the files written.
 
-    On the test people of a corpus: static frames, sequences where there are some, and what FEniCSx says of frames; on
-    all people of an `external` one static frames, of kind EXTERNAL.
+    On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
+    FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL. On so many of the test
+    faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs people whose heads
+    can be fitted.
     """
     network = Surrogate.load(surrogate)
     test = _faces(corpus, "test", partial, network)
@@ -56,22 +67,23 @@ def compare(
         Linearised(responses=False),
         Blendshapes(),
     ]
-    learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")] if rivals else []
     scores = evaluate(ready, test, on_progress=progress)
     if rivals:
+        learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")]
         scores += evaluate(learning, test, Faces(corpus, "train", partial=partial), on_progress=progress)
-    methods = ready + learning
     content = read_manifest(corpus)["content"]
     known = network.weights.looseness
     if content["sequences"] and known is not None:
-        scores += evaluate_dynamic(methods, corpus, "test", known, partial=partial, on_progress=progress)
+        scores += evaluate_dynamic(ready, corpus, "test", known, partial=partial, on_progress=progress)
     if content["references"]:
-        scores += evaluate_references(methods, corpus, "test", partial=partial, on_progress=progress)
+        scores += evaluate_references(ready, corpus, "test", partial=partial, on_progress=progress)
     if elsewhere is not None:
-        others = evaluate(methods, elsewhere, on_progress=progress)
+        others = evaluate(ready, elsewhere, on_progress=progress)
         scores += [replace(score, kind=EXTERNAL) for score in others if score.kind == "all"]
+    if simulated:
+        scores += _beside_simulation(ready, test, simulated, progress)
     paid = breakeven(corpus, network.weights.note, scores[0])
-    written = [out / "scores.json", out / "scores.md", out / "cost.png"]
+    written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:
         found = {"scores": [asdict(score) for score in scores], "breakeven": asdict(paid)}
         path.write_text(json.dumps(found, indent=1))
@@ -79,7 +91,20 @@ def compare(
         path.write_text(table(scores) + "\n" + told(paid))
     with replaced(written[2]) as path:
         path.write_bytes(plots.error_against_cost([score for score in scores if score.kind == "all"]))
+    with replaced(written[3]) as path:
+        path.write_bytes(frames_png(corpus, network.weights, partial=partial, progress=progress))
     return scores, written
+
+
+def _beside_simulation(ready: Sequence[Method], test: Faces, count: int, progress: OnProgress) -> list[Score]:
+    """All methods on some faces, spread over the test, with those that simulate."""
+    people = people_of(test.space)
+    if not isinstance(people, OfSpace):
+        raise InputError(f"people {test.space!r}: rivals that simulate need an identity space")
+    chosen = np.unique(np.linspace(0, len(test) - 1, count).round().astype(int)).tolist()
+    rivals: list[Method] = [CoarsePD(people, iterations) for iterations in ITERATIONS]
+    found = evaluate([*ready, BakedShapes(people), *rivals], test, chosen=chosen, on_progress=progress)
+    return [replace(score, kind=f"{len(chosen)} faces") for score in found if score.kind == "all"]
 
 
 def _faces(corpus: Path, split: Split | None, partial: bool, network: Surrogate) -> Faces:

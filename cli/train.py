@@ -93,6 +93,12 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     "--external", type=click.Path(path_type=Path), help="another corpus, as of --identities external:ict:FILE, to score"
 )
 @click.option("--rivals", is_flag=True, help="also fit rivals that learn to the corpus' training faces (minutes)")
+@click.option(
+    "--simulated",
+    type=click.IntRange(0),
+    default=0,
+    help="faces on which rivals that simulate are run, too: minutes each",
+)
 @click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
 @click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
 @click.option("--json", "as_json", is_flag=True, help="print the scores as JSON")
@@ -101,6 +107,7 @@ def evaluate(
     surrogate: Path | None,
     external: Path | None,
     rivals: bool,
+    simulated: int,
     partial: bool,
     out: Path,
     as_json: bool,
@@ -110,21 +117,32 @@ def evaluate(
     On static frames, by kind of parameters; on sequences with inertia (Eq. 21 over each method's static answers); and
     against FEniCSx, both laws, where CORPUS has its answers.
 
-    Writes OUT/scores.json, scores.md with the frames and faces after which training has paid, and error against the
-    cost at bind and per frame as cost.png.
+    Writes OUT/scores.json, scores.md with the frames and faces after which training has paid, error against the cost
+    at bind and per frame as cost.png, and six frames with their errors as frames.png.
     """
     from ..benchmarks.surrogates import compare
 
     out.mkdir(parents=True, exist_ok=True)
     with shown() as progress:
         scores, written = compare(
-            corpus, out, surrogate=surrogate, rivals=rivals, partial=partial, external=external, progress=progress
+            corpus,
+            out,
+            surrogate=surrogate,
+            rivals=rivals,
+            partial=partial,
+            external=external,
+            simulated=simulated,
+            progress=progress,
         )
     if as_json:
         click.echo(json.dumps([asdict(score) for score in scores], indent=1))
         return 0
     for score in scores:
-        if score.kind in ("all", "dynamic", "external") or score.kind.startswith("against"):
+        if (
+            score.kind in ("all", "dynamic", "external")
+            or score.kind.startswith("against")
+            or score.kind.endswith("faces")
+        ):
             figures = f"mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"
             click.echo(f"{score.method:<36} {score.kind:<32} {figures}")
     for path in written:

@@ -45,27 +45,33 @@ class Score:
 
 
 def evaluate(
-    methods: Sequence[Method], test: Faces, training: Faces | None = None, *, on_progress: OnProgress = silent
+    methods: Sequence[Method],
+    test: Faces,
+    training: Faces | None = None,
+    *,
+    chosen: Sequence[int] | None = None,
+    on_progress: OnProgress = silent,
 ) -> list[Score]:
     """Scores of each method over all static frames of the test faces, and per kind of parameters ("all" first).
 
     Kind VARYING has the faces, of whatever other kind, whose p is not the same everywhere.
 
-    `training` faces fit what is not fitted yet; None for methods that need none.
+    `training` faces fit what is not fitted yet; None for methods that need none. `chosen`: of the test faces, those of
+    these numbers alone.
     """
     scores = []
     for number, method in enumerate(methods):
         begin = time.perf_counter()
         if training is not None:
             method.fit(training)
-        scores += _scores(method, test, time.perf_counter() - begin)
+        scores += _scores(method, test, range(len(test)) if chosen is None else chosen, time.perf_counter() - begin)
         on_progress(f"evaluate: {method.name}", (number + 1) / len(methods))
     return scores
 
 
-def _scores(method: Method, test: Faces, fit_seconds: float) -> list[Score]:
+def _scores(method: Method, test: Faces, chosen: Sequence[int], fit_seconds: float) -> list[Score]:
     kinds, varying, errors, motions, binding, framing = [], [], [], [], [], []
-    for index in range(len(test)):
+    for index in chosen:
         face, frames = test.face(index), test.frames(index)
         if not len(frames.weights):
             continue
@@ -82,10 +88,10 @@ def _scores(method: Method, test: Faces, fit_seconds: float) -> list[Score]:
         varying += [bool(face.coefficients[:, 1:].any())] * len(frames.weights)
     error, motion, kind = np.concatenate(errors), np.concatenate(motions), np.array(kinds)
     times: Times = fit_seconds, 1e3 * float(np.median(binding)), 1e3 * float(np.median(framing))
-    chosen = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
+    parts = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
     if any(varying):
-        chosen[VARYING] = np.array(varying)
-    return [score_of(method, name, error[rows], motion[rows], times) for name, rows in chosen.items()]
+        parts[VARYING] = np.array(varying)
+    return [score_of(method, name, error[rows], motion[rows], times) for name, rows in parts.items()]
 
 
 class Named(Protocol):

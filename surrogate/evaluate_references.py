@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from os import PathLike
 
 import numpy as np
@@ -16,7 +17,7 @@ from .corpus.reading import Table
 from .corpus.references import FEM_LAWS
 from .evaluate import Score, score_of
 from .modal.faces import Faces
-from .rivals import Method
+from .rivals import Bound, Method
 
 KINDS = {law: f"against FEniCSx, {law}" for law in FEM_LAWS}
 
@@ -44,6 +45,11 @@ def evaluate_references(
     face_of = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
     static_of = {key: index for index, key in enumerate(map(tuple, statics.rows.tolist()))}
     scores: list[Score] = []
+
+    @lru_cache(maxsize=4 * len(methods))
+    def bound(method: int, index: int) -> Bound:
+        return methods[method].bind(faces.face(index))
+
     for law, kind in KINDS.items():
         answers: dict[str, list[Floats]] = {}
         motions: list[Floats] = []
@@ -59,9 +65,8 @@ def evaluate_references(
             motions.append(np.linalg.norm(truth, axis=1))
             simulated = static["corrected"].astype(np.float32)
             answers.setdefault(_Simulator().name, []).append(np.linalg.norm(simulated - truth, axis=1))
-            face = faces.face(face_of[key])
-            for method in methods:
-                own = method.bind(face)(static["weights"][None])[0]
+            for number, method in enumerate(methods):
+                own = bound(number, face_of[key])(static["weights"][None])[0]
                 answers.setdefault(method.name, []).append(np.linalg.norm(own - truth, axis=1))
             on_progress(f"evaluate, {kind}: frame {len(motions)}", 0.0)
         if not motions:

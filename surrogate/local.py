@@ -10,6 +10,7 @@ from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
+from .modal.features import STATIC
 
 
 def at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
@@ -38,4 +39,16 @@ def on_wraps(parameters: Parameters, head: LayeredHead) -> Parameters:
             carried = head.wrap_from_skin @ at_vertices(info.name, value, head.skin)
             value = carried[head.skin_wrap.triangles].mean(axis=1)
         values[info.name] = value
+    return Parameters(**values)
+
+
+def of_static(head: LayeredHead, at_vertices: Floats) -> Parameters:
+    """Parameters for a simulation, of STATIC mapped to [-1, 1] at the skin's vertices (n, P): numbers where uniform."""
+    values: dict[str, Any] = {}
+    for k, name in enumerate(STATIC):
+        info, column = Parameters.info(name), at_vertices[:, k]
+        if np.ptp(column) < 1e-9 or not info.local:
+            values[name] = float(info.denormalise(column[0]))
+        else:
+            values[name] = info.denormalise((head.wrap_from_skin @ column)[head.skin_wrap.triangles].mean(axis=1))
     return Parameters(**values)

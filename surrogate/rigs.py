@@ -44,13 +44,22 @@ def checked_weights(weights) -> Floats32:
     weights = np.asarray(weights, dtype=np.float32)
     if weights.shape != (EXPRESSIONS,):
         raise InputError(f"weights: expected the {EXPRESSIONS} of ARKit, got shape {weights.shape}")
+    if _within(weights):
+        return weights
     if not np.isfinite(weights).all():
         raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
     outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    if outside:
-        warnings.warn(f"{outside} of {EXPRESSIONS} weights outside [0, 1] were clipped", stacklevel=3)
-        weights = np.clip(weights, 0.0, 1.0)
-    return weights
+    warnings.warn(f"{outside} of {EXPRESSIONS} weights outside [0, 1] were clipped", stacklevel=3)
+    return np.clip(weights, 0.0, 1.0)
+
+
+@numba.njit(cache=True)
+def _within(weights):
+    """Whether all weights are in [0, 1], as those of nearly every frame are; False for NaN."""
+    for weight in weights:
+        if not 0.0 <= weight <= 1.0:
+            return False
+    return True
 
 
 def checked_blended(blended, shape: tuple[int, ...]) -> Floats32:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from importlib.resources import files
 from os import PathLike
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from ..reference import Parameters
 from .baked import BakedRig, baked
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .linear import derivatives
-from .local import on_wraps
+from .local import of_static, on_wraps
+from .modal.compressed import compressed
 from .modal.features import STATIC
 from .modal.rig import BoundModes, Modal, Remainder
 from .modal.weights import ModalWeights
@@ -91,16 +93,21 @@ class Surrogate:
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        modes = self._modal.bound(code, at_vertices)
+        modes = compressed(self._modal.bound(code, at_vertices))
         if exact:
             if shapes is None:
                 raise InputError("expressions: not known for the weights' space; bind(exact=True) needs expressions=")
             fitted = self._head(skin, head)
-            offset, responses = derivatives(fitted, _on_wraps(fitted, at_vertices), shapes)
+            offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
             modes = replace(modes, offset=offset, responses=responses)
             return BoundSurrogate(skin, modes, shapes, Swing.of_head(fitted, chosen))
         known = weights.looseness
         return BoundSurrogate(skin, modes, shapes, None if known is None else Swing.of(*known.at(code), chosen, skin))
+
+    @cached_property
+    def _people(self) -> identities.Anny:
+        """The default space, which takes longer to read than a bind."""
+        return identities.Anny()
 
     def _check_skin(self, skin: Surface) -> None:
         checked_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
@@ -109,7 +116,7 @@ class Surrogate:
         if expressions is None:
             if self.space != "anny":
                 return None
-            expressions = identities.Anny().expression_deltas(code)
+            expressions = self._people.expression_deltas(code)
         return checked_shapes(expressions, len(self.weights.mean.vertices))
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
@@ -171,7 +178,7 @@ class BoundSurrogate:
         surface = checked_out(out, self._skin.shape)
         flat = surface.reshape(-1)
         self._amplitudes[:EXPRESSIONS] = weights
-        self._amplitudes[EXPRESSIONS:] = self.modes.remainder_of(weights)
+        self.modes.remainder_of.of_one(weights, self._amplitudes[EXPRESSIONS:])
         if blended is None:
             if self._shapes is None:
                 raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
@@ -193,7 +200,7 @@ class BoundSurrogate:
         return surface
 
     def bake(self, rank: int = 64) -> BakedRig:
-        """Plain morph targets, `rank` of them, with their error; InputError for a rank out of range."""
+        """Plain morph targets, at most `rank` of them, with their error; InputError for a rank out of range."""
         if self._shapes is None:
             raise InputError("expressions: not known for the weights' space; bake needs bind(expressions=)")
         return baked(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
@@ -252,15 +259,3 @@ def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: 
             raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
-
-
-def _on_wraps(head: LayeredHead, at_vertices: Floats) -> Parameters:
-    """Parameters for a simulation: numbers where uniform, else one per triangle of the wraps."""
-    values: dict[str, Any] = {}
-    for k, name in enumerate(STATIC):
-        info, column = Parameters.info(name), at_vertices[:, k]
-        if np.ptp(column) < 1e-9 or not info.local:
-            values[name] = float(info.denormalise(column[0]))
-        else:
-            values[name] = info.denormalise((head.wrap_from_skin @ column)[head.skin_wrap.triangles].mean(axis=1))
-    return Parameters(**values)

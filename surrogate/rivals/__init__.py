@@ -6,6 +6,7 @@
 | linearised  | the simulator's offset and 52 responses            | yes                         |
 | responses   | both learned by kernel ridge regression            | no                          |
 | ridge       | ridge regression of frames, raw or dimensionless   | no                          |
+| simulated   | PD of few iterations a frame; 52 shapes simulated  | yes                         |
 | modal       | the shipped network, alone or with exact responses | no, or yes                  |
 """
 

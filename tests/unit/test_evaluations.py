@@ -15,6 +15,7 @@ from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.weights import TrainingNote
 from softdeca.surrogate.rivals.blendshapes import Blendshapes
 from softdeca.surrogate.rivals.linearised import Linearised
+from softdeca.surrogate.rivals.simulated import BakedShapes, CoarsePD
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -64,3 +65,17 @@ def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus):
         (found.corpus + 100.0) / (found.simulated_frame - 1e-3 * score.frame_ms), rel=1e-9
     )
     assert np.isfinite(found.faces)
+
+
+def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
+    test = Faces(corpus, "train")
+    methods = [CoarsePD(PEOPLE, 1), CoarsePD(PEOPLE, 200), BakedShapes(PEOPLE), Linearised()]
+    scores = evaluate(methods, test, chosen=[0, 2])
+    errors = [score.mean for score in scores if score.kind == "all"]
+    assert {score.frames for score in scores if score.kind == "all"} == {6}
+    # To the end it gives what the corpus keeps, to its tolerance and the rounding of float16.
+    assert errors[1] < 1e-3 and errors[1] <= errors[0] and errors[2] < 0.1
+    assert [score.method for score in scores if score.kind == "all"][:2] == [
+        "PD, 1 iteration a frame",
+        "PD, 200 iterations a frame",
+    ]
