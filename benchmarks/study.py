@@ -101,7 +101,10 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
         "title": f"projective dynamics, FEniCSx and a surrogate on one head ({space.name})",
         "identities": space.name,
         "machine": machine.describe(),
-        "head": asdict(check_head(head)),
+        "head": [
+            {"figure": figure.words, "value": figure.value, "unit": figure.unit, "limit": figure.limit}
+            for figure in check_head(head).figures
+        ],
         "cases": [result.record for result in done],
         "tets": len(head.tets),
         "local_step_ms": 1e3 * local_step,
@@ -114,11 +117,9 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
     clock.lap("pictures")
     with replaced(config.out / "results.json") as path:
         path.write_text(json.dumps(_finite(results), indent=1, allow_nan=False))
-    with replaced(config.out / "view.html") as path:
-        path.write_text(_view(results["title"], space, head, cases, done, network))
-    clock.lap("3D page")
+    view = _view(results["title"], space, head, cases, done, network)
     with replaced(config.out / "index.html") as path:
-        path.write_text(page(results, images))
+        path.write_text(page(results, images, view))
     return results
 
 

@@ -17,7 +17,7 @@ from jinja2 import Environment, StrictUndefined
 
 from ..lhm.arkit import ARKIT
 from ..lhm.errors import InputError
-from ..lhm.mesh import Floats
+from ..lhm.mesh import Floats, Floats32
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
 
@@ -33,9 +33,9 @@ class Rig:
     """
 
     name: str
-    neutral: Floats
-    targets: Floats
-    mixing: Floats | None = None
+    neutral: Floats | Floats32
+    targets: Floats | Floats32
+    mixing: Floats | Floats32 | None = None
     remainder: Remainder | None = None
 
     @classmethod
@@ -131,7 +131,7 @@ def _rig(packed: _Packed, where: str, rig: Rig) -> dict[str, Any]:
     return found
 
 
-def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats) -> dict[str, Any]:
+def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dict[str, Any]:
     return {
         "name": pose.name,
         "weights": packed.add(f"pose {k}", np.asarray(pose.weights, dtype=np.float32)),

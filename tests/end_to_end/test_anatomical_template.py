@@ -25,9 +25,8 @@ def test_template_and_fit(command, data, tmp_path):
     skull_wrap = template.stack[2 * n :]
     scalp = (template.bone == CRANIUM) & (skull_wrap[:, 1] > template.marks.eyes[:, 1].mean() + 15.0)
     gap = TriangleTree(template.skull.vertices, template.skull.triangles).closest(skull_wrap[scalp])[2]
-    # Over the braincase nothing is in the way of lying on the bone.
-    print("gap quantiles", np.quantile(gap, [0.5, 0.7, 0.75, 0.8, 0.9]))
-    assert np.quantile(gap, 0.75) < 0.5
+    # Over the braincase nothing is in the way of lying on the bone; where it bends more, triangles of 15 mm leave it.
+    assert np.median(gap) < 0.1 and np.quantile(gap, 0.9) < 2.5
     assert (template.bone == MANDIBLE).sum() >= 3
     # The muscles' surface contains the skull's, and so the wraps' order is anatomical, not a fixed share.
     share = np.linalg.norm(template.stack[n : 2 * n] - template.stack[:n], axis=1)
