@@ -21,6 +21,7 @@ from ..lhm.progress import OnProgress
 from ..reference import Parameters, facial_scene
 from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
+from ..viewer import Pose, Rig, face_page
 from . import learned, machine
 from .cases import Case, CaseResult, run_case, warm_up
 from .differences import difference, distances
@@ -28,6 +29,8 @@ from .gates import gates
 from .pictures import Panel, cut_away, strip
 from .report import page
 from .verification import verify
+
+VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,10 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
         "title": f"projective dynamics, FEniCSx and a surrogate on one head ({space.name})",
         "identities": space.name,
         "machine": machine.describe(),
-        "head": asdict(check_head(head)),
+        "head": [
+            {"figure": figure.words, "value": figure.value, "unit": figure.unit, "limit": figure.limit}
+            for figure in check_head(head).figures
+        ],
         "cases": [result.record for result in done],
         "tets": len(head.tets),
         "local_step_ms": 1e3 * local_step,
@@ -111,8 +117,9 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
     clock.lap("pictures")
     with replaced(config.out / "results.json") as path:
         path.write_text(json.dumps(_finite(results), indent=1, allow_nan=False))
+    view = _view(results["title"], space, head, cases, done, network)
     with replaced(config.out / "index.html") as path:
-        path.write_text(page(results, images))
+        path.write_text(page(results, images, view))
     return results
 
 
@@ -157,6 +164,22 @@ def _median_ms(step: Callable[[], object], repeats: int = 50) -> float:
         step()
         times.append(time.perf_counter() - begin)
     return 1e3 * float(np.median(times))
+
+
+def _view(
+    title: str, space, head: LayeredHead, cases: Sequence[Case], done: Sequence[CaseResult], network: Surrogate | None
+) -> str:
+    """The head in 3D, with what each solver makes of the expressions under the default parameters."""
+    parameters, code = Parameters(), np.zeros(space.code_size)
+    shapes, rigs = space.expression_deltas(code), []
+    if network is not None:
+        rigs.append(Rig.baked("surrogate", network.bind(head.skin, code, parameters, expressions=shapes)))
+    poses = [
+        Pose(case.name, case.weights, {"PD": found.pd_skin, "FEniCSx, neo-Hookean": found.neo_hookean_skin})
+        for case, found in zip(cases, done, strict=True)
+        if case.parameters == parameters
+    ]
+    return face_page(title, VIEW_WORDS, head, parameters, shapes, rigs, poses)
 
 
 def _draw(head: LayeredHead, done: Sequence[CaseResult], skins: Sequence[Floats], progress: OnProgress):

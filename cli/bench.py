@@ -10,6 +10,7 @@ import click
 
 from ..lhm.errors import InputError
 from ..lhm.files.surface_file import MILLIMETRES
+from ..lhm.template import DEFAULT_LEVEL
 from ..reference import SOLVERS, Parameters
 from ..reference.parameter_file import read_parameters
 from .progress import shown
@@ -125,6 +126,9 @@ def shapes(identities: str, count: int, seed: int, workers: int, as_json: bool) 
     type=FOLDER,
     help="folder of the report; heads that are in it already are kept",
 )
+@click.option(
+    "--level", default=DEFAULT_LEVEL, type=click.IntRange(1, 3), help="1,212, 4,842 or 19,362 vertices per wrap"
+)
 @click.option("--gallery", default=2, type=click.IntRange(min=0), help="how many of them are simulated and drawn")
 @click.option("--head", "own", multiple=True, type=AFile, help="a head by `head fit` to draw as well; repeat")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
@@ -137,6 +141,7 @@ def heads(
     out: Path,
     gallery: int,
     own: tuple[Path, ...],
+    level: int,
     as_json: bool,
 ) -> int:
     """Fit and check the heads of many random identities: OUT/index.html, OUT/results.json, OUT/heads.jsonl.
@@ -145,7 +150,7 @@ def heads(
     """
     from ..benchmarks.heads import HeadsConfig, run_heads
 
-    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own)
+    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own, level)
     with shown() as progress:
         results = run_heads(config, progress)
     if as_json:

@@ -31,7 +31,7 @@ from .stack import Stack
 
 TOLERANCE = 1e-6
 """Gradient norm relative to its start."""
-FOR_TARGETS = {"tolerance": 1e-4, "max_iterations": 2000}
+FOR_TARGETS: dict[str, Any] = {"tolerance": 1e-4, "max_iterations": 2000}
 """Options of a face that only targets follow: it need be no more exact than they are."""
 GROWING = ("soft_volume", "muscle_volume", "skin_growth")
 """Besides bone scales and added gravity, what changes a neutral face where it differs from 1."""

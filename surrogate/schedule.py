@@ -165,6 +165,7 @@ def _processes(workers: int) -> Iterator[Client]:
             processes=True,
             memory_limit=None,
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": ":0"},  # its own port, or a second cluster would warn of the first
             silence_logs=logging.CRITICAL,
         )
     finally:

@@ -27,6 +27,7 @@ RUN = {
     "softdeca head check head.npz": "",
     "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
     "softdeca head show head.npz --expression jawOpen*0.5": "",
+    "softdeca view head.npz --parameters p.toml": "",
     "softdeca simulate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
         "--frames 0:2"
     ),
@@ -179,5 +180,6 @@ def test_what_runs_here_ends_well(folder, command, monkeypatch):
         if line in RUN:
             ended = command(*shlex.split(line)[1:], *shlex.split(RUN[line]))
             assert ended.status == 0, (line, ended.errors, ended.out[-500:])
-    made = ("head.npz", "head.png", "head.msh", "layers", "out/head", "out/take/preview.mp4", "out/scan/preview.gif")
+    made = ("head.npz", "head.png", "head.msh", "layers", "out/head", "out/view.html")
+    made += ("out/take/preview.mp4", "out/scan/preview.gif")
     assert all((folder / name).exists() for name in made), sorted(str(p) for p in folder.rglob("*"))
