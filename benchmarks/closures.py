@@ -36,7 +36,7 @@ class Gap:
     upper: Ints
     lower: Ints
 
-    def width(self, skin: Floats) -> float:
+    def width(self, skin: np.ndarray) -> float:
         """The mean height [mm] of upper over lower vertices of a skin (n, 3); negative where they cross."""
         return float((skin[self.upper, 1] - skin[self.lower, 1]).mean())
 
@@ -92,7 +92,7 @@ def closures(
     widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
     for number, weights in enumerate(take.weights):
         drawn = blended(skin, space.expressions, weights)
-        skins = {"blendshapes": drawn, TRUTH: simulation.skin(drawn, simulation.frame(drawn))}
+        skins: dict[str, np.ndarray] = {"blendshapes": drawn, TRUTH: simulation.skin(drawn, simulation.frame(drawn))}
         skins |= {name: rig.frame(weights) for name, rig in playing.items()}
         for name, one in skins.items():
             widths[name].append([gap.width(one) for gap in openings])

@@ -69,7 +69,13 @@ def compare(
     ]
     scores = evaluate(ready, test, on_progress=progress)
     if rivals:
+        # torch, which these need, is an extra.
+        from ..surrogate.rivals.face_wise import FaceWise
+        from ..surrogate.rivals.softsmpl import SoftSMPL
+        from ..surrogate.rivals.vertices_only import VerticesOnly
+
         learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")]
+        learning += [SoftSMPL("small"), SoftSMPL("large"), VerticesOnly(), FaceWise()]
         scores += evaluate(learning, test, Faces(corpus, "train", partial=partial), on_progress=progress)
     content = read_manifest(corpus)["content"]
     known = network.weights.looseness

@@ -67,11 +67,11 @@ class WhichHead:
                 raise click.UsageError(f"--head and --{name} {more}", click.get_current_context())
 
     @property
-    def space(self) -> identities.IdentitySpace:
+    def space(self) -> identities.LinearSpace:
         """The people that are named, or the default's."""
         return identities.from_text(self.space_name or "anny")
 
-    def code(self, space: identities.IdentitySpace) -> Floats:
+    def code(self, space: identities.LinearSpace) -> Floats:
         """The mean's code, or a random one's."""
         rng = np.random.default_rng(self.seed)
         return np.zeros(space.code_size) if self.seed is None else space.sample(rng)[0]

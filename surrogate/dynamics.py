@@ -43,7 +43,8 @@ class Swing:
     def of(cls, loose: Floats, pivot: Floats, parameters: Parameters | Floats, skin: Surface) -> Swing:
         """With p's frequency and damping, one number or one per face; an array of static parameters has defaults."""
         known = parameters if isinstance(parameters, Parameters) else Parameters()
-        return cls(loose, *(at_vertices(name, getattr(known, name), skin) for name in OSCILLATION), pivot)
+        frequency, damping = (at_vertices(name, getattr(known, name), skin) for name in OSCILLATION)
+        return cls(loose, frequency, damping, pivot)
 
     @classmethod
     def of_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:

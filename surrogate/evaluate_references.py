@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike
 
@@ -15,17 +14,16 @@ from ..lhm.progress import OnProgress, silent
 from .corpus.plan import Split
 from .corpus.reading import Table
 from .corpus.references import FEM_LAWS
-from .evaluate import Score, score_of
+from .evaluate import Named, Score, score_of
 from .modal.faces import Faces
 from .rivals import Bound, Method
 
 KINDS = {law: f"against FEniCSx, {law}" for law in FEM_LAWS}
 
 
-@dataclass(frozen=True)
 class _Simulator:
-    name: str = "projective dynamics"
-    simulates: bool = True
+    def __init__(self):
+        self.name, self.simulates = "projective dynamics", True
 
 
 def evaluate_references(
@@ -71,7 +69,7 @@ def evaluate_references(
             on_progress(f"evaluate, {kind}: frame {len(motions)}", 0.0)
         if not motions:
             raise InputError(f"corpus {folder}: no frame with an answer of {law} has derivatives")
-        named = [_Simulator(), *methods]
+        named: list[Named] = [_Simulator(), *methods]
         motion = np.stack(motions)
         scores += [score_of(one, kind, np.stack(answers[one.name]), motion, (None, None, None)) for one in named]
         on_progress(f"evaluate, {kind}", 1.0)

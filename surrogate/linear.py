@@ -6,13 +6,13 @@ import numpy as np
 
 from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Floats32
+from ..lhm.mesh import Floats32
 from ..reference import Parameters, settled
 from ..reference.linearised import DIRECT, linearised
 from ..reference.settling import FOR_TARGETS
 
 
-def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats) -> tuple[Floats32, Floats32]:
+def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> tuple[Floats32, Floats32]:
     """T - S at w = 0, shape (n, 3), and its derivatives by shapes (k, n, 3), all [mm]; some seconds.
 
     InputError for a face that does not settle under these parameters, and what the simulator raises.

@@ -16,6 +16,7 @@ from ..lhm import fit_head, identities, load_template
 from ..lhm.checked import checked
 from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
+from ..lhm.identities import LinearSpace
 from ..lhm.mesh import Floats, Floats32, Surface
 from ..reference import Parameters
 from .baked import BakedRig, baked
@@ -105,7 +106,7 @@ class Surrogate:
         return BoundSurrogate(skin, modes, shapes, None if known is None else Swing.of(*known.at(code), chosen, skin))
 
     @cached_property
-    def _people(self) -> identities.Anny:
+    def _people(self) -> LinearSpace:
         """The default space, which takes longer to read than a bind."""
         return identities.Anny()
 

@@ -47,8 +47,9 @@ class Looseness:
             shares.append(head.skin_from_wrap @ loose(head))
             pivots.append(pivot(head))
         rows = np.array(codes)
-        penalty = np.diag(np.append(0.0, np.full(rows.shape[1] - 1, RIDGE)))
-        inverse = np.linalg.solve(rows.T @ rows + penalty, rows.T)
+        penalty = RIDGE * np.eye(rows.shape[1])
+        penalty[0, 0] = 0.0
+        inverse: Floats = np.linalg.solve(rows.T @ rows + penalty, rows.T)
         return cls(inverse @ np.array(shares), inverse @ np.array(pivots))
 
     def at(self, code: Floats) -> tuple[Floats, Floats]:

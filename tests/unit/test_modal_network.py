@@ -24,10 +24,13 @@ from softdeca.surrogate.modal.training import ModalTraining, _Loop, train_modal
 from softdeca.surrogate.modal.weights import ModalWeights
 from softdeca.surrogate.rigs import add_combination
 from softdeca.surrogate.rivals.blendshapes import Blendshapes
+from softdeca.surrogate.rivals.face_wise import FaceWise
 from softdeca.surrogate.rivals.linearised import Linearised
 from softdeca.surrogate.rivals.modal import ModalMethod
 from softdeca.surrogate.rivals.responses import LearnedResponses
 from softdeca.surrogate.rivals.ridge import Ridge
+from softdeca.surrogate.rivals.softsmpl import SoftSMPL
+from softdeca.surrogate.rivals.vertices_only import VerticesOnly
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -85,6 +88,19 @@ def test_rivals_that_learn_are_scored_by_kind(faces):
     overall = [score for score in scores if score.kind == "all"]
     assert [score.method for score in overall] == [method.name for method in methods]
     assert overall[0].share < 0.7 and all(np.isfinite(score.mean) and score.fit_seconds > 0 for score in overall)
+
+
+def test_networks_of_others_learn_and_are_bound(faces):
+    methods = [SoftSMPL("small", 150), SoftSMPL("large", 150), VerticesOnly(150), FaceWise(150)]
+    scores = [score for score in evaluate(methods, faces["train"], faces["train"]) if score.kind == "all"]
+    assert [score.method for score in scores] == [method.name for method in methods]
+    assert all(score.share < 0.9 and score.fit_seconds > 0 for score in scores)
+    # Bound or not, a network is the same function of w, p and h.
+    method, face, w = methods[2], faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
+    summary = (method._inputs.summary_of(face) - method._mean) / method._scale
+    with torch.no_grad():
+        whole = method._network(torch.from_numpy(w), torch.from_numpy(summary.astype(np.float32))[None], np.arange(N))
+    assert np.abs(method.bind(face)(w) - method._size * whole.numpy()).max() < 1e-4
 
 
 def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):
