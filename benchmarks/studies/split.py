@@ -24,6 +24,7 @@ from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
 from ..plots import png, pyplot
 from ..throughput import default_head
+from .asked import check_person
 
 EFFECTS: Mapping[str, Parameters] = {
     "defaults": Parameters(),
@@ -72,6 +73,7 @@ class Split(Study):
         """Each expression under each effect."""
         for text in self.expressions:
             expressions.parsed(text)
+        check_person(self.seed, self.level)
         for name in self.effects:
             if name not in EFFECTS:
                 raise InputError(f"effect {name!r}: there are {', '.join(EFFECTS)}")

@@ -163,7 +163,7 @@ def test_every_command_is_read_as_it_stands(words, folder, monkeypatch):
     words = words[words.index("softdeca") + 1 :]
     command: click.Command = app
     while isinstance(command, click.Group):
-        command = command.commands[words.pop(0)]
+        command = command.get_command(click.Context(command), words.pop(0))
     context = command.make_context(command.name, words)  # a usage error if it has no such option, argument or value
     assert not context.args
 
