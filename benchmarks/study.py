@@ -26,9 +26,10 @@ from . import learned, machine
 from .cases import Case, CaseResult, run_case, warm_up
 from .differences import difference, distances
 from .gates import gates
+from .harness import run
 from .pictures import Panel, cut_away, strip
 from .report import page
-from .verification import verify
+from .studies.verification import Verification
 
 VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
 
@@ -86,7 +87,7 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
     clock.lap("scenes")
     scene = facial_scene(head, cases[0].parameters, shapes[0])
     local_step = local_step_seconds(prepare(scene), repeats=30)
-    verification = verify(progress)
+    verified = run(Verification(), config.out / "verification", progress=progress)
     clock.lap("verification")
     tested, skins = None, []
     if network is not None:
@@ -108,7 +109,8 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
         "cases": [result.record for result in done],
         "tets": len(head.tets),
         "local_step_ms": 1e3 * local_step,
-        "verification": verification,
+        "verification": [values for row in verified.rows if row.done for values in row.values["outcomes"]],
+        "unverified": [f"{row.case}, {row.method}: {row.reason}" for row in verified.rows if row.status == "failed"],
         "surrogate": tested,
         "seconds": clock.laps,
     }

@@ -33,6 +33,7 @@ RUN = {
     ),
     "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf": "--frames 0:2",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
+    "softdeca bench list": "",
     "softdeca simulate take.csv --head head.npz": "--frames 0:2 --out out/scan",
 }
 CORPUS = "test_corpus_command.py::test_a_corpus_from_plan_to_picture"
@@ -80,6 +81,8 @@ ELSEWHERE = {
     ),
     "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
     "softdeca bench unknowns": "test_bench_unknowns.py::test_one_solve_is_measured_and_drawn",
+    "softdeca bench split": "test_split.py::test_the_parts_of_an_error_and_their_check",
+    "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
     "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
@@ -162,7 +165,7 @@ def test_every_command_is_read_as_it_stands(words, folder, monkeypatch):
     words = words[words.index("softdeca") + 1 :]
     command: click.Command = app
     while isinstance(command, click.Group):
-        command = command.commands[words.pop(0)]
+        command = command.get_command(click.Context(command), words.pop(0))
     context = command.make_context(command.name, words)  # a usage error if it has no such option, argument or value
     assert not context.args
 

@@ -100,6 +100,7 @@ def results() -> dict:
         "cases": [scene("jawOpen"), scene("mouthPucker*0.5+cheekPuff")],
         "tets": 58080,
         "local_step_ms": 6.0,
+        "unverified": [],
         "verification": [
             {
                 "problem": "bar",
