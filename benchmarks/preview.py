@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..lhm.errors import InputError, MissingDependencyError
 from ..lhm.files.atomic import replaced
 from ..lhm.mesh import Floats, Surface
-from .pictures import SKIN, _look, _poly, _pyvista
+from .pictures import _colours, _look, _poly, _pyvista
 
 Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
@@ -42,7 +42,7 @@ def pictures_of(
     """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3).
 
     The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
-    all of the skin.
+    all of the skin. What is hidden in `neutral` is drawn dark.
     """
     pyvista = _pyvista()
     rows = 2 * (23 * size // 40)
@@ -54,11 +54,11 @@ def pictures_of(
     _look(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * size / rows * right / np.linalg.norm(right)
-    meshes = []
+    meshes, colours = [], _colours(neutral)
     for offset in (-aside, aside):
         mesh = _poly(pyvista, neutral.vertices + offset, neutral.triangles)
         mesh.point_data.active_normals = neutral.vertex_normals
-        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.1, specular_power=8, ambient=0.12, reset_camera=False)
+        actor = plotter.add_mesh(mesh, **colours, specular=0.1, specular_power=8, ambient=0.12, reset_camera=False)
         actor.prop.interpolation = "Phong"
         meshes.append((mesh, offset))
     plotter.reset_camera_clipping_range()
