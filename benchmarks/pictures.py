@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..lhm.geometry.closing import closed
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Ints, Surface
 from .shading import INSIDE, SKIN, shades
 
-INSIDE_OUT = {"color": INSIDE}
-"""What is seen from behind, through an open mouth without a lining."""
 SOFT = "#e9c46a"
 MUSCLE = "#b5413b"
 BONE = "#e8e4d8"
@@ -65,9 +65,20 @@ def _look(plotter, centre: Floats, height: float, view: Sequence[float]):
     plotter.reset_camera_clipping_range()
 
 
-def _colours(rest: Surface | None) -> dict[str, Any]:
-    """How a mesh of the triangles of `rest` is drawn: as skin, and dark where it is hidden at rest."""
-    return {"color": SKIN} if rest is None else {"scalars": shades(rest), "rgb": True, "backface_params": INSIDE_OUT}
+def _behind(plotter, surface: Surface):
+    """Add a surface's reverse to a plotter, dark and with its openings closed, and return the mesh.
+
+    It is what is seen through an open mouth without a lining.
+    """
+    whole = closed(surface)
+    mesh = _poly(_pyvista(), whole.vertices, whole.triangles)
+    plotter.add_mesh(mesh, color=INSIDE, lighting=False, culling="front", reset_camera=False)
+    return mesh
+
+
+def _skin(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
+    """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
+    return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
 
 
 def _png(plotter) -> bytes:
@@ -91,7 +102,7 @@ def strip(
     hidden in `rest`, the head at rest, is drawn dark.
     """
     pyvista = _pyvista()
-    colours = _colours(rest)
+    colours = None if rest is None else shades(rest)
     plotter = pyvista.Plotter(
         off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
     )
@@ -101,7 +112,9 @@ def strip(
         plotter.subplot(0, column)
         mesh = _poly(pyvista, panel.surface.vertices, panel.surface.triangles)
         if panel.values is None:
-            plotter.add_mesh(mesh, **colours, smooth_shading=True, specular=0.15)
+            plotter.add_mesh(mesh, **_skin(colours), smooth_shading=True, specular=0.15)
+            if colours is not None:
+                _behind(plotter, panel.surface)
         else:
             bar = {
                 "title": f"mm, {column + 1}",
@@ -178,7 +191,7 @@ def views(
     `framed` and `rest` as in `strip`.
     """
     pyvista = _pyvista()
-    colours = _colours(rest)
+    colours = None if rest is None else shades(rest)
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
     x = panels[0][1].vertices if framed is None else framed
@@ -187,7 +200,9 @@ def views(
         plotter.subplot(0, column)
         mesh = _poly(pyvista, surface.vertices, surface.triangles)
         mesh.point_data.active_normals = surface.vertex_normals
-        actor = plotter.add_mesh(mesh, **colours, specular=0.1, specular_power=8, ambient=0.12)
+        actor = plotter.add_mesh(mesh, **_skin(colours), specular=0.1, specular_power=8, ambient=0.12)
+        if colours is not None:
+            _behind(plotter, surface)
         actor.prop.interpolation = "Phong"
         plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
         _look(plotter, centre, height, view)
