@@ -47,7 +47,7 @@ def side_by_side(
     n, old, m = len(parts), len(near), len(whole.vertices)
     surface, visible = laid.surface, (parts[template.triangles] != MOUTH).all(axis=1)
     # Beyond the corners both lips are one skin.
-    lips = np.where(np.abs(line.local(surface.vertices)[:, 0]) < line.along[-1], _lips(template, parts, line), 0)
+    lips = np.where(np.abs(line.local(surface.vertices)[:, 0]) < line.along[-1], of_lips(template, parts, line), 0)
     to_skin = on_template(surface, skin).tolil()
     to_template = on_skin(surface, whole).tolil()
     of_skin = np.zeros(old)
@@ -86,7 +86,7 @@ def _touches(triangles: Ints, edge: Ints, sides) -> Mask:
     return np.isin(triangles, other).any(axis=1)
 
 
-def _lips(template: Surface, parts: Ints, line: LipLine) -> Ints:
+def of_lips(template: Surface, parts: Ints, line: LipLine) -> Ints:
     """1 for the template's visible vertices nearer to the upper lip's rim along the skin, -1 to the lower's, else 0."""
     outside = np.flatnonzero(parts == OUTSIDE)
     number = np.full(len(parts), -1)
