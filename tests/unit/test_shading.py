@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from softdeca.benchmarks.shading import INSIDE, SKIN, shades, sky_seen
+from softdeca.benchmarks.shading import INSIDE, SKIN, shades
 from softdeca.lhm import Surface, load_template
+from softdeca.lhm.geometry.sky import sky_seen
 from softdeca.lhm.geometry.sphere import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH
 
