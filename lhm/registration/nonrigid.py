@@ -17,7 +17,9 @@ from .matching import FACING, Target
 from .pulls import Pulls
 
 STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
-STEPS = 4
+TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
+"""[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
+STEPS = 6
 LATE = 8  # From this stage on matches are taken from lips and lids that cross.
 REPAIRS = 8
 LANDMARK, FADES = 5.0, 20.0
@@ -50,7 +52,8 @@ def laid_onto(
         repair = stage - len(STIFFNESSES) + 1
         which = min(stage, len(STIFFNESSES) - 1)
         for _ in range(STEPS):
-            x = _step(x, model, pulls, drawn, marks, STIFFNESSES[which], LIMITS[which])
+            goals, weights = pulls.at(x, drawn, LIMITS[which], TURNED[which])
+            x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()
         crossing = triangles[[pair for pair in pairs if tuple(pair) not in own]].reshape(-1, 6)
@@ -65,23 +68,14 @@ def laid_onto(
     return best, fewest
 
 
-def _step(
-    x: Floats,
-    model: SmoothAffine,
-    pulls: Pulls,
-    drawn: Mask,
-    marks: Pairs | None,
-    stiffness: float,
-    limit: float,
-) -> Floats:
-    closest, weights = pulls.at(x, drawn, limit)
+def _step(model: SmoothAffine, goals: Floats, weights: Floats, marks: Pairs | None, stiffness: float) -> Floats:
     if marks is not None:
         ids, points = marks
         more = LANDMARK * min(1.0, stiffness / FADES)
-        pulled = weights[ids, None] * closest[ids] + more * points
+        pulled = weights[ids, None] * goals[ids] + more * points
         weights[ids] += more
-        closest[ids] = pulled / weights[ids, None]
-    return model.solve(stiffness, weights, closest)
+        goals[ids] = pulled / weights[ids, None]
+    return model.solve(stiffness, weights, goals)
 
 
 def lip_ties(skin: Surface, rim: Ints) -> csr_matrix:

@@ -50,15 +50,15 @@ class Pulls:
         expected = np.maximum(start.vertex_areas * count / along[-1], 1e-9)
         return cls(target, start, sky_seen(start) > SEEN, points[seen], normals[seen], expected, Target(start))
 
-    def at(self, x: Floats, drawn: Mask, limit: float) -> tuple[Floats, Floats]:
+    def at(self, x: Floats, drawn: Mask, limit: float, turned: float) -> tuple[Floats, Floats]:
         """Goals (n, 3) [mm] and weights (n,) up to 1.5 of a template at x (n, 3), of which the `drawn` (n,) take part.
 
-        Matches count less the farther they are, and not at all from `limit` [mm] on.
+        Matches count less the farther they are, and not at all from `limit` [mm] on; `turned` as in `Target.match`.
         """
         reached = Target(self.start.with_vertices(x), self.reached)
-        closest, distance, weights = self.target.match(x, reached.normals)
+        closest, distance, weights = self.target.match(x, reached.normals, turned=turned)
         weights = weights * drawn * robust(distance, limit)
-        corners, shares, good = reached.located(self.points, self.normals)
+        corners, shares, good = reached.located(self.points, self.normals, turned=turned)
         offsets = self.points - (shares[:, :, None] * x[corners]).sum(axis=1)
         counted = good * robust(np.linalg.norm(offsets, axis=1), limit) * drawn[corners].all(axis=1)
         total, sums = np.zeros(len(x)), np.zeros_like(x)
