@@ -9,72 +9,21 @@ import click
 
 from ..lhm.errors import InputError
 from ..lhm.files.surface_file import MILLIMETRES
-from ..reference import SOLVERS
+from ..lhm.template import DEFAULT_LEVEL
 from .progress import shown
+from .study_command import Studies, changes, gate_line, listed
 from .written_file import FOLDER
 
 AFile = click.Path(path_type=Path)
 
 
-@click.group(no_args_is_help=False)
+@click.group(cls=Studies, no_args_is_help=False)
 def bench() -> None:
     """Single studies by name."""
 
 
-@bench.command()
-@click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
-@click.option("--fine", is_flag=True, help="also finer meshes, orders and locking by FEniCSx: 15 minutes")
-@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
-    """Closed forms and published values through every solver; exit status 1 outside a bound.
-
-    Each row: whether it is within its bound, problem, solver, value, error and what it may be at most, and the source.
-    """
-    from ..benchmarks.verification import verify
-
-    asked = solvers or SOLVERS
-    with shown() as progress:
-        rows = verify(progress, solvers=asked, fine=fine)
-    for solver in set(asked) - {row["solver"] for row in rows}:
-        click.echo(f"softdeca: {solver} is not installed: left out", err=True)
-    if as_json:
-        click.echo(json.dumps(rows, indent=1))
-    else:
-        for row in rows:
-            mark = "ok " if row["passed"] else "OUT"
-            error = f"error {row['error']:.1e} of {row['bound']:.0e}"
-            click.echo(
-                f"{mark} {row['problem']:<72} {row['solver']:<11} {row['value']:<14.9g} {error}  {row['source']}"
-            )
-    return 0 if all(row["passed"] for row in rows) else 1
-
-
-@bench.command()
-@click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
-@click.option("--match", default="", help="only cases with this in their name or source, such as H5 or twisted")
-@click.option("--laws", is_flag=True, help="also every law on every element of FEniCSx: a quarter of an hour")
-@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def hard(solvers: tuple[str, ...], match: str, laws: bool, as_json: bool) -> int:
-    """Hard cases (random starts, collapse, crush, twist, long steps) through every solver; exit status 1 if one fails.
-
-    Each row: whether the outcome is no fault, case, solver, element, outcome, iterations, error and its bound. "missed"
-    is an answer that is off, such as another equilibrium; an outcome in capitals is the reason for which it stopped.
-    """
-    from ..benchmarks.hard_cases import try_hard_cases
-
-    with shown() as progress:
-        rows = try_hard_cases(progress, solvers=solvers or SOLVERS, match=match, laws=laws)
-    if as_json:
-        click.echo(json.dumps(rows, indent=1))
-    else:
-        for row in rows:
-            error = f"error {row['error']:.1e} of {row['bound']:.0e}"
-            mark, source = "ok " if row["passed"] else "OUT", row["source"].split(";")[0]
-            click.echo(
-                f"{mark} {source:<3} {row['case']:<64} {row['solver']:<11} {row['element']:<5} {row['outcome']:<15} "
-                f"{row['iterations']:>5} iterations  {error}"
-            )
-    return 0 if all(row["passed"] for row in rows) else 1
+bench.add_command(listed)
+bench.add_command(changes)
 
 
 @bench.command()
@@ -156,6 +105,9 @@ def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
     type=FOLDER,
     help="folder of the report; heads that are in it already are kept",
 )
+@click.option(
+    "--level", default=DEFAULT_LEVEL, type=click.IntRange(1, 3), help="1,212, 4,842 or 19,362 vertices per wrap"
+)
 @click.option("--gallery", default=2, type=click.IntRange(min=0), help="how many of them are simulated and drawn")
 @click.option("--head", "own", multiple=True, type=AFile, help="a head by `head fit` to draw as well; repeat")
 @click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
@@ -168,6 +120,7 @@ def heads(
     out: Path,
     gallery: int,
     own: tuple[Path, ...],
+    level: int,
     as_json: bool,
 ) -> int:
     """Fit and check the heads of many random identities: OUT/index.html, OUT/results.json, OUT/heads.jsonl.
@@ -176,7 +129,7 @@ def heads(
     """
     from ..benchmarks.heads import HeadsConfig, run_heads
 
-    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own)
+    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own, level)
     with shown() as progress:
         results = run_heads(config, progress)
     if as_json:
@@ -190,7 +143,7 @@ def heads(
             gate = f"({row['limit']}; missed by {row['missed']})" if row["limit"] else ""
             click.echo(f"{what:<38} {figures} {gate}".rstrip())
         for asked in results["gates"]:
-            click.echo(_gate_line(asked))
+            click.echo(gate_line(asked))
         _say_written(out, "heads.jsonl", "campaign.json")
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
@@ -216,7 +169,7 @@ def simulator(parts: str, out: Path, as_json: bool) -> int:
         click.echo((out / "results.json").read_text())
     else:
         for asked in results["gates"]:
-            click.echo(_gate_line(asked))
+            click.echo(gate_line(asked))
         _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
@@ -337,17 +290,12 @@ def _dynamics_lines(results: Mapping) -> str:
     marches = {"release": results["release"], "own mass": results["own_mass"], "shaken": results["shake"]["rows"]}
     for what, rows in marches.items():
         lines += [f"STOPPED {what}, {row['name']}: {row['stopped']}" for row in rows if row["stopped"]]
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _say_written(out: Path, *more: str) -> None:
     for name in ("index.html", "results.json", *more):
         click.echo(f"wrote {out / name}")
-
-
-def _gate_line(gate: Mapping) -> str:
-    value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
-    return f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})"
 
 
 @bench.command()
@@ -407,7 +355,7 @@ def _unknowns_lines(results: Mapping) -> str:
         )
     for row in results["exponents"]:
         lines.append(f"{row['law']:<12} {row['element']} grows as unknowns^{row['cpu_seconds']:.2f}")
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _convergence_lines(results: Mapping) -> str:
@@ -418,28 +366,7 @@ def _convergence_lines(results: Mapping) -> str:
             f"{row['name']:<40} error mean {own['mean']:.3f}  95 % {own['p95']:.3f}  max {own['max']:.3f} mm  "
             f"order across layers {'-' if order is None else f'{order:.2f}'}"
         )
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
-
-
-@bench.command()
-@click.option("--expression", "texts", multiple=True, help="as jawOpen*0.5+cheekPuff; repeat for several  [two]")
-@click.option("--law", "laws", multiple=True, help="incompressible or a Poisson's ratio; repeat for several  [both]")
-@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
-@click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
-@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def mixed(texts: tuple[str, ...], laws: tuple[str, ...], seed: int, level: int, as_json: bool) -> int:
-    """Solve incompressible heads by quadratic tets with a pressure (FEniCSx, P2P1): four to sixteen minutes each.
-
-    Exit status 1 if one does not converge or takes more than 8 GB.
-    """
-    from ..benchmarks.mixed import EXPRESSIONS, LAWS, MEMORY_MB, MixedConfig, lines, run_mixed
-
-    config = MixedConfig(texts or EXPRESSIONS, laws or LAWS, seed, level)
-    with shown() as progress:
-        results = run_mixed(config, progress)
-    rows = results["solves"]
-    click.echo(json.dumps(results, indent=1) if as_json else "\n".join(lines(rows)))
-    return 0 if all(row["converged"] and row["memory_mb"] <= MEMORY_MB for row in rows) else 1
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _effect_lines(results: Mapping) -> str:
@@ -453,7 +380,7 @@ def _effect_lines(results: Mapping) -> str:
             f"{row['name']:<12} {run['iterations']:>4} iterations {run['seconds']:6.2f} s  "
             f"moves {row['change_mm']['max']:5.2f} mm at most  {other}"
         )
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _depth_lines(results: Mapping) -> str:

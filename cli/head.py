@@ -175,9 +175,9 @@ def check(file: Path, as_json: bool) -> int:
 def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
     """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
     from ..benchmarks.head_pictures import deltas_of, head_pictures, posed
-    from ..benchmarks.study import parse_expression
+    from ..lhm import expressions
 
-    weights = None if expression is None else parse_expression(expression)
+    weights = None if expression is None else expressions.parsed(expression)
     shown_head = load_head(file)
     for note in shown_head.notes:
         click.echo(f"softdeca: {file}: {note}", err=True)

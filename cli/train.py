@@ -40,6 +40,8 @@ def train(
     Writes OUT/modal.safetensors, which `Surrogate.load` and `softdeca study --surrogate` read, or OUT/paper.npz, and
     the learning curve as OUT/curve.json and curve.png.
     """
+    from ..benchmarks.plots import learning_curve
+
     with shown() as progress:
         if network == "modal":
             path, curve = _modal(corpus, neutrals, out, steps, device, partial, progress)
@@ -47,7 +49,7 @@ def train(
             path, curve = _paper(corpus, out, steps, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
-    _draw(curve, out / "curve.png")
+    (out / "curve.png").write_bytes(learning_curve(curve))
     for written in (path, out / "curve.json", out / "curve.png"):
         click.echo(f"wrote {written}")
     return 0
@@ -78,12 +80,6 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     checkpoint = train_paper(samples, config, state=out / "paper.pt", on_progress=progress)
     checkpoint.save(out / "paper.npz")
     return out / "paper.npz", [asdict(point) for point in checkpoint.summary.history]
-
-
-def _draw(curve: list[dict], path: Path) -> None:
-    from ..benchmarks.plots import learning_curve
-
-    path.write_bytes(learning_curve(curve))
 
 
 @click.command()

@@ -11,7 +11,7 @@ from ..lhm.errors import InputError
 from ..lhm.expressions import conversation
 from ..lhm.expressions.combinations import combinations
 from ..lhm.mesh import Floats32, Ints
-from .modal.rig import add_combination
+from .rigs import add_combination
 
 SAMPLED = 400
 """Expressions of each of made-up conversation and random combinations, which the targets are chosen for."""

@@ -18,13 +18,22 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Floats32, Surface
 from ..reference import Parameters, settled
 from ..reference.linearised import DIRECT, linearised
+from ..reference.settling import FOR_TARGETS
 from .baked import BakedRig, baked
 from .modal.features import STATIC
-from .modal.rig import BoundModes, Modal, add_combination
+from .modal.rig import BoundModes, Modal
 from .modal.weights import ModalWeights
+from .rigs import (
+    EXPRESSIONS,
+    add_combination,
+    checked_blended,
+    checked_code,
+    checked_shapes,
+    checked_skin,
+    checked_weights,
+)
 
 Beyond = Literal["refuse", "clamp"]
-ARKIT = 52
 
 
 class Surrogate:
@@ -63,7 +72,7 @@ class Surrogate:
         head: LayeredHead | None = None,
         beyond: Beyond = "refuse",
     ) -> BoundSurrogate:
-        """A rig of one person and p: in milliseconds, or with `exact` in about a second.
+        """A rig of one person and p: in milliseconds, or with `exact` in seconds.
 
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
         values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
@@ -75,9 +84,7 @@ class Surrogate:
         """
         self._check_skin(skin)
         mean, weights = self.weights.mean, self.weights
-        code = np.asarray(code, dtype=np.float64)
-        if code.shape != weights.code_mean.shape or not np.isfinite(code).all():
-            raise InputError(f"code: expected {len(weights.code_mean)} finite numbers, got shape {code.shape}")
+        code = checked_code(code, len(weights.code_mean))
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
@@ -88,23 +95,15 @@ class Surrogate:
             modes = _exact(modes, self._head(skin, head), at_vertices, shapes)
         return BoundSurrogate(skin, modes, shapes)
 
-    def _check_skin(self, skin: Surface):
-        mean, network = self.weights.mean, f"the weights' template {self.weights.template}"
-        if len(skin.vertices) != len(mean.vertices):
-            raise InputError(f"skin: {len(skin.vertices)} vertices, {network} has {len(mean.vertices)}")
-        if not np.array_equal(skin.triangles, mean.triangles):
-            raise InputError(f"skin: its triangles are not those of {network}")
+    def _check_skin(self, skin: Surface) -> None:
+        checked_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
 
     def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32 | None:
         if expressions is None:
             if self.space != "anny":
                 return None
             expressions = identities.Anny().expression_deltas(code)
-        shapes: Floats32 = np.ascontiguousarray(expressions, dtype=np.float32)
-        expected = (ARKIT, *self.weights.mean.vertices.shape)
-        if shapes.shape != expected or not np.isfinite(shapes).all():
-            raise InputError(f"expressions: expected finite displacements of shape {expected}, got {shapes.shape}")
-        return shapes
+        return checked_shapes(expressions, len(self.weights.mean.vertices))
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -124,13 +123,13 @@ class BoundSurrogate:
         self._skin = skin.vertices.astype(np.float32)
         count, n = len(modes.modes), len(self._skin)
         self._settled = (self._skin + modes.offset).ravel()
-        self._added = np.concatenate([modes.responses, modes.modes]).reshape(ARKIT + count, 3 * n)
+        self._added = np.concatenate([modes.responses, modes.modes]).reshape(EXPRESSIONS + count, 3 * n)
         self._offset = np.ascontiguousarray(modes.offset.ravel())
-        self._amplitudes = np.zeros(ARKIT + count, dtype=np.float32)
+        self._amplitudes = np.zeros(EXPRESSIONS + count, dtype=np.float32)
         self._shapes: Floats32 | None = None
         if expressions is not None:
             self._shapes = self._added.copy()
-            self._shapes[:ARKIT] += expressions.reshape(ARKIT, -1)
+            self._shapes[:EXPRESSIONS] += expressions.reshape(EXPRESSIONS, -1)
 
     @property
     def neutral(self) -> Floats32:
@@ -146,15 +145,15 @@ class BoundSurrogate:
         weights = checked_weights(weights)
         surface = np.empty_like(self._skin) if out is None else self._checked_out(out)
         flat = surface.reshape(-1)
-        self._amplitudes[:ARKIT] = weights
-        self._amplitudes[ARKIT:] = self.modes.remainder_of(weights)
+        self._amplitudes[:EXPRESSIONS] = weights
+        self._amplitudes[EXPRESSIONS:] = self.modes.remainder_of(weights)
         if blended is None:
             if self._shapes is None:
                 raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
             flat[:] = self._settled
             add_combination(self._amplitudes, self._shapes, flat)
         else:
-            surface[:] = self._checked_blended(blended)
+            surface[:] = checked_blended(blended, self._skin.shape)
             flat += self._offset
             add_combination(self._amplitudes, self._added, flat)
         return surface
@@ -164,7 +163,7 @@ class BoundSurrogate:
         if self._expressions is None:
             raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
         surface = self._skin.copy()
-        shapes = self._expressions.reshape(ARKIT, -1)
+        shapes = self._expressions.reshape(EXPRESSIONS, -1)
         add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
         return surface
 
@@ -178,26 +177,6 @@ class BoundSurrogate:
         if out.shape != self._skin.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
             raise InputError(f"out: expected contiguous float32 of shape {self._skin.shape}")
         return out
-
-    def _checked_blended(self, blended) -> Floats32:
-        blended = np.asarray(blended, dtype=np.float32)
-        if blended.shape != self._skin.shape or not np.isfinite(blended).all():
-            raise InputError(f"blended: expected finite positions of shape {self._skin.shape}, got {blended.shape}")
-        return blended
-
-
-def checked_weights(weights) -> Floats32:
-    """The 52 weights as float32, clipped to [0, 1] with a warning; InputError for other shapes, and for NaN."""
-    weights = np.asarray(weights, dtype=np.float32)
-    if weights.shape != (ARKIT,):
-        raise InputError(f"weights: expected the 52 of ARKit, got shape {weights.shape}")
-    if not np.isfinite(weights).all():
-        raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
-    outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    if outside:
-        warnings.warn(f"{outside} of 52 weights outside [0, 1] were clipped", stacklevel=3)
-        weights = np.clip(weights, 0.0, 1.0)
-    return weights
 
 
 def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
@@ -252,7 +231,7 @@ def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: 
 
 def _exact(modes: BoundModes, head: LayeredHead, at_vertices: Floats, shapes: Floats32) -> BoundModes:
     """The modes with offset and responses of the simulator."""
-    neutral = settled(head, _on_wraps(head, at_vertices), tolerance=1e-4, max_iterations=2000)
+    neutral = settled(head, _on_wraps(head, at_vertices), **FOR_TARGETS)
     if not neutral.converged:
         raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
     linear = linearised(neutral, accuracy=DIRECT)

@@ -7,12 +7,11 @@ from os import PathLike
 
 import numpy as np
 
-from ...lhm.errors import InputError
 from ...lhm.mesh import Floats, Floats32, Ints, Surface
 from ..corpus.mixture import NAMES
 from ..corpus.plan import Split
 from ..corpus.reading import Table
-from .features import STATIC, Features
+from .features import STATIC, Features, normalised_code
 
 _COLUMNS = [NAMES.index(name) for name in STATIC]
 
@@ -77,11 +76,9 @@ class Faces:
         return self._responses.people
 
     @property
-    def shapes(self) -> Floats:
-        """The 52 shapes that all people share [mm], shape (52, n, 3); InputError where they are personal."""
-        if self._responses.template.shapes is None:
-            raise InputError("corpus: its people have shapes of their own, and no network here is trained on these")
-        return self._responses.template.shapes
+    def personal(self) -> bool:
+        """Whether each person has shapes of their own."""
+        return self._responses.template.shapes is None
 
     def face(self, index: int) -> Face:
         """One face."""
@@ -157,8 +154,8 @@ class Inputs:
         return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
 
     def code(self, code: Floats) -> Floats:
-        """A code as the network has it: all of it counts about as much as a few parameters."""
-        return 0.5 * (np.asarray(code, dtype=np.float64) - self.code_mean) / self.code_scale
+        """See `normalised_code`."""
+        return normalised_code(code, self.code_mean, self.code_scale)
 
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
         """See `Features.summary`."""

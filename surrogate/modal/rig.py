@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
 from ...lhm.mesh import Floats, Floats32
-from .features import Features
+from .features import Features, normalised_code
 from .weights import ModalWeights
 
 
@@ -24,7 +23,7 @@ class Modal:
     def bound(self, code: Floats, at_vertices: Floats) -> BoundModes:
         """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P)."""
         network, weights = self.weights.network, self.weights
-        known = 0.5 * (np.asarray(code, dtype=np.float64) - weights.code_mean) / weights.code_scale
+        known = normalised_code(code, weights.code_mean, weights.code_scale)
         summary = self.features.summary(known, at_vertices)
         unmoved = self.features.summary(known, self.features.unmoved(at_vertices))
         own = known.astype(np.float32)
@@ -129,23 +128,3 @@ def _linear(network, layer: str, values):
 
 def _silu(values):
     return values / (1.0 + np.exp(-values))
-
-
-@numba.njit(cache=True, fastmath=True)
-def add_combination(amplitudes, shapes, surface):
-    """Add Σ_k a_k B_k to a surface (m,) in place; shapes (k, m), two at a time, zeros left out."""
-    pending = -1
-    for k in range(len(amplitudes)):
-        if amplitudes[k] == 0.0:
-            continue
-        if pending < 0:
-            pending = k
-            continue
-        a, b, one, other = amplitudes[pending], amplitudes[k], shapes[pending], shapes[k]
-        for i in range(len(surface)):
-            surface[i] += a * one[i] + b * other[i]
-        pending = -1
-    if pending >= 0:
-        a, one = amplitudes[pending], shapes[pending]
-        for i in range(len(surface)):
-            surface[i] += a * one[i]

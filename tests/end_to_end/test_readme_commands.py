@@ -27,10 +27,12 @@ RUN = {
     "softdeca head check head.npz": "",
     "softdeca head mesh head.npz --size 3 --out head.msh": "--size 12",
     "softdeca head show head.npz --expression jawOpen*0.5": "",
+    "softdeca view head.npz --parameters p.toml": "",
     "softdeca simulate take.csv --head head.npz --parameters p.toml --dynamic --format gltf --preview mp4": (
         "--frames 0:2"
     ),
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
+    "softdeca bench list": "",
     "softdeca simulate take.csv --head head.npz": "--frames 0:2 --out out/scan",
 }
 CORPUS = "test_corpus_command.py::test_a_corpus_from_plan_to_picture"
@@ -80,6 +82,8 @@ ELSEWHERE = {
     ),
     "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
     "softdeca bench unknowns": "test_bench_unknowns.py::test_one_solve_is_measured_and_drawn",
+    "softdeca bench split": "test_split.py::test_the_parts_of_an_error_and_their_check",
+    "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
     "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
@@ -180,5 +184,6 @@ def test_what_runs_here_ends_well(folder, command, monkeypatch):
         if line in RUN:
             ended = command(*shlex.split(line)[1:], *shlex.split(RUN[line]))
             assert ended.status == 0, (line, ended.errors, ended.out[-500:])
-    made = ("head.npz", "head.png", "head.msh", "layers", "out/head", "out/take/preview.mp4", "out/scan/preview.gif")
+    made = ("head.npz", "head.png", "head.msh", "layers", "out/head", "out/view.html")
+    made += ("out/take/preview.mp4", "out/scan/preview.gif")
     assert all((folder / name).exists() for name in made), sorted(str(p) for p in folder.rglob("*"))

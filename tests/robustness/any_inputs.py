@@ -24,7 +24,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from softdeca.benchmarks.study import parse_expression
 from softdeca.benchmarks.take import take_from_text
 from softdeca.cli.app import app
 from softdeca.cli.head import _counts
@@ -109,7 +108,7 @@ def any_values(data) -> None:
 @given(st.data())
 def any_texts(data) -> None:
     """What commands read from their words: expressions, takes, identities, counts."""
-    reads: list[Callable[[str], object]] = [parse_expression, identities.from_text, _counts, take_from_text]
+    reads: list[Callable[[str], object]] = [expressions.parsed, identities.from_text, _counts, take_from_text]
     read = data.draw(st.sampled_from(reads))
     part = st.sampled_from(
         ["jawOpen", "cheekPuff", "*", "+", ":", ",", "anny", "ict", "conversation", "speech", "nan", "1"]

@@ -19,9 +19,10 @@ from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.modal.faces import Faces
 from softdeca.surrogate.modal.features import STATIC, Features
 from softdeca.surrogate.modal.network import ModalConfig
-from softdeca.surrogate.modal.rig import Modal, add_combination
+from softdeca.surrogate.modal.rig import Modal
 from softdeca.surrogate.modal.training import ModalTraining, _Loop, train_modal
 from softdeca.surrogate.modal.weights import ModalWeights
+from softdeca.surrogate.rigs import add_combination
 from softdeca.surrogate.rivals.blendshapes import Blendshapes
 from softdeca.surrogate.rivals.linearised import Linearised
 from softdeca.surrogate.rivals.modal import ModalMethod
@@ -114,8 +115,7 @@ def test_run_time_equals_torch(faces):
     every = np.arange(N)
     expressions = np.random.default_rng(0).random((3, 52)).astype(np.float32)
     with torch.no_grad():
-        local, summary = loop._features([face], [p], every)
-        _, unmoved = loop._features([face], [modal.features.unmoved(p)], every)
+        local, summary, unmoved = loop._features([face], [p], every)
         settled, relaxed, responses, remainder = network.bases(local, summary, every, (0, 1, 2, 3))
         expected = [
             network.settled_amplitudes(summary, unmoved)[:, None] @ settled
