@@ -54,10 +54,13 @@ class Pulls:
         """Goals (n, 3) [mm] and weights (n,) up to 1.5 of a template at x (n, 3), of which the `drawn` (n,) take part.
 
         Matches count less the farther they are, and not at all from `limit` [mm] on; `turned` as in `Target.match`.
+        Where that is 0 the template's own matches draw alone: they lay it closest to the skin once it slides no more.
         """
         reached = Target(self.start.with_vertices(x), self.reached)
         closest, distance, weights = self.target.match(x, reached.normals, turned=turned)
         weights = weights * drawn * robust(distance, limit)
+        if turned == 0.0:
+            return closest, weights
         corners, shares, good = reached.located(self.points, self.normals, turned=turned)
         offsets = self.points - (shares[:, :, None] * x[corners]).sum(axis=1)
         counted = good * robust(np.linalg.norm(offsets, axis=1), limit) * drawn[corners].all(axis=1)

@@ -78,11 +78,11 @@ def test_pulls_draw_a_ball_to_the_one_around_it_and_leave_out_what_sees_no_sky()
     assert not pulls.visible[np.argmax(x[:, 2])] and pulls.visible[~dent].mean() > 0.95
     assert len(pulls.points) > 5000
     drawn = pulls.visible & ~dent
-    goals, weights = pulls.at(inner, drawn, 25.0, 0.0)
+    goals, weights = pulls.at(inner, drawn, 25.0, 5.0)
     assert np.abs(np.linalg.norm(goals[drawn & (weights > 0)], axis=1) - 100).max() < 2.0
     assert (weights[drawn] > 0).mean() > 0.95 and weights.max() <= 1.5 and not weights[dent].any()
     # Farther than the limit nothing is drawn, and stays where it is.
-    goals, weights = pulls.at(inner, drawn, 2.0, 0.0)
+    goals, weights = pulls.at(inner, drawn, 2.0, 5.0)
     assert not weights.any()
     np.testing.assert_array_equal(goals, inner)
 
