@@ -51,7 +51,7 @@ def head_pictures(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = No
     """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
     positions, skin = (head.vertices, head.skin) if pose is None else pose
     return {
-        "skin": views([(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices),
+        "skin": views([(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin),
         "layers": cut_away(head, positions=positions),
         "sections": sections(head, positions, skin),
         "fit": fit(head),

@@ -64,6 +64,39 @@ def shapes(identities: str, count: int, seed: int, workers: int, as_json: bool) 
 
 
 @bench.command()
+@click.option("--identities", default="anny", help="the one head with a rig: 'anny' (the default head) or 'ict:FILE'")
+@click.option("--upon", required=True, help="the other, as ict:FILE")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of a person of each, whose shapes are known")
+@click.option("--json", "as_json", is_flag=True, help="print every shape as JSON")
+def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
+    """How far registered points slide, and how near transferred shapes come to a head's own: some two minutes.
+
+    Points of the visible face are carried from each head to the other and back. Shapes, by cosine and mean distance:
+    of a random person by exact points, which is transfer's share; by registered ones; and of the other head, whose
+    artist had other shapes in mind.
+    """
+    from ..benchmarks.registrations import median, run_registrations
+    from ..lhm.identities import from_text
+
+    with shown() as progress:
+        results = run_registrations((from_text(identities), from_text(upon)), seed, progress)
+    if as_json:
+        click.echo(json.dumps(results, indent=1))
+        return 0
+    for row in results["slide"]:
+        figures = "  ".join(f"{key} {row[f'{key}_mm']:.3f}" for key in ("mean", "median", "p95"))
+        click.echo(f"{row['from']} to {row['upon']} and back [mm]: {figures}  ({row['points']} points)")
+    for group in results["shapes"]:
+        for what, rows in group["rows"].items():
+            cosine, mean = median(rows)
+            least = min(rows, key=lambda row: row["cosine"])
+            what = f"{group['from']} to {group['upon']}" if what == "another rig" else f"{group['from']}, {what}"
+            worst = f"least {least['cosine']:.3f} {least['shape']}"
+            click.echo(f"{what:<36} cosine, median {cosine:.4f}  {worst:<32} mean {mean:.3f} mm")
+    return 0
+
+
+@bench.command()
 @click.option("--identities", default="anny", help="whose heads: 'anny' (the default head) or 'ict:FILE'")
 @click.option("--count", default=1000, type=click.IntRange(min=1), help="how many random identities")
 @click.option("--sigma", default=2.5, type=float, help="largest coefficient of an identity, in standard deviations")

@@ -69,7 +69,7 @@ class WhichHead:
     @property
     def space(self) -> identities.LinearSpace:
         """The people that are named, or the default's."""
-        return identities.from_text(self.space_name or "anny")
+        return identities.from_text("anny" if self.space_name is None else self.space_name)
 
     def code(self, space: identities.LinearSpace) -> Floats:
         """The mean's code, or a random one's."""

@@ -75,6 +75,9 @@ ELSEWHERE = {
     "softdeca bench closures conversation:3 --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
     "softdeca bench heads --count 1000": "test_bench_heads.py::test_each_head_is_that_of_its_seed",
     "softdeca bench heads --count 2 --head own.npz": "test_bench_heads.py::test_the_gallery_shows_a_head_as_it_moves",
+    "softdeca bench registration --upon ict:ict_facekit.npz": (
+        "test_bench_registration.py::test_slides_and_shapes_are_measured_and_told"
+    ),
     "softdeca bench shapes": "test_shapes.py::test_full_weights_invert_no_soft_tissue",
     "softdeca bench depth --skin skin.ply --skull cranium.ply --skull mandible.ply": (
         "test_bench_depth.py::test_a_skull_deeper_than_predicted_by_so_much_gives_that_error"
