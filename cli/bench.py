@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -10,6 +11,8 @@ import click
 from ..lhm.errors import InputError
 from ..lhm.files.surface_file import MILLIMETRES
 from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Parameters
+from ..reference.parameter_file import read_parameters
 from .progress import shown
 from .study_command import Studies, changes, gate_line, listed
 from .written_file import FOLDER
@@ -243,6 +246,42 @@ def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_
     if not as_json:
         _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
+
+
+@bench.command()
+@click.argument("take", default="conversation:3")
+@click.option("--frames", "chosen", metavar="A:B", help="only these frames of TAKE, B left out")
+@click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p")
+@click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
+@click.option("--dynamic", is_flag=True, help="with inertia, simulated and by the surrogate")
+@click.option("--out", default="out/closures", type=FOLDER, help="folder of the curves")
+@click.option("--json", "as_json", is_flag=True, help="print the figures as JSON")
+def closures(
+    take: str, chosen: str | None, parameter_file: Path | None, level: int, dynamic: bool, out: Path, as_json: bool
+) -> int:
+    """How far lids and lips are apart over TAKE [mm]: blendshapes, PD and the surrogate: OUT/gaps.png, OUT/gaps.json.
+
+    On the mean of the default people; some minutes a hundred frames. Each row: the opening, the method, largest and
+    mean difference of its width from PD's, and the least width of both.
+    """
+    from ..benchmarks.closures import closures as run
+    from .take_options import taken
+
+    recorded = taken(take, None, chosen, False)
+    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
+    with shown() as progress:
+        rows, written = run(recorded, out, parameters, level=level, dynamic=dynamic, progress=progress)
+    if as_json:
+        click.echo(json.dumps([asdict(row) for row in rows], indent=1))
+        return 0
+    for row in rows:
+        off = f"largest {row.largest:.3f} mm, mean {row.mean:.3f} mm off"
+        click.echo(
+            f"{row.gap:<10} {row.method:<28} {off}; least {row.least:.2f} mm, simulated {row.least_simulated:.2f}"
+        )
+    for path in written:
+        click.echo(f"wrote {path}")
+    return 0
 
 
 @bench.command("ranks")

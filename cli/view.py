@@ -5,13 +5,11 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm import fit_head, identities, load_template
 from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import load_head
-from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.parameter_file import read_parameters
 from .progress import shown
+from .take_options import WhichHead
 from .written_file import HTML
 
 AFile = click.Path(path_type=Path)
@@ -29,35 +27,25 @@ def view(
 ) -> int:
     """Write a page that shows HEAD, by `head fit`, or one of --identities, with a slider for each expression.
 
-    By blendshapes, by the simulator to first order (any head), and by the surrogate (people of its space). It opens
-    in any browser with WebGL, from the file, and asks no network for anything.
+    By blendshapes, by the simulator to first order, and by the surrogate where the head has the triangles of its
+    people. It opens in any browser with WebGL, from the file, and asks no network for anything.
     """
-    from ..benchmarks.head_pictures import deltas_of
+    from ..benchmarks.animate import of_head
     from ..surrogate import Surrogate
     from ..viewer import Rig, face_page
 
-    if head_file is not None and seed is not None:
-        raise click.UsageError("HEAD and --seed both say which head; give one", click.get_current_context())
+    which = WhichHead(head_file, space_name, seed, None)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
-    rigs: list[Rig] = []
+    named = "default parameters" if parameter_file is None else parameter_file.name
     with shown() as progress:
-        progress("head", 0.0)
-        if head_file is not None:
-            title, head = head_file.stem, load_head(head_file)
-            shapes = deltas_of(head, str(head_file), space_name)
-        else:
-            space = identities.from_text(space_name or "anny")
-            title = f"{space.name}, {'the mean' if seed is None else f'seed {seed}'}"
-            template = load_template(space, level=DEFAULT_LEVEL, progress=progress)
-            code = np.zeros(space.code_size) if seed is None else space.sample(np.random.default_rng(seed))[0]
-            head, shapes = fit_head(template, space.skin(code)), space.expression_deltas(code)
-            surrogate = Surrogate.load()
-            if surrogate.space == space.name:
-                bound = surrogate.bind(head.skin, code, parameters, beyond="clamp")
-                rigs.append(Rig.baked("surrogate", bound))
-        progress("simulator", 0.3)
-        words = WORDS.format("default parameters" if parameter_file is None else parameter_file.name)
-        write_whole(out, face_page(title, words, head, parameters, shapes, rigs).encode())
+        head, shapes = which.head(progress)
+        rigs, surrogate = [], Surrogate.load()
+        if np.array_equal(head.skin.triangles, surrogate.weights.mean.triangles):
+            served = of_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
+            rigs.append(Rig.baked(f"surrogate: {served.method}", served.rig))
+        progress("page", 0.3)
+        title = which.space.name if head_file is None else head_file.stem
+        write_whole(out, face_page(title, WORDS.format(named), head, parameters, shapes, rigs).encode())
         progress("page", 1.0)
     click.echo(f"wrote {out}")
     return 0

@@ -44,13 +44,22 @@ def checked_weights(weights) -> Floats32:
     weights = np.asarray(weights, dtype=np.float32)
     if weights.shape != (EXPRESSIONS,):
         raise InputError(f"weights: expected the {EXPRESSIONS} of ARKit, got shape {weights.shape}")
+    if _within(weights):
+        return weights
     if not np.isfinite(weights).all():
         raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
     outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    if outside:
-        warnings.warn(f"{outside} of {EXPRESSIONS} weights outside [0, 1] were clipped", stacklevel=3)
-        weights = np.clip(weights, 0.0, 1.0)
-    return weights
+    warnings.warn(f"{outside} of {EXPRESSIONS} weights outside [0, 1] were clipped", stacklevel=3)
+    return np.clip(weights, 0.0, 1.0)
+
+
+@numba.njit(cache=True)
+def _within(weights):
+    """Whether all weights are in [0, 1], as those of nearly every frame are; False for NaN."""
+    for weight in weights:
+        if not 0.0 <= weight <= 1.0:
+            return False
+    return True
 
 
 def checked_blended(blended, shape: tuple[int, ...]) -> Floats32:
@@ -59,6 +68,15 @@ def checked_blended(blended, shape: tuple[int, ...]) -> Floats32:
     if blended.shape != shape or not np.isfinite(blended).all():
         raise InputError(f"blended: expected finite positions of shape {shape}, got {blended.shape}")
     return blended
+
+
+def checked_out(out: Floats32 | None, shape: tuple[int, ...]) -> Floats32:
+    """The array to write to, made where it is None; InputError for one of another shape or kind."""
+    if out is None:
+        return np.empty(shape, dtype=np.float32)
+    if out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise InputError(f"out: expected contiguous float32 of shape {shape}")
+    return out
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -42,7 +42,7 @@ class Rig:
     def baked(cls, name: str, bound: BoundSurrogate) -> Rig:
         """Of a bound surrogate."""
         rig = bound.bake()
-        return cls(name, rig.neutral, rig.targets, rig.mixing, bound.modes.remainder_of)
+        return cls(name, rig.neutral, rig.targets, rig.mixing, rig.remainder_of)
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,8 +87,8 @@ class _Lane:
     def end(self) -> None:
         """Kill the process: what it has done is written already."""
         if self._pool is not None:
-            for process in list((self._pool._processes or {}).values()):
-                os.kill(process.pid, signal.SIGKILL)
+            for pid in list(self._pool._processes or ()):
+                os.kill(pid, signal.SIGKILL)
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 

@@ -9,7 +9,7 @@ from ...reference import problems
 from ..gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from .solvers import asked
+from .asked import solvers_asked
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Hard(Study):
 
     def tasks(self) -> Sequence[Task]:
         """Each case by each solver, and element, that it is for."""
-        solvers = asked(self.solvers)
+        solvers = solvers_asked(self.solvers)
         return [task for task, (_, solver, _) in self._ways().items() if solver in solvers]
 
     def _ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:

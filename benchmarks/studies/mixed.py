@@ -10,12 +10,13 @@ from ...lhm import expressions
 from ...lhm.errors import InputError
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
-from ...lhm.template import DEFAULT_LEVEL, LEVELS
+from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Parameters, Scene, facial_scene, materials, neo_hookean_scene, prepare, terms
 from ..gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
 from ..throughput import default_head
+from .asked import check_person
 
 MEMORY_MB = 8000.0
 """What a solve on the default head may take."""
@@ -58,8 +59,9 @@ class Mixed(Study):
             expressions.parsed(text)
         for law in self.laws:
             _poisson(law)
-        if self.level not in LEVELS:
-            raise InputError(f"level: there are {', '.join(map(str, LEVELS))}, got {self.level}")
+        check_person(self.seed, self.level)
+        if not 0.0 < self.tolerance < 1.0:
+            raise InputError(f"tolerance: must lie between 0 and 1, got {self.tolerance}")
         return [Task(text, law) for text in self.expressions for law in self.laws]
 
     def measure(self, task: Task) -> Values:

@@ -24,6 +24,7 @@ from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
 from ..plots import png, pyplot
 from ..throughput import default_head
+from .asked import check_person
 
 EFFECTS: Mapping[str, Parameters] = {
     "defaults": Parameters(),
@@ -72,6 +73,7 @@ class Split(Study):
         """Each expression under each effect."""
         for text in self.expressions:
             expressions.parsed(text)
+        check_person(self.seed, self.level)
         for name in self.effects:
             if name not in EFFECTS:
                 raise InputError(f"effect {name!r}: there are {', '.join(EFFECTS)}")
@@ -84,14 +86,22 @@ class Split(Study):
         weights = expressions.parsed(task.case)
         shape = expressions.blend(space, code, weights)[0]
         scene = linear.face.scene(shape)
-        network = Surrogate.load().bind(head.skin, code, EFFECTS[task.method], beyond="clamp").frame(weights)
+        network = (
+            Surrogate.load()
+            .bind(head.skin, code, EFFECTS[task.method], beyond="clamp")
+            .frame(weights)
+            .astype(np.float64)
+        )
         trained, tight = (linear.solve(shape, accuracy=accuracy) for accuracy in (CorpusPlan.tolerance, TIGHT))
         if not (trained.converged and tight.converged):
             raise SoftdecaError(f"projective dynamics: {tight.reason}")
         same = _fem(scene, tight.positions, NEAR)
         hyperelastic = neo_hookean_scene(scene)
         neo = _fem(hyperelastic, tight.positions if tight.volume_ratio.min() > 0 else None, FEM_TOLERANCE)
-        skins = [network, *(_skin(head, linear, shape, x) for x in (trained.positions, tight.positions, neo))]
+        skins: list[Floats] = [
+            network,
+            *(_skin(head, linear, shape, x) for x in (trained.positions, tight.positions, neo)),
+        ]
         found = {"moved": _mean(skins[2] - shape), "fenicsx": float(np.abs(tight.positions - same).max())}
         if self.refined:
             skins.append(_skin(head, linear, shape, _fem(hyperelastic, neo, FEM_TOLERANCE, element="P2")))
@@ -148,8 +158,8 @@ def _prepared(seed: int, level: int, effect: str) -> Linearised:
     return linearised(neutral, accuracy=DIRECT)
 
 
-def _fem(scene: Scene, start: Floats | None, tolerance: float, **options: str) -> Floats:
-    solution = solve(scene, solver="fenicsx", start=start, tolerance=tolerance, **options)
+def _fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:
+    solution = solve(scene, solver="fenicsx", start=start, tolerance=tolerance, element=element)
     if not solution.converged:
         raise SoftdecaError(f"FEniCSx: {solution.reason}")
     return solution.positions

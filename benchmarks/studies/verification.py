@@ -9,7 +9,7 @@ from ...reference import problems
 from ..gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from .solvers import asked
+from .asked import solvers_asked
 
 Outcomes = Callable[[], Sequence[problems.Outcome]]
 
@@ -36,7 +36,7 @@ class Verification(Study):
 
     def tasks(self) -> Sequence[Task]:
         """Each problem by each solver."""
-        solvers = asked(self.solvers)
+        solvers = solvers_asked(self.solvers)
         posed = (*problems.ALL, *problems.FINE) if self.fine else problems.ALL
         found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
         return found + [Task(name, "fenicsx") for name in (_fine() if self.fine and "fenicsx" in solvers else ())]

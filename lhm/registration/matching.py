@@ -15,6 +15,9 @@ SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towar
 class Target:
     """A skin that points are matched with; it may be open and of any topology. `like`: one of the same triangles."""
 
+    tree: TriangleTree
+    rim: NDArray[np.bool_]
+
     def __init__(self, skin: Surface, like: Target | None = None):
         self.skin = skin
         self.normals = skin.vertex_normals

@@ -93,6 +93,18 @@ class Faces:
             responses=row["expressions"],
         )
 
+    def skin(self, identity: int) -> Surface:
+        """A person's neutral skin [mm]."""
+        return self._responses.skin(identity)
+
+    def shapes(self, identity: int) -> np.ndarray:
+        """What each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
+        return self._responses.shapes(identity)
+
+    def moved(self, index: int) -> list[float]:
+        """By how much simulation moves the face in each of a face's static frames: 95 % of |T - S| [mm]."""
+        return [float(self._statics.small(int(row), "moved")[1]) for row in self.frames_of[index]]
+
     def frames(self, index: int, chosen: Ints | None = None) -> Frames:
         """A face's accepted static frames, or those of the given numbers."""
         rows = self.frames_of[index] if chosen is None else self.frames_of[index][chosen]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 
 from ...lhm.mesh import Floats, Floats32
@@ -81,6 +82,20 @@ class Remainder:
         rest = made(np.zeros(52, dtype=np.float32))
         return replace(made, rest=rest)
 
+    @classmethod
+    def none(cls) -> Remainder:
+        """That of a rig without modes."""
+        inner, outer = np.zeros((52, 1), dtype=np.float32), np.zeros((52, 0), dtype=np.float32)
+        one = inner[0]
+        return cls(inner, one, inner[:1], one, outer[:1], outer, outer[0])
+
+    def of_one(self, weights: Floats32, amplitudes: Floats32) -> None:
+        """Write the amplitudes (k,) of one expression (52,): what a frame calls."""
+        _one(
+            weights, self.inner, self.inner_bias, self.middle, self.middle_bias, self.outer, self.linear, self.rest,
+            amplitudes,
+        )  # fmt: skip
+
     def __call__(self, weights: Floats32) -> Floats32:
         """Amplitudes (..., k) of weights (..., 52)."""
         hidden = _silu(_silu(weights @ self.inner + self.inner_bias) @ self.middle + self.middle_bias)
@@ -128,3 +143,24 @@ def _linear(network, layer: str, values):
 
 def _silu(values):
     return values / (1.0 + np.exp(-values))
+
+
+@numba.njit(cache=True, fastmath=True)
+def _one(weights, inner, inner_bias, middle, middle_bias, outer, linear, rest, amplitudes):
+    """`Remainder.__call__` of one expression, whose weights of zero cost nothing."""
+    first, second = inner_bias.copy(), middle_bias.copy()
+    amplitudes[:] = -rest
+    for i in range(len(weights)):
+        if weights[i] != 0.0:
+            for j in range(len(first)):
+                first[j] += weights[i] * inner[i, j]
+            for j in range(len(amplitudes)):
+                amplitudes[j] += weights[i] * linear[i, j]
+    for i in range(len(first)):
+        active = first[i] / (np.float32(1.0) + np.exp(-first[i]))
+        for j in range(len(second)):
+            second[j] += active * middle[i, j]
+    for i in range(len(second)):
+        active = second[i] / (np.float32(1.0) + np.exp(-second[i]))
+        for j in range(len(amplitudes)):
+            amplitudes[j] += active * outer[i, j]
