@@ -18,7 +18,7 @@ from ..surrogate.corpus.people import people_of
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import Split
 from ..surrogate.evaluate import Score, evaluate
-from ..surrogate.evaluate_dynamic import evaluate_dynamic
+from ..surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ..surrogate.evaluate_references import evaluate_references
 from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals import Method
@@ -68,17 +68,20 @@ def compare(
         Linearised(responses=False),
         Blendshapes(),
     ]
+    content = read_manifest(corpus)["content"]
     scores = evaluate(ready, test, on_progress=progress)
     if rivals:
         # torch, which these need, is an extra.
         from ..surrogate.rivals.face_wise import FaceWise
+        from ..surrogate.rivals.snp import SubspacePhysics
         from ..surrogate.rivals.softsmpl import SoftSMPL
         from ..surrogate.rivals.vertices_only import VerticesOnly
 
         learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")]
         learning += [SoftSMPL("small"), SoftSMPL("large"), VerticesOnly(), FaceWise()]
         scores += evaluate(learning, test, Faces(corpus, "train", partial=partial), on_progress=progress)
-    content = read_manifest(corpus)["content"]
+        if content["sequences"]:
+            scores.append(evaluate_sequences(SubspacePhysics(), corpus, partial=partial, on_progress=progress))
     known = network.weights.looseness
     if content["sequences"] and known is not None:
         scores += evaluate_dynamic(ready, corpus, "test", known, partial=partial, on_progress=progress)

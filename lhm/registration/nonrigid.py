@@ -19,7 +19,7 @@ from .pulls import Pulls
 STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
 TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
 """[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
-STEPS = 6
+STEPS = np.where(TURNED > 0, 10, 4)
 LATE = 8  # From this stage on matches are taken from lips and lids that cross.
 REPAIRS = 8
 LANDMARK, FADES = 5.0, 20.0
@@ -51,7 +51,7 @@ def laid_onto(
     for stage in range(len(STIFFNESSES) + REPAIRS):
         repair = stage - len(STIFFNESSES) + 1
         which = min(stage, len(STIFFNESSES) - 1)
-        for _ in range(STEPS):
+        for _ in range(STEPS[which]):
             goals, weights = pulls.at(x, drawn, LIMITS[which], TURNED[which])
             x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))

@@ -10,8 +10,9 @@ from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.corpus.reading import Table
 from softdeca.surrogate.evaluate import evaluate
-from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic
+from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
 from softdeca.surrogate.modal.faces import Faces
 from softdeca.surrogate.modal.looseness import Looseness
@@ -47,6 +48,23 @@ def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
     # These spheres are loose everywhere: without inertia the same answers are far off.
     assert own.mean < 0.2 * found["linearised simulator", STILL].mean
     assert own.share < 0.2 and found["blendshapes (T = S)", STILL].share == pytest.approx(1.0)
+
+
+def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
+    pytest.importorskip("torch")
+    from softdeca.surrogate.rivals.snp import SubspacePhysics
+
+    score = evaluate_sequences(SubspacePhysics(steps=5), corpus)
+    assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
+    # Nine people tell little of a tenth; what it was shown it has learned.
+    train = Table(corpus, "sequences", "train")
+    method = SubspacePhysics(steps=150)
+    method.fit(train)
+    row = dict(train[0])
+    assert np.abs(method.play(row) - row["corrected"]).mean() < 0.3 * np.abs(row["corrected"]).mean()
+    before = method.play(row)
+    row["corrected"] = 0.0 * row["corrected"]  # what it has to find it does not see
+    np.testing.assert_array_equal(before, method.play(row))
 
 
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
