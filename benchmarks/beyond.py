@@ -25,7 +25,7 @@ CASES = (
 EXPRESSIONS = ({"jawOpen": 0.7}, {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8}, {"mouthPucker": 0.8, "jawOpen": 0.2})
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Named:
     name: str
     simulates: bool = False
