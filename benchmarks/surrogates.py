@@ -30,6 +30,7 @@ from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
 from ..surrogate.surface_hash import surface_hash
 from . import plots
+from .beyond import beyond
 from .breakeven import Breakeven, breakeven
 from .surrogate_frames import frames_png
 
@@ -55,7 +56,7 @@ def compare(
     On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
     FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL. On so many of the test
     faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs people whose heads
-    can be fitted.
+    can be fitted, and the default people's network on parameters that it has not seen.
     """
     network = Surrogate.load(surrogate)
     test = _faces(corpus, "test", partial, network)
@@ -91,6 +92,7 @@ def compare(
         scores += [replace(score, kind=EXTERNAL) for score in others if score.kind == "all"]
     if simulated:
         scores += _beside_simulation(ready, test, simulated, progress)
+        scores += beyond(network, progress) if network.space == "anny" else []
     paid = breakeven(corpus, network.weights.note, scores[0])
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:

@@ -105,7 +105,7 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     "--simulated",
     type=click.IntRange(0),
     default=0,
-    help="faces on which rivals that simulate are run, too: minutes each",
+    help="faces on which rivals that simulate run, too, and unseen parameters: minutes",
 )
 @click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
 @click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
@@ -149,7 +149,7 @@ def evaluate(
         if (
             score.kind in ("all", "dynamic", "external")
             or score.kind.startswith("against")
-            or score.kind.endswith("faces")
+            or score.kind.endswith(("faces", "clamped"))
         ):
             figures = f"mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"
             click.echo(f"{score.method:<36} {score.kind:<32} {figures}")

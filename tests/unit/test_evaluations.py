@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from softdeca.benchmarks import beyond as unseen
 from softdeca.benchmarks.breakeven import breakeven
+from softdeca.lhm.progress import silent
+from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
@@ -97,3 +100,11 @@ def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
         "PD, 1 iteration a frame",
         "PD, 200 iterations a frame",
     ]
+
+
+def test_clamped_parameters_are_scored_beside_simulation(monkeypatch):
+    monkeypatch.setattr(unseen, "CASES", unseen.CASES[1:2])
+    monkeypatch.setattr(unseen, "EXPRESSIONS", unseen.EXPRESSIONS[:1])
+    own, nothing = unseen.beyond(Surrogate.load(), silent, level=1)
+    assert own.kind == nothing.kind == unseen.KIND and nothing.share == pytest.approx(1.0)
+    assert own.frames == 1 and own.share < 1.0

@@ -23,6 +23,7 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.evaluate import VARYING, evaluate
 from softdeca.surrogate.modal.faces import Faces
 from softdeca.surrogate.modal.features import STATIC, Features
+from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.network import ModalConfig
 from softdeca.surrogate.modal.rig import Modal
 from softdeca.surrogate.modal.training import ModalTraining, _Loop, train_modal
@@ -364,6 +365,22 @@ def test_files_that_are_no_weights_are_named(weights, tmp_path):
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(InputError, match="no weights of softdeca"):
         ModalWeights.load(path)
+
+
+def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
+    with pytest.raises(InputError, match="dynamic: the weights do not tell where faces are loose"):
+        bound(surrogate).dynamic()
+    known = Looseness.of(OfSpace(SPACE, SPACE.mean, SPACE.fit), count=8)
+    path = tmp_path / "modal.safetensors"
+    replace(weights, looseness=known).save(path)
+    rig = bound(Surrogate.load(path), parameters=Parameters(frequency=3.0))
+    assert rig.swing.loose == pytest.approx(np.ones(N), abs=1e-3) and (rig.swing.frequency == 3.0).all()
+    moving = rig.dynamic()
+    moving.frame(np.zeros(52))
+    assert 0.0 < np.abs(moving.frame(np.full(52, 0.1)) - rig.frame(np.full(52, 0.1))).max()
+    replace(weights, looseness=replace(known, shares=known.shares[:, 1:])).save(path)
+    with pytest.raises(InputError, match="damaged.*looseness of shape"):
+        Surrogate.load(path)
 
 
 def test_combinations_leave_out_what_is_zero():
