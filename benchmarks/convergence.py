@@ -28,7 +28,6 @@ from .convergence_report import page
 from .differences import difference
 from .gates import at_most
 from .richardson import limit_of_three, limit_of_two
-from .study import parse_expression
 from .throughput import default_head
 
 THREE = ("jawOpen*0.5", "mouthSmileLeft+mouthSmileRight", "cheekPuff+mouthPucker*0.5")
@@ -59,7 +58,7 @@ class ConvergenceConfig:
         if not self.expressions:
             raise InputError("expressions: there is none")
         for text in self.expressions:
-            parse_expression(text)
+            expressions.parsed(text)
 
 
 def run_convergence(config: ConvergenceConfig, progress: OnProgress) -> dict:
@@ -71,7 +70,7 @@ def run_convergence(config: ConvergenceConfig, progress: OnProgress) -> dict:
         begin = time.perf_counter()
         progress("convergence: the head", 0.0)
         space, code, head = default_head(config.seed)
-        shapes = expressions.blend(space, code, np.array([parse_expression(text) for text in config.expressions]))
+        shapes = expressions.blend(space, code, np.array([expressions.parsed(text) for text in config.expressions]))
         targets = dict(zip(config.expressions, shapes, strict=True))
         results = {
             "title": f"discretisation error of the mesh of a head of {space.name}, seed {config.seed}",

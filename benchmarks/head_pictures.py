@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, facial_scene, solve
 from .pictures import MUSCLE, SOFT, VIEW, coloured, cut_away, views
-from .plots import pyplot
+from .plots import png, pyplot
 
 FRONT, SIDE = (0.0, 0.05, 1.0), (1.0, 0.05, 0.15)
 VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
@@ -52,7 +51,7 @@ def head_pictures(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = No
     """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
     positions, skin = (head.vertices, head.skin) if pose is None else pose
     return {
-        "skin": views([(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices),
+        "skin": views([(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin),
         "layers": cut_away(head, positions=positions),
         "sections": sections(head, positions, skin),
         "fit": fit(head),
@@ -93,7 +92,7 @@ def sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
         axis.grid(alpha=0.25)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncol=3, frameon=False)
     figure.tight_layout(rect=(0, 0.05, 1, 1))
-    return _png(plt, figure)
+    return png(plt, figure)
 
 
 def _polygons(pieces: Sequence[Floats], colour: str, label: str):
@@ -169,10 +168,3 @@ def quality(head: LayeredHead) -> bytes:
         limits=(float(angles[worst[0]]), float(angles[worst[-1]])),
         points=(points, angles[worst]),
     )
-
-
-def _png(plt, figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    plt.close(figure)
-    return buffer.getvalue()

@@ -20,6 +20,7 @@ from ..lhm.files.atomic import write_whole
 from ..lhm.files.head_file import load_head
 from ..lhm.identities.space import CLIP, LinearSpace
 from ..lhm.progress import OnProgress
+from ..lhm.template import DEFAULT_LEVEL
 from ..surrogate.schedule import results_of, schedule
 from . import machine
 from .head_rows import HeadRows
@@ -34,7 +35,8 @@ class HeadsConfig:
     """Which heads: `count` identities of seeds `seed`, `seed` + 1, ... in a space ('anny' or 'ict:FILE').
 
     `sigma` is the largest coefficient of a code: a sample, which is clipped at 2.5, is scaled by sigma / 2.5.
-    `gallery`: how many of them, and `own`, files of other heads, are simulated and drawn in the report.
+    `level` is the template's. `gallery`: how many of them, and `own`, files of other heads, are simulated and drawn
+    in the report.
     Raises InputError for a value outside its range.
     """
 
@@ -46,6 +48,7 @@ class HeadsConfig:
     out: Path = Path("out/heads")
     gallery: int = 0
     own: tuple[Path, ...] = ()
+    level: int = DEFAULT_LEVEL
 
     def __post_init__(self):
         for name, least in (("count", 1), ("seed", 0), ("workers", 1), ("gallery", 0)):
@@ -75,7 +78,7 @@ def run_heads(config: HeadsConfig, progress: OnProgress) -> dict:
     own = [(str(path), load_head(path)) for path in config.own]
     with alone_in(config.out, "campaign"):
         space = identities.from_text(config.identities)
-        template = load_template(space, progress=progress)
+        template = load_template(space, level=config.level, progress=progress)
         campaign = {
             "identities": space.name,
             "space": _space_digest(space),

@@ -51,5 +51,5 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
         panels.append(Panel(pose, skin.with_vertices(moved)))
         figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
         figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
-    faces = strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices)
+    faces = strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
     return Shown(name, figures, faces, cut_away(head, size=SIZE))

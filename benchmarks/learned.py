@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from ..surrogate import Surrogate
 from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import PRESETS
-from ..surrogate.evaluate import Score, evaluate
+from ..surrogate.evaluate import evaluate
 from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals import Method
 from ..surrogate.rivals.blendshapes import Blendshapes
@@ -22,7 +21,6 @@ from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.schedule import processors, schedule
 
 PLAN = PRESETS["study"]
-METHODS = ("network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)")
 
 
 def tested(surrogate: Surrogate, space, template, folder: Path, progress: OnProgress) -> dict:
@@ -39,7 +37,7 @@ def tested(surrogate: Surrogate, space, template, folder: Path, progress: OnProg
         "faces": len(faces),
         "frames": overall["network"].frames,
         "scores": [asdict(score) for score in scores],
-        "network_gain": _gain(overall, "network"),
+        "network_gain": overall["blendshapes (T = S)"].mean / overall["network"].mean,
         "hybrid_gain": overall["linearised simulator"].mean / overall["network + simulator at bind"].mean,
         "rejected": [
             {"identity": r.identity, "frame": r.row, "reason": r.reason}
@@ -48,7 +46,3 @@ def tested(surrogate: Surrogate, space, template, folder: Path, progress: OnProg
         ],
         "note": asdict(weights.note),
     }
-
-
-def _gain(overall: Mapping[str, Score], method: str) -> float:
-    return overall["blendshapes (T = S)"].mean / overall[method].mean

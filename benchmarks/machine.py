@@ -17,7 +17,7 @@ def describe() -> dict:
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "load": round(os.getloadavg()[0], 2),
+        "load": load(),
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},
@@ -25,6 +25,11 @@ def describe() -> dict:
         "dtype": "float64",
         "threads": int(os.environ.get("OMP_NUM_THREADS", "0")) or "default",
     }
+
+
+def load() -> float:
+    """Processes that ran, on average over the last minute."""
+    return round(os.getloadavg()[0], 2)
 
 
 def _processor() -> str:

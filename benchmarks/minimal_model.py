@@ -19,7 +19,6 @@ from ..reference.sequence import Sequence
 from .apart import apart
 from .costs import megabytes, timed
 from .differences import distances
-from .study import parse_expression
 from .throughput import RATE, default_head
 from .traces import Stopwatch
 
@@ -95,7 +94,7 @@ def lower_face(head: LayeredHead) -> np.ndarray:
 def measure_minimal(names: Collection[str], tell: Callable[[str], None]) -> dict:
     """A row per piece: cost with and without it, and the distance of the skins [mm] over the expressions."""
     space, code, head = default_head()
-    targets = [expressions.blend(space, code, parse_expression(name))[0] for name in names]
+    targets = [expressions.blend(space, code, expressions.parsed(name))[0] for name in names]
     found = {}
     for name, variant in VARIANTS.items():
         tell(f"minimal model: {name}")

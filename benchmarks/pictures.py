@@ -6,13 +6,16 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..lhm.geometry.closing import closed
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Ints, Surface
+from .shading import INSIDE, SKIN, shades
 
-SKIN = "#d8a48f"
 SOFT = "#e9c46a"
 MUSCLE = "#b5413b"
 BONE = "#e8e4d8"
@@ -62,6 +65,22 @@ def _look(plotter, centre: Floats, height: float, view: Sequence[float]):
     plotter.reset_camera_clipping_range()
 
 
+def _behind(plotter, surface: Surface):
+    """Add a surface's reverse to a plotter, dark and with its openings closed, and return the mesh.
+
+    It is what is seen through an open mouth without a lining.
+    """
+    whole = closed(surface)
+    mesh = _poly(_pyvista(), whole.vertices, whole.triangles)
+    plotter.add_mesh(mesh, color=INSIDE, lighting=False, culling="front", reset_camera=False)
+    return mesh
+
+
+def _skin(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
+    """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
+    return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
+
+
 def _png(plotter) -> bytes:
     buffer = io.BytesIO()
     plotter.screenshot(buffer)
@@ -70,13 +89,20 @@ def _png(plotter) -> bytes:
 
 
 def strip(
-    panels: Sequence[Panel], *, view: Sequence[float] = VIEW, size: int = 340, framed: Floats | None = None
+    panels: Sequence[Panel],
+    *,
+    view: Sequence[float] = VIEW,
+    size: int = 340,
+    framed: Floats | None = None,
+    rest: Surface | None = None,
 ) -> bytes:
     """Panels side by side at one scale, with a colour bar under each coloured one.
 
-    The picture is as high as the points `framed` [mm], shape (k, 3), by default all of the first surface's.
+    The picture is as high as the points `framed` [mm], shape (k, 3), by default all of the first surface's. What is
+    hidden in `rest`, the head at rest, is drawn dark.
     """
     pyvista = _pyvista()
+    colours = None if rest is None else shades(rest)
     plotter = pyvista.Plotter(
         off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
     )
@@ -86,7 +112,9 @@ def strip(
         plotter.subplot(0, column)
         mesh = _poly(pyvista, panel.surface.vertices, panel.surface.triangles)
         if panel.values is None:
-            plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
+            plotter.add_mesh(mesh, **_skin(colours), smooth_shading=True, specular=0.15)
+            if colours is not None:
+                _behind(plotter, panel.surface)
         else:
             bar = {
                 "title": f"mm, {column + 1}",
@@ -152,13 +180,18 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
 
 
 def views(
-    panels: Sequence[tuple[str, Surface, Sequence[float]]], *, size: int = 520, framed: Floats | None = None
+    panels: Sequence[tuple[str, Surface, Sequence[float]]],
+    *,
+    size: int = 520,
+    framed: Floats | None = None,
+    rest: Surface | None = None,
 ) -> bytes:
     """Surfaces side by side at one scale, (caption, surface, view): light skin seen from these directions.
 
-    The picture is as high as the points `framed` [mm], shape (k, 3), by default all of the first surface's.
+    `framed` and `rest` as in `strip`.
     """
     pyvista = _pyvista()
+    colours = None if rest is None else shades(rest)
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
     x = panels[0][1].vertices if framed is None else framed
@@ -167,7 +200,9 @@ def views(
         plotter.subplot(0, column)
         mesh = _poly(pyvista, surface.vertices, surface.triangles)
         mesh.point_data.active_normals = surface.vertex_normals
-        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.1, specular_power=8, ambient=0.12)
+        actor = plotter.add_mesh(mesh, **_skin(colours), specular=0.1, specular_power=8, ambient=0.12)
+        if colours is not None:
+            _behind(plotter, surface)
         actor.prop.interpolation = "Phong"
         plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
         _look(plotter, centre, height, view)

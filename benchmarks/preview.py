@@ -12,8 +12,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..lhm.errors import InputError, MissingDependencyError
 from ..lhm.files.atomic import replaced
+from ..lhm.geometry.closing import closed
 from ..lhm.mesh import Floats, Surface
-from .pictures import SKIN, _look, _poly, _pyvista
+from .pictures import _behind, _look, _poly, _pyvista, _skin
+from .shading import shades
 
 Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
@@ -42,7 +44,7 @@ def pictures_of(
     """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3).
 
     The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
-    all of the skin.
+    all of the skin. What is hidden in `neutral` is drawn dark.
     """
     pyvista = _pyvista()
     rows = 2 * (23 * size // 40)
@@ -54,18 +56,20 @@ def pictures_of(
     _look(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * size / rows * right / np.linalg.norm(right)
-    meshes = []
+    meshes, colours = [], shades(neutral)
+    how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12, "reset_camera": False}
     for offset in (-aside, aside):
         mesh = _poly(pyvista, neutral.vertices + offset, neutral.triangles)
         mesh.point_data.active_normals = neutral.vertex_normals
-        actor = plotter.add_mesh(mesh, color=SKIN, specular=0.1, specular_power=8, ambient=0.12, reset_camera=False)
+        actor = plotter.add_mesh(mesh, **_skin(colours), **how)
         actor.prop.interpolation = "Phong"
-        meshes.append((mesh, offset))
+        meshes.append((mesh, _behind(plotter, neutral.with_vertices(neutral.vertices + offset)), offset))
     plotter.reset_camera_clipping_range()
     for pair in pairs:
-        for (mesh, offset), vertices in zip(meshes, pair, strict=True):
-            mesh.points = np.asarray(vertices + offset)
-            mesh.point_data.active_normals = neutral.with_vertices(vertices).vertex_normals
+        for (mesh, reverse, offset), vertices in zip(meshes, pair, strict=True):
+            moved = neutral.with_vertices(vertices + offset)
+            mesh.points, reverse.points = moved.vertices, closed(moved).vertices
+            mesh.point_data.active_normals = moved.vertex_normals
         plotter.render()
         yield _captioned(np.asarray(plotter.screenshot(None, return_img=True)), captions)
     plotter.close()

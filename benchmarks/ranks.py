@@ -27,7 +27,6 @@ from ..lhm.progress import OnProgress
 from ..reference import Parameters, Scene, facial_scene, neo_hookean_scene, ranks
 from . import machine
 from .gates import at_most
-from .study import parse_expression
 from .throughput import default_head
 
 PHASES = ("prepare", "energy", "gradient", "hessian", "first_solve", "next_solve", "whole")
@@ -55,7 +54,7 @@ class RanksConfig:
     def __post_init__(self):
         if not self.counts or self.counts[0] != 1 or min(self.counts) < 1:
             raise InputError(f"counts of processes: expected 1 and others, got {self.counts}")
-        parse_expression(self.expression)
+        expressions.parsed(self.expression)
 
 
 def run_ranks(config: RanksConfig, progress: OnProgress) -> dict:
@@ -65,7 +64,7 @@ def run_ranks(config: RanksConfig, progress: OnProgress) -> dict:
     """
     progress("ranks: the head", 0.0)
     space, code, head = default_head(level=config.level)
-    targets = expressions.blend(space, code, parse_expression(config.expression))[0]
+    targets = expressions.blend(space, code, expressions.parsed(config.expression))[0]
     scene = facial_scene(head, Parameters(), targets, bones="prescribed")
     scenes = dict(zip(ENERGIES, (neo_hookean_scene(scene), scene), strict=True))
     return compare(scenes, config, progress)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..lhm import LayeredHead
+from ..lhm.head import FREE
 from ..lhm.mesh import Floats
 from ..reference import (
     Parameters,
@@ -107,8 +108,14 @@ class Release:
 
     @property
     def passive(self) -> Scene:
-        """The scene without the springs of the expression: tissue on its bones."""
-        return replace(self.scene, terms=tuple(t for t in self.scene.terms if not isinstance(t, terms.Target)))
+        """The scene without the springs of the expression: tissue on its bones, and on the lining of mouth and lids.
+
+        The lining has no bone behind it, and is held where it is: else it would hang 15 cm deep under 1 g.
+        """
+        lining = 2 * len(self.head.bone) + np.flatnonzero(self.head.bone == FREE)
+        held = terms.Fixed(lining, self.scene.vertices[lining])
+        springless = tuple(t for t in self.scene.terms if not isinstance(t, terms.Target))
+        return replace(self.scene, terms=(*springless, held))
 
     def motion(self, positions: Floats, start: Floats | None = None) -> Floats:
         """How much of the skin wrap's displacement at the start is left, shape (k,), of positions (k, n, 3) [mm]."""

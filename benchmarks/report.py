@@ -12,21 +12,23 @@ from markupsafe import Markup
 from . import plots
 
 
-def page(results: Mapping, pictures: Mapping[str, bytes]) -> str:
-    """The report of one study; pictures are PNG, by name."""
+def page(results: Mapping, pictures: Mapping[str, bytes], view: str) -> str:
+    """The report of one study; pictures are PNG, by name; `view` is the page of the head in 3D, which it holds."""
     cases = results["cases"]
     form = [case["skin"]["PD to neo-Hookean"]["mean"] for case in cases]
     return rendered(
         "report.html",
         results,
+        view=view,
         pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
         agreement=max(case["comparisons"]["PD to FEniCSx, same energy"]["relative"] for case in cases),
         model_form={"min": min(form), "max": max(form)},
+        two_minima=[(case["name"], case["another_minimum_mm"]) for case in cases if case["another_minimum_mm"]],
         failed=[gate["what"] for gate in results["gates"] if not gate["passed"]],
         work_precision=plots.work_precision(cases),
         surrogate_errors=_surrogate_errors(results["surrogate"]),
         gate_rows=[(g["what"], g["value"], g["bound"], g["passed"]) for g in results["gates"]],
-        head_rows=list(results["head"].items()),
+        head_rows=[(row["figure"], row["value"], row["unit"], row["limit"]) for row in results["head"]],
         verification_rows=[
             (r["problem"], r["solver"], r["value"], r["reference"], r["error"], r["bound"], r["passed"])
             for r in results["verification"]

@@ -12,7 +12,6 @@ from ..reference import Parameters, facial_scene, projective
 from .apart import apart, peak_megabytes
 from .costs import megabytes
 from .floor import factor_bytes
-from .study import parse_expression
 from .throughput import REFERENCE, default_head
 from .traces import ACCURACY, Stopwatch, traced_to_itself
 
@@ -31,7 +30,7 @@ def measure_scaling(levels: Collection[int], expression: str, tell: Callable[[st
 def measure_level(level: int, expression: str) -> dict:
     """Cost of a cold frame to 0.01 mm on the default head of a level; to be called in a process of its own."""
     space, code, head = default_head(level=level)
-    targets = expressions.blend(space, code, parse_expression(expression))[0]
+    targets = expressions.blend(space, code, expressions.parsed(expression))[0]
     make = partial(facial_scene, head, Parameters(), targets)
     held = megabytes(make)
     peak = peak_megabytes()

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from ..lhm import check_head, expressions, fit_head, identities, load_template
-from ..lhm.errors import InputError
 from ..lhm.files.alone import alone_in
 from ..lhm.files.atomic import replaced
 from ..lhm.head import LayeredHead
@@ -22,13 +21,17 @@ from ..lhm.progress import OnProgress
 from ..reference import Parameters, facial_scene
 from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
+from ..viewer import Pose, Rig, face_page
 from . import learned, machine
 from .cases import Case, CaseResult, run_case, warm_up
 from .differences import difference, distances
 from .gates import gates
+from .harness import run
 from .pictures import Panel, cut_away, strip
 from .report import page
-from .verification import verify
+from .studies.verification import Verification
+
+VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
 
 
 @dataclass(frozen=True)
@@ -53,28 +56,9 @@ class StudyConfig:
     surrogate: Path | None = None
 
 
-def parse_expression(text: str) -> Floats:
-    """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
-    named: dict[str, float] = {}
-    for part in text.split("+"):
-        name, star, factor = (piece.strip() for piece in part.partition("*"))
-        if not name:
-            raise InputError(f"expression {text!r}: a name is missing; expected as 'jawOpen*0.5+cheekPuff'")
-        try:
-            weight = float(factor) if star else 1.0
-        except ValueError:
-            raise InputError(f"expression {text!r}: {factor!r} is no number") from None
-        if not 0.0 <= weight <= 1.0:
-            raise InputError(f"expression {text!r}: the weight of {name} is {weight:g}, outside [0, 1]")
-        if name in named:
-            raise InputError(f"expression {text!r}: {name} appears twice")
-        named[name] = weight
-    return expressions.weights_of(named)
-
-
 def run_study(config: StudyConfig, progress: OnProgress) -> dict:
     """Run all of it; write results.json, PNG pictures and index.html into config.out; return the results."""
-    cases = [Case(text, parse_expression(text), Parameters()) for text in config.expressions]
+    cases = [Case(text, expressions.parsed(text), Parameters()) for text in config.expressions]
     cases.append(Case(f"gravity {config.gravity:g} g", np.zeros(52), Parameters(gravity=config.gravity)))
     space = identities.from_text(config.identities)
     network = _network(config, space)
@@ -103,7 +87,7 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
     clock.lap("scenes")
     scene = facial_scene(head, cases[0].parameters, shapes[0])
     local_step = local_step_seconds(prepare(scene), repeats=30)
-    verification = verify(progress)
+    verified = run(Verification(), config.out / "verification", progress=progress)
     clock.lap("verification")
     tested, skins = None, []
     if network is not None:
@@ -118,11 +102,15 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
         "title": f"projective dynamics, FEniCSx and a surrogate on one head ({space.name})",
         "identities": space.name,
         "machine": machine.describe(),
-        "head": asdict(check_head(head)),
+        "head": [
+            {"figure": figure.words, "value": figure.value, "unit": figure.unit, "limit": figure.limit}
+            for figure in check_head(head).figures
+        ],
         "cases": [result.record for result in done],
         "tets": len(head.tets),
         "local_step_ms": 1e3 * local_step,
-        "verification": verification,
+        "verification": [values for row in verified.rows if row.done for values in row.values["outcomes"]],
+        "unverified": [f"{row.case}, {row.method}: {row.reason}" for row in verified.rows if row.status == "failed"],
         "surrogate": tested,
         "seconds": clock.laps,
     }
@@ -131,8 +119,9 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
     clock.lap("pictures")
     with replaced(config.out / "results.json") as path:
         path.write_text(json.dumps(_finite(results), indent=1, allow_nan=False))
+    view = _view(results["title"], space, head, cases, done, network)
     with replaced(config.out / "index.html") as path:
-        path.write_text(page(results, images))
+        path.write_text(page(results, images, view))
     return results
 
 
@@ -177,6 +166,22 @@ def _median_ms(step: Callable[[], object], repeats: int = 50) -> float:
         step()
         times.append(time.perf_counter() - begin)
     return 1e3 * float(np.median(times))
+
+
+def _view(
+    title: str, space, head: LayeredHead, cases: Sequence[Case], done: Sequence[CaseResult], network: Surrogate | None
+) -> str:
+    """The head in 3D, with what each solver makes of the expressions under the default parameters."""
+    parameters, code = Parameters(), np.zeros(space.code_size)
+    shapes, rigs = space.expression_deltas(code), []
+    if network is not None:
+        rigs.append(Rig.baked("surrogate", network.bind(head.skin, code, parameters, expressions=shapes)))
+    poses = [
+        Pose(case.name, case.weights, {"PD": found.pd_skin, "FEniCSx, neo-Hookean": found.neo_hookean_skin})
+        for case, found in zip(cases, done, strict=True)
+        if case.parameters == parameters
+    ]
+    return face_page(title, VIEW_WORDS, head, parameters, shapes, rigs, poses)
 
 
 def _draw(head: LayeredHead, done: Sequence[CaseResult], skins: Sequence[Floats], progress: OnProgress):

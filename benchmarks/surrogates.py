@@ -1,17 +1,25 @@
-"""Surrogates and their rivals on a corpus' test people: table, and error against cost."""
+"""Surrogates and their rivals on a corpus' test people: tables, error against cost, and when training has paid."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+
+import numpy as np
 
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced
 from ..lhm.progress import OnProgress
 from ..surrogate import Surrogate
+from ..surrogate.corpus.folder import read_manifest
+from ..surrogate.corpus.people import people_of
+from ..surrogate.corpus.person import OfSpace
+from ..surrogate.corpus.plan import Split
 from ..surrogate.evaluate import Score, evaluate
+from ..surrogate.evaluate_dynamic import evaluate_dynamic
+from ..surrogate.evaluate_references import evaluate_references
 from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals import Method
 from ..surrogate.rivals.blendshapes import Blendshapes
@@ -19,8 +27,16 @@ from ..surrogate.rivals.linearised import Linearised
 from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
+from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
 from ..surrogate.surface_hash import surface_hash
 from . import plots
+from .breakeven import Breakeven, breakeven
+from .surrogate_frames import frames_png
+
+ITERATIONS = (1, 5, 20)
+"""Of projective dynamics stopped early."""
+EXTERNAL = "external"
+"""Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
 
 
 def compare(
@@ -31,14 +47,19 @@ def compare(
     rivals: bool,
     partial: bool,
     progress: OnProgress,
+    external: Path | None = None,
+    simulated: int = 0,
 ) -> tuple[list[Score], list[Path]]:
-    """Scores of all methods, and the files written."""
+    """Scores of all methods, and the files written.
+
+    On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
+    FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL. On so many of the test
+    faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs people whose heads
+    can be fitted.
+    """
     network = Surrogate.load(surrogate)
-    test = Faces(corpus, "test", partial=partial)
-    if surface_hash(test.mean) != network.weights.template:
-        raise InputError(
-            f"weights: of a mean skin of {len(network.weights.mean.vertices)} vertices, not of the corpus'"
-        )
+    test = _faces(corpus, "test", partial, network)
+    elsewhere = None if external is None else _faces(external, None, partial, network)
     ready: list[Method] = [
         ModalMethod(network.weights),
         ModalMethod(network.weights, exact=True),
@@ -48,29 +69,84 @@ def compare(
     ]
     scores = evaluate(ready, test, on_progress=progress)
     if rivals:
+        # torch, which these need, is an extra.
+        from ..surrogate.rivals.face_wise import FaceWise
+        from ..surrogate.rivals.softsmpl import SoftSMPL
+        from ..surrogate.rivals.vertices_only import VerticesOnly
+
         learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")]
+        learning += [SoftSMPL("small"), SoftSMPL("large"), VerticesOnly(), FaceWise()]
         scores += evaluate(learning, test, Faces(corpus, "train", partial=partial), on_progress=progress)
-    written = [out / "scores.json", out / "scores.md", out / "cost.png"]
+    content = read_manifest(corpus)["content"]
+    known = network.weights.looseness
+    if content["sequences"] and known is not None:
+        scores += evaluate_dynamic(ready, corpus, "test", known, partial=partial, on_progress=progress)
+    if content["references"]:
+        scores += evaluate_references(ready, corpus, "test", partial=partial, on_progress=progress)
+    if elsewhere is not None:
+        others = evaluate(ready, elsewhere, on_progress=progress)
+        scores += [replace(score, kind=EXTERNAL) for score in others if score.kind == "all"]
+    if simulated:
+        scores += _beside_simulation(ready, test, simulated, progress)
+    paid = breakeven(corpus, network.weights.note, scores[0])
+    written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:
-        path.write_text(json.dumps([asdict(score) for score in scores], indent=1))
+        found = {"scores": [asdict(score) for score in scores], "breakeven": asdict(paid)}
+        path.write_text(json.dumps(found, indent=1))
     with replaced(written[1]) as path:
-        path.write_text(table(scores))
+        path.write_text(table(scores) + "\n" + told(paid))
     with replaced(written[2]) as path:
         path.write_bytes(plots.error_against_cost([score for score in scores if score.kind == "all"]))
+    with replaced(written[3]) as path:
+        path.write_bytes(frames_png(corpus, network.weights, partial=partial, progress=progress))
     return scores, written
+
+
+def _beside_simulation(ready: Sequence[Method], test: Faces, count: int, progress: OnProgress) -> list[Score]:
+    """All methods on some faces, spread over the test, with those that simulate."""
+    people = people_of(test.space)
+    if not isinstance(people, OfSpace):
+        raise InputError(f"people {test.space!r}: rivals that simulate need an identity space")
+    chosen = np.unique(np.linspace(0, len(test) - 1, count).round().astype(int)).tolist()
+    rivals: list[Method] = [CoarsePD(people, iterations) for iterations in ITERATIONS]
+    found = evaluate([*ready, BakedShapes(people), *rivals], test, chosen=chosen, on_progress=progress)
+    return [replace(score, kind=f"{len(chosen)} faces") for score in found if score.kind == "all"]
+
+
+def _faces(corpus: Path, split: Split | None, partial: bool, network: Surrogate) -> Faces:
+    faces = Faces(corpus, split, partial=partial)
+    if surface_hash(faces.mean) != network.weights.template:
+        raise InputError(
+            f"weights: of a mean skin of {len(network.weights.mean.vertices)} vertices, not of the corpus'"
+        )
+    return faces
 
 
 def table(scores: Sequence[Score]) -> str:
     """The scores as a Markdown table."""
     lines = [
-        "| method | parameters | frames | mean [mm] | 95 % [mm] | max [mm] | moving vertices [mm] | share of T = S [%] "
+        "| method | frames of | frames | mean [mm] | 95 % [mm] | max [mm] | moving vertices [mm] | share of T = S [%] "
         "| fit [s] | bind [ms] | frame [ms] |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for s in scores:
-        bind = f"{s.bind_ms:.0f} + simulator" if s.simulates else f"{s.bind_ms:.0f}"
+        bind = _cell(s.bind_ms, 0) + (" + simulator" if s.simulates and s.bind_ms is not None else "")
         lines.append(
             f"| {s.method} | {s.kind} | {s.frames} | {s.mean:.4f} | {s.p95:.3f} | {s.largest:.2f} | {s.moving:.4f} "
-            f"| {100.0 * s.share:.1f} | {s.fit_seconds:.0f} | {bind} | {s.frame_ms:.2f} |"
+            f"| {100.0 * s.share:.1f} | {_cell(s.fit_seconds, 0)} | {bind} | {_cell(s.frame_ms, 2)} |"
         )
     return "\n".join(lines) + "\n"
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def told(paid: Breakeven) -> str:
+    """When a corpus and a training have paid, in words."""
+    return (
+        f"The corpus' training people took {paid.corpus:.0f} s of a core, training {paid.training:.0f} s. A frame of "
+        f"the simulator takes {1e3 * paid.simulated_frame:.0f} ms, so the network has paid after {paid.frames:,.0f} "
+        f"frames; linearising a face takes {paid.linearised_face:.1f} s, so against that it has after "
+        f"{paid.faces:,.0f} faces.\n"
+    )

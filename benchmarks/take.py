@@ -4,53 +4,32 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..lhm.errors import InputError, SoftdecaError
-from ..lhm.expressions import Take, conversation_take, read_take, rotations, speech
+from ..lhm.expressions import Take, rotations
 from ..lhm.files.alone import alone_in
-from ..lhm.files.gltf import write_gltf
-from ..lhm.files.vtkhdf import write_vtkhdf
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
-from ..reference.base import turned, turns_before
+from ..reference.base import pivot, turns_before
 from ..reference.sequence import TOLERANCE
-from .preview import Preview, check_preview, pictures_of, steps_shown, write_preview
+from .played import Played, Wanted, blended
+from .preview import check_preview
 from .take_store import TakeStore, digest
-
-Format = Literal["vtkhdf", "gltf"]
-FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
-MADE_UP, SPOKEN = "conversation", "speech"
-SECONDS, RATE = 10.0, 60.0
 
 
 @dataclass(frozen=True)
-class TakeConfig:
-    """What is made of a take, and how; `choices` go to `facial_scene`.
+class TakeConfig(Wanted):
+    """What is made of a take, and how; `choices` go to `facial_scene`."""
 
-    `turned` shows the head turned as the take has it, about its neck, and not in its own frame.
-    """
-
-    out: Path
-    format: Format = "vtkhdf"
-    preview: Preview = "none"
-    dynamic: bool = False
-    turned: bool = False
     tolerance: float = TOLERANCE
     choices: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self):
-        for name, known in (("format", get_args(Format)), ("preview", get_args(Preview))):
-            if getattr(self, name) not in known:
-                raise InputError(f"{name} {getattr(self, name)!r}: expected one of {', '.join(known)}")
 
 
 @dataclass(frozen=True)
@@ -66,38 +45,6 @@ class TakeResult:
     median_seconds: float
     median_iterations: float
     neutral: str = Reason.CONVERGED.name
-
-
-def take_from_text(text: str) -> Take:
-    """A file by `read_take`, or one made up: "conversation[:SECONDS[:SEED]]" (10 s and seed 0) or "speech:TEXT"."""
-    name, colon, rest = text.partition(":")
-    if name == SPOKEN and colon:
-        return speech(rest)
-    return _conversation(text, rest.split(":") if colon else []) if name == MADE_UP else read_take(text)
-
-
-def _conversation(text: str, rest: list[str]) -> Take:
-    try:
-        seconds = float(rest[0]) if rest else SECONDS
-        seed = int(rest[1]) if len(rest) > 1 else 0
-        if len(rest) > 2 or not 0.0 < seconds < 36000.0 or seed < 0:
-            raise ValueError
-    except ValueError:
-        raise InputError(f"take {text!r}: expected {MADE_UP}[:SECONDS[:SEED]]") from None
-    count = max(1, round(seconds * RATE))
-    return conversation_take(np.random.default_rng(seed), count, rate=RATE)
-
-
-def cut(take: Take, text: str) -> Take:
-    """The frames A:B of a take, B left out, either left out for the take's end; InputError if there are none."""
-    try:
-        first, last = (int(part) if part.strip() else None for part in text.split(":"))
-    except ValueError:
-        raise InputError(f"frames {text!r}: expected A:B") from None
-    chosen = slice(first, last)
-    if not len(take.times[chosen]):
-        raise InputError(f"frames {text!r}: none of the take's {len(take.times)}")
-    return take.part(chosen)
 
 
 def run_take(
@@ -124,9 +71,12 @@ def run_take(
         neutral, reason = _neutral(config, head, parameters, store, progress)
         _simulate(config, neutral, deltas, take, store, progress)
         log = list(store.log())
-        files = [_export(config, head, take, store, progress)]
+        # The wrap ends below the neck: of a bust it is the head.
+        framed = head.skin_wrap.vertices
+        played = Played(head.skin, deltas, pivot(head), framed, take, lambda numbers: map(store.moved, numbers))
+        files = [played.export(config, progress)]
         if config.preview != "none":
-            files.append(_preview(config, head, deltas, take, store, progress))
+            files.append(played.show(config, "simulated", progress))
     failed = tuple((row["frame"], row["reason"]) for row in log if row["reason"] != "CONVERGED")
     seconds, iterations = (float(np.median([row[key] for row in log])) for key in ("seconds", "iterations"))
     return TakeResult(len(log), failed, (*files, config.out / "log.jsonl"), seconds, iterations, reason)
@@ -188,7 +138,7 @@ def _simulate(
     bases = rotations(take.head) if config.dynamic and take.head is not None else np.array([np.eye(3)] * count)
     for number in range(done, count):
         begin = time.perf_counter()
-        targets = _blended(head, deltas, take.weights[number])
+        targets = blended(head.skin, deltas, take.weights[number])
         skin, record = _frame(sequence, neutral, targets, bases[number:])
         record = {"frame": number, "time": float(take.times[number]), **record}
         record["seconds"] = round(time.perf_counter() - begin, 4)
@@ -225,66 +175,3 @@ def _record(reason: str, solution: Solution | None = None) -> dict[str, Any]:
 
 def _number(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
-
-
-def _blended(head: LayeredHead, deltas: Floats, weights: Floats) -> Floats:
-    used = np.flatnonzero(weights)
-    return head.skin.vertices + np.tensordot(weights[used], deltas[used], axes=1)
-
-
-def _export(config: TakeConfig, head: LayeredHead, take: Take, store: TakeStore, progress: OnProgress) -> Path:
-    path, count = config.out / FILES[config.format], len(take.times)
-    progress(f"export: {path.name}", 0.0)
-    if config.format == "vtkhdf":
-        frames = (head.skin.vertices + _moved(config, head, take, store, k) for k in range(count))
-        write_vtkhdf(path, head.skin.triangles, take.times, _told(frames, count, path.name, progress))
-    else:
-        write_gltf(path, head.skin, take.times, np.array([_moved(config, head, take, store, k) for k in range(count)]))
-    progress(f"export: {path.name}", 1.0)
-    return path
-
-
-def _moved(config: TakeConfig, head: LayeredHead, take: Take, store: TakeStore, number: int) -> NDArray:
-    """A frame's skin as it is shown, less the neutral skin [mm], shape (n, 3)."""
-    moved = store.moved(number)
-    if not config.turned:
-        return moved
-    return _placed(config, head, take, number, head.skin.vertices + moved) - head.skin.vertices
-
-
-def _placed(config: TakeConfig, head: LayeredHead, take: Take, number: int, skin: Floats) -> Floats:
-    """A frame's skin [mm], shape (n, 3), of the head's own frame as it is shown."""
-    return turned(head, skin, rotations(take.head[[number]])[0]) if config.turned and take.head is not None else skin
-
-
-def _preview(
-    config: TakeConfig,
-    head: LayeredHead,
-    deltas: Floats,
-    take: Take,
-    store: TakeStore,
-    progress: OnProgress,
-) -> Path:
-    path = config.out / f"preview.{config.preview}"
-    shown = steps_shown(len(take.times), take.rate, config.preview)
-    pairs = (
-        (
-            _placed(config, head, take, k, _blended(head, deltas, take.weights[k])),
-            head.skin.vertices + _moved(config, head, take, store, k),
-        )
-        for k in shown
-    )
-    told = _told(pairs, len(shown), path.name, progress)
-    # The wrap ends below the neck: of a bust it is the head.
-    pictures = pictures_of(head.skin, told, ("blendshapes", "simulated"), framed=head.skin_wrap.vertices)
-    write_preview(path, config.preview, pictures, take.times[shown], take.rate)
-    progress(f"preview: {path.name}", 1.0)
-    return path
-
-
-def _told(items: Iterator, count: int, what: str, progress: OnProgress) -> Iterator:
-    """The items, each with word of how far the file is."""
-    stage = "preview" if what.startswith("preview") else "export"
-    for number, item in enumerate(items):
-        progress(f"{stage}: {what}", number / count)
-        yield item

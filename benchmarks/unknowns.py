@@ -28,7 +28,6 @@ from .apart import apart, forget_peak, peak_megabytes
 from .cases import NEO_HOOKEAN, PD_ENERGY
 from .floor import bandwidth
 from .gates import at_most
-from .study import parse_expression
 from .throughput import default_head
 from .traces import Stopwatch
 from .unknowns_report import page
@@ -70,7 +69,7 @@ class UnknownsConfig:
     out: Path = Path("out/unknowns")
 
     def __post_init__(self):
-        parse_expression(self.expression)
+        expressions.parsed(self.expression)
         if not self.meshes:
             raise InputError(f"up_to: the smallest mesh has {min(MESHES.values())} unknowns, got {self.up_to}")
 
@@ -128,7 +127,7 @@ def _load_kernels(element: str) -> None:
 
 def _scene(level: int, layers: int, expression: str) -> Scene:
     space, code, head = default_head(level=level)
-    targets = expressions.blend(space, code, parse_expression(expression))[0]
+    targets = expressions.blend(space, code, expressions.parsed(expression))[0]
     return facial_scene(head, Parameters(), targets, bones="prescribed", layers=(layers, layers))
 
 

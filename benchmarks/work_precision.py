@@ -14,7 +14,6 @@ from ..lhm.mesh import Floats
 from ..reference import Parameters, Scene, facial_scene, prepare
 from ..reference.projective.solver import Method
 from . import arap
-from .study import parse_expression
 from .throughput import default_head
 from .traces import TIGHT, Stopwatch, Trace, farthest, traced
 
@@ -64,7 +63,7 @@ def measure_precision(names: Sequence[str], tell: Callable[[str], None]) -> dict
     if importlib.util.find_spec("dolfinx") is None:
         skipped.append(f"{NEWTON}: dolfinx is not installed")
     for name in names:
-        targets = expressions.blend(space, code, parse_expression(name))[0]
+        targets = expressions.blend(space, code, expressions.parsed(name))[0]
         face = facial_scene(head, Parameters(), targets)
         handles = arap.Handles.of(head, face, targets)
         for energy, scene in ((FACE, face), (ARAP, handles.scene(face))):

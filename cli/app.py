@@ -6,7 +6,7 @@ import click
 
 from ..lhm.errors import SoftdecaError
 from ..reference import ranks
-from . import bench, corpus, head, simulate, study, train
+from . import animate, bench, corpus, head, simulate, study, train, view
 
 
 @click.group(context_settings={"show_default": True})
@@ -19,6 +19,8 @@ app.add_command(train.train)
 app.add_command(train.evaluate)
 app.add_command(head.head)
 app.add_command(simulate.simulate)
+app.add_command(animate.animate)
+app.add_command(view.view)
 app.add_command(corpus.corpus)
 app.add_command(bench.bench)
 

@@ -3,78 +3,30 @@
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from ..lhm.errors import InputError
 from ..lhm.files.surface_file import MILLIMETRES
-from ..reference import SOLVERS
+from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Parameters
+from ..reference.parameter_file import read_parameters
 from .progress import shown
+from .study_command import Studies, changes, gate_line, listed
 from .written_file import FOLDER
 
 AFile = click.Path(path_type=Path)
 
 
-@click.group(no_args_is_help=False)
+@click.group(cls=Studies, no_args_is_help=False)
 def bench() -> None:
     """Single studies by name."""
 
 
-@bench.command()
-@click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
-@click.option("--fine", is_flag=True, help="also finer meshes, orders and locking by FEniCSx: 15 minutes")
-@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def verification(solvers: tuple[str, ...], fine: bool, as_json: bool) -> int:
-    """Closed forms and published values through every solver; exit status 1 outside a bound.
-
-    Each row: whether it is within its bound, problem, solver, value, error and what it may be at most, and the source.
-    """
-    from ..benchmarks.verification import verify
-
-    asked = solvers or SOLVERS
-    with shown() as progress:
-        rows = verify(progress, solvers=asked, fine=fine)
-    for solver in set(asked) - {row["solver"] for row in rows}:
-        click.echo(f"softdeca: {solver} is not installed: left out", err=True)
-    if as_json:
-        click.echo(json.dumps(rows, indent=1))
-    else:
-        for row in rows:
-            mark = "ok " if row["passed"] else "OUT"
-            error = f"error {row['error']:.1e} of {row['bound']:.0e}"
-            click.echo(
-                f"{mark} {row['problem']:<72} {row['solver']:<11} {row['value']:<14.9g} {error}  {row['source']}"
-            )
-    return 0 if all(row["passed"] for row in rows) else 1
-
-
-@bench.command()
-@click.option("--solver", "solvers", multiple=True, help=f"one of {', '.join(SOLVERS)}; repeat for several  [all]")
-@click.option("--match", default="", help="only cases with this in their name or source, such as H5 or twisted")
-@click.option("--laws", is_flag=True, help="also every law on every element of FEniCSx: a quarter of an hour")
-@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def hard(solvers: tuple[str, ...], match: str, laws: bool, as_json: bool) -> int:
-    """Hard cases (random starts, collapse, crush, twist, long steps) through every solver; exit status 1 if one fails.
-
-    Each row: whether the outcome is no fault, case, solver, element, outcome, iterations, error and its bound. "missed"
-    is an answer that is off, such as another equilibrium; an outcome in capitals is the reason for which it stopped.
-    """
-    from ..benchmarks.hard_cases import try_hard_cases
-
-    with shown() as progress:
-        rows = try_hard_cases(progress, solvers=solvers or SOLVERS, match=match, laws=laws)
-    if as_json:
-        click.echo(json.dumps(rows, indent=1))
-    else:
-        for row in rows:
-            error = f"error {row['error']:.1e} of {row['bound']:.0e}"
-            mark, source = "ok " if row["passed"] else "OUT", row["source"].split(";")[0]
-            click.echo(
-                f"{mark} {source:<3} {row['case']:<64} {row['solver']:<11} {row['element']:<5} {row['outcome']:<15} "
-                f"{row['iterations']:>5} iterations  {error}"
-            )
-    return 0 if all(row["passed"] for row in rows) else 1
+bench.add_command(listed)
+bench.add_command(changes)
 
 
 @bench.command()
@@ -112,6 +64,39 @@ def shapes(identities: str, count: int, seed: int, workers: int, as_json: bool) 
 
 
 @bench.command()
+@click.option("--identities", default="anny", help="the one head with a rig: 'anny' (the default head) or 'ict:FILE'")
+@click.option("--upon", required=True, help="the other, as ict:FILE")
+@click.option("--seed", default=0, type=click.IntRange(min=0), help="of a person of each, whose shapes are known")
+@click.option("--json", "as_json", is_flag=True, help="print every shape as JSON")
+def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
+    """How far registered points slide, and how near transferred shapes come to a head's own: some two minutes.
+
+    Points of the visible face are carried from each head to the other and back. Shapes, by cosine and mean distance:
+    of a random person by exact points, which is transfer's share; by registered ones; and of the other head, whose
+    artist had other shapes in mind.
+    """
+    from ..benchmarks.registrations import median, run_registrations
+    from ..lhm.identities import from_text
+
+    with shown() as progress:
+        results = run_registrations((from_text(identities), from_text(upon)), seed, progress)
+    if as_json:
+        click.echo(json.dumps(results, indent=1))
+        return 0
+    for row in results["slide"]:
+        figures = "  ".join(f"{key} {row[f'{key}_mm']:.3f}" for key in ("mean", "median", "p95"))
+        click.echo(f"{row['from']} to {row['upon']} and back [mm]: {figures}  ({row['points']} points)")
+    for group in results["shapes"]:
+        for what, rows in group["rows"].items():
+            cosine, mean = median(rows)
+            least = min(rows, key=lambda row: row["cosine"])
+            what = f"{group['from']} to {group['upon']}" if what == "another rig" else f"{group['from']}, {what}"
+            worst = f"least {least['cosine']:.3f} {least['shape']}"
+            click.echo(f"{what:<36} cosine, median {cosine:.4f}  {worst:<32} mean {mean:.3f} mm")
+    return 0
+
+
+@bench.command()
 @click.option("--identities", default="anny", help="whose heads: 'anny' (the default head) or 'ict:FILE'")
 @click.option("--count", default=1000, type=click.IntRange(min=1), help="how many random identities")
 @click.option("--sigma", default=2.5, type=float, help="largest coefficient of an identity, in standard deviations")
@@ -122,6 +107,9 @@ def shapes(identities: str, count: int, seed: int, workers: int, as_json: bool) 
     default="out/heads",
     type=FOLDER,
     help="folder of the report; heads that are in it already are kept",
+)
+@click.option(
+    "--level", default=DEFAULT_LEVEL, type=click.IntRange(1, 3), help="1,212, 4,842 or 19,362 vertices per wrap"
 )
 @click.option("--gallery", default=2, type=click.IntRange(min=0), help="how many of them are simulated and drawn")
 @click.option("--head", "own", multiple=True, type=AFile, help="a head by `head fit` to draw as well; repeat")
@@ -135,6 +123,7 @@ def heads(
     out: Path,
     gallery: int,
     own: tuple[Path, ...],
+    level: int,
     as_json: bool,
 ) -> int:
     """Fit and check the heads of many random identities: OUT/index.html, OUT/results.json, OUT/heads.jsonl.
@@ -143,7 +132,7 @@ def heads(
     """
     from ..benchmarks.heads import HeadsConfig, run_heads
 
-    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own)
+    config = HeadsConfig(identities, count, sigma, seed, workers, out, gallery, own, level)
     with shown() as progress:
         results = run_heads(config, progress)
     if as_json:
@@ -157,7 +146,7 @@ def heads(
             gate = f"({row['limit']}; missed by {row['missed']})" if row["limit"] else ""
             click.echo(f"{what:<38} {figures} {gate}".rstrip())
         for asked in results["gates"]:
-            click.echo(_gate_line(asked))
+            click.echo(gate_line(asked))
         _say_written(out, "heads.jsonl", "campaign.json")
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
@@ -183,7 +172,7 @@ def simulator(parts: str, out: Path, as_json: bool) -> int:
         click.echo((out / "results.json").read_text())
     else:
         for asked in results["gates"]:
-            click.echo(_gate_line(asked))
+            click.echo(gate_line(asked))
         _say_written(out)
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
@@ -259,6 +248,42 @@ def dynamics(identities: str, seed: int, level: int, frames: int, out: Path, as_
     return 0 if all(gate["passed"] for gate in results["gates"]) else 1
 
 
+@bench.command()
+@click.argument("take", default="conversation:3")
+@click.option("--frames", "chosen", metavar="A:B", help="only these frames of TAKE, B left out")
+@click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p")
+@click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
+@click.option("--dynamic", is_flag=True, help="with inertia, simulated and by the surrogate")
+@click.option("--out", default="out/closures", type=FOLDER, help="folder of the curves")
+@click.option("--json", "as_json", is_flag=True, help="print the figures as JSON")
+def closures(
+    take: str, chosen: str | None, parameter_file: Path | None, level: int, dynamic: bool, out: Path, as_json: bool
+) -> int:
+    """How far lids and lips are apart over TAKE [mm]: blendshapes, PD and the surrogate: OUT/gaps.png, OUT/gaps.json.
+
+    On the mean of the default people; some minutes a hundred frames. Each row: the opening, the method, largest and
+    mean difference of its width from PD's, and the least width of both.
+    """
+    from ..benchmarks.closures import closures as run
+    from .take_options import taken
+
+    recorded = taken(take, None, chosen, False)
+    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
+    with shown() as progress:
+        rows, written = run(recorded, out, parameters, level=level, dynamic=dynamic, progress=progress)
+    if as_json:
+        click.echo(json.dumps([asdict(row) for row in rows], indent=1))
+        return 0
+    for row in rows:
+        off = f"largest {row.largest:.3f} mm, mean {row.mean:.3f} mm off"
+        click.echo(
+            f"{row.gap:<10} {row.method:<28} {off}; least {row.least:.2f} mm, simulated {row.least_simulated:.2f}"
+        )
+    for path in written:
+        click.echo(f"wrote {path}")
+    return 0
+
+
 @bench.command("ranks")
 @click.option("--processes", default="1,2", help="counts to compare, with commas between; the first is 1")
 @click.option("--expression", default="jawOpen*0.5", help="of the default head")
@@ -305,17 +330,12 @@ def _dynamics_lines(results: Mapping) -> str:
     marches = {"release": results["release"], "own mass": results["own_mass"], "shaken": results["shake"]["rows"]}
     for what, rows in marches.items():
         lines += [f"STOPPED {what}, {row['name']}: {row['stopped']}" for row in rows if row["stopped"]]
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _say_written(out: Path, *more: str) -> None:
     for name in ("index.html", "results.json", *more):
         click.echo(f"wrote {out / name}")
-
-
-def _gate_line(gate: Mapping) -> str:
-    value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
-    return f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})"
 
 
 @bench.command()
@@ -375,7 +395,7 @@ def _unknowns_lines(results: Mapping) -> str:
         )
     for row in results["exponents"]:
         lines.append(f"{row['law']:<12} {row['element']} grows as unknowns^{row['cpu_seconds']:.2f}")
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _convergence_lines(results: Mapping) -> str:
@@ -386,28 +406,7 @@ def _convergence_lines(results: Mapping) -> str:
             f"{row['name']:<40} error mean {own['mean']:.3f}  95 % {own['p95']:.3f}  max {own['max']:.3f} mm  "
             f"order across layers {'-' if order is None else f'{order:.2f}'}"
         )
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
-
-
-@bench.command()
-@click.option("--expression", "texts", multiple=True, help="as jawOpen*0.5+cheekPuff; repeat for several  [two]")
-@click.option("--law", "laws", multiple=True, help="incompressible or a Poisson's ratio; repeat for several  [both]")
-@click.option("--seed", default=0, type=click.IntRange(min=0), help="of the identity")
-@click.option("--level", default=2, type=click.IntRange(1, 3), help="of the template: 1,212, 4,842 or 19,362 vertices")
-@click.option("--json", "as_json", is_flag=True, help="print the outcomes as JSON")
-def mixed(texts: tuple[str, ...], laws: tuple[str, ...], seed: int, level: int, as_json: bool) -> int:
-    """Solve incompressible heads by quadratic tets with a pressure (FEniCSx, P2P1): four to sixteen minutes each.
-
-    Exit status 1 if one does not converge or takes more than 8 GB.
-    """
-    from ..benchmarks.mixed import EXPRESSIONS, LAWS, MEMORY_MB, MixedConfig, lines, run_mixed
-
-    config = MixedConfig(texts or EXPRESSIONS, laws or LAWS, seed, level)
-    with shown() as progress:
-        results = run_mixed(config, progress)
-    rows = results["solves"]
-    click.echo(json.dumps(results, indent=1) if as_json else "\n".join(lines(rows)))
-    return 0 if all(row["converged"] and row["memory_mb"] <= MEMORY_MB for row in rows) else 1
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _effect_lines(results: Mapping) -> str:
@@ -421,7 +420,7 @@ def _effect_lines(results: Mapping) -> str:
             f"{row['name']:<12} {run['iterations']:>4} iterations {run['seconds']:6.2f} s  "
             f"moves {row['change_mm']['max']:5.2f} mm at most  {other}"
         )
-    return "\n".join([*lines, *map(_gate_line, results["gates"])])
+    return "\n".join([*lines, *map(gate_line, results["gates"])])
 
 
 def _depth_lines(results: Mapping) -> str:

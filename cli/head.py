@@ -94,6 +94,8 @@ def fit(
             raise click.UsageError(f"{option} is of --skin, which is not given", click.get_current_context())
     if template_file is not None and level is not None:
         raise click.UsageError("--template has a level; --level is of the space's own", click.get_current_context())
+    points = None if landmarks is None else read_landmarks(landmarks)
+    where = scans.Said(unit=unit, up=up, front=front, landmarks=points)
     with shown() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
@@ -107,11 +109,12 @@ def fit(
         if skin is None:
             surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
             fitted = fit_head(template, surface, regressor=regressor, progress=progress)
-        elif (own := scans.topology_of(skin, template, unit=unit)) is not None:
-            fitted = fit_head(template, own, regressor=regressor, progress=progress)
+        elif (own := scans.topology_of(skin, template, where)) is not None:
+            surface, notes = own
+            for note in notes:
+                click.echo(f"softdeca: {skin}: {note}", err=True)
+            fitted = replace(fit_head(template, surface, regressor=regressor, progress=progress), notes=notes)
         else:
-            points = None if landmarks is None else read_landmarks(landmarks)
-            where = scans.Said(unit=unit, up=up, front=front, landmarks=points)
             scan = scans.read_head_scan(skin, template, where, repair=not no_repair, progress=progress)
             for note in scan.notes:
                 click.echo(f"softdeca: {skin}: {note}", err=True)
@@ -172,9 +175,9 @@ def check(file: Path, as_json: bool) -> int:
 def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
     """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
     from ..benchmarks.head_pictures import deltas_of, head_pictures, posed
-    from ..benchmarks.study import parse_expression
+    from ..lhm import expressions
 
-    weights = None if expression is None else parse_expression(expression)
+    weights = None if expression is None else expressions.parsed(expression)
     shown_head = load_head(file)
     for note in shown_head.notes:
         click.echo(f"softdeca: {file}: {note}", err=True)

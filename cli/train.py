@@ -40,6 +40,8 @@ def train(
     Writes OUT/modal.safetensors, which `Surrogate.load` and `softdeca study --surrogate` read, or OUT/paper.npz, and
     the learning curve as OUT/curve.json and curve.png.
     """
+    from ..benchmarks.plots import learning_curve
+
     with shown() as progress:
         if network == "modal":
             path, curve = _modal(corpus, neutrals, out, steps, device, partial, progress)
@@ -47,14 +49,16 @@ def train(
             path, curve = _paper(corpus, out, steps, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
-    _draw(curve, out / "curve.png")
+    (out / "curve.png").write_bytes(learning_curve(curve))
     for written in (path, out / "curve.json", out / "curve.png"):
         click.echo(f"wrote {written}")
     return 0
 
 
 def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, device: str, partial: bool, progress):
+    from ..surrogate.corpus.people import people_of
     from ..surrogate.modal.faces import Faces, Neutrals
+    from ..surrogate.modal.looseness import Looseness
     from ..surrogate.modal.training import ModalTraining, train_modal
 
     config = ModalTraining(device=device)
@@ -63,6 +67,8 @@ def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, de
     more = None if neutrals is None else Neutrals(neutrals, "train", partial=partial)
     out.mkdir(parents=True, exist_ok=True)
     weights = train_modal(faces, config, neutrals=more, state=out / "modal.pt", on_progress=progress)
+    if faces.space == "anny":
+        weights = replace(weights, looseness=Looseness.of(people_of("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
 
@@ -80,37 +86,65 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     return out / "paper.npz", [asdict(point) for point in checkpoint.summary.history]
 
 
-def _draw(curve: list[dict], path: Path) -> None:
-    from ..benchmarks.plots import learning_curve
-
-    path.write_bytes(learning_curve(curve))
-
-
 @click.command()
 @click.argument("corpus", type=click.Path(path_type=Path))
 @click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
+@click.option(
+    "--external", type=click.Path(path_type=Path), help="another corpus, as of --identities external:ict:FILE, to score"
+)
 @click.option("--rivals", is_flag=True, help="also fit rivals that learn to the corpus' training faces (minutes)")
+@click.option(
+    "--simulated",
+    type=click.IntRange(0),
+    default=0,
+    help="faces on which rivals that simulate are run, too: minutes each",
+)
 @click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
 @click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
 @click.option("--json", "as_json", is_flag=True, help="print the scores as JSON")
-def evaluate(corpus: Path, surrogate: Path | None, rivals: bool, partial: bool, out: Path, as_json: bool) -> int:
-    """Compare the surrogate and its rivals on the test people of CORPUS, static frames, against the simulator.
+def evaluate(
+    corpus: Path,
+    surrogate: Path | None,
+    external: Path | None,
+    rivals: bool,
+    simulated: int,
+    partial: bool,
+    out: Path,
+    as_json: bool,
+) -> int:
+    """Compare the surrogate and its rivals on the test people of CORPUS against the simulator.
 
-    Writes OUT/scores.json, scores.md, and error against the cost at bind and per frame as cost.png.
+    On static frames, by kind of parameters; on sequences with inertia (Eq. 21 over each method's static answers); and
+    against FEniCSx, both laws, where CORPUS has its answers.
+
+    Writes OUT/scores.json, scores.md with the frames and faces after which training has paid, error against the cost
+    at bind and per frame as cost.png, and six frames with their errors as frames.png.
     """
     from ..benchmarks.surrogates import compare
 
     out.mkdir(parents=True, exist_ok=True)
     with shown() as progress:
-        scores, written = compare(corpus, out, surrogate=surrogate, rivals=rivals, partial=partial, progress=progress)
+        scores, written = compare(
+            corpus,
+            out,
+            surrogate=surrogate,
+            rivals=rivals,
+            partial=partial,
+            external=external,
+            simulated=simulated,
+            progress=progress,
+        )
     if as_json:
         click.echo(json.dumps([asdict(score) for score in scores], indent=1))
         return 0
     for score in scores:
-        if score.kind == "all":
-            click.echo(
-                f"{score.method:<36} mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"
-            )
+        if (
+            score.kind in ("all", "dynamic", "external")
+            or score.kind.startswith("against")
+            or score.kind.endswith("faces")
+        ):
+            figures = f"mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"
+            click.echo(f"{score.method:<36} {score.kind:<32} {figures}")
     for path in written:
         click.echo(f"wrote {path}")
     return 0

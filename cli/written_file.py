@@ -38,4 +38,10 @@ class WrittenFolder(click.Path):
         return path
 
 
-NPZ, PNG, ANY, FOLDER = WrittenFile(".npz"), WrittenFile(".png"), WrittenFile(), WrittenFolder()
+NPZ, PNG, HTML, ANY, FOLDER = (
+    WrittenFile(".npz"),
+    WrittenFile(".png"),
+    WrittenFile(".html"),
+    WrittenFile(),
+    WrittenFolder(),
+)

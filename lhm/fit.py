@@ -149,11 +149,22 @@ def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
     return Rig(deltas, source, tuple(name for name in rig.missing if name not in own), rig.doubtful)
 
 
-def _check_place(rest: Floats, skin: Floats) -> None:
-    """Raise InputError for a skin that is turned far from where the template looks, or of another unit's size."""
+def stands(template: Surface, skin: Surface) -> bool:
+    """Whether a skin of the template's triangles has a head's size in millimetres and looks where the template does."""
+    size, turned = _place(template.vertices, skin.vertices)
+    return LEAST_SIZE <= size <= MOST_SIZE and turned <= MOST_TURNED
+
+
+def _place(rest: Floats, skin: Floats) -> tuple[float, float]:
+    """Size of a skin to the template's, and how far it is turned [degrees]."""
     rotation, _ = rigid_motion(rest, skin)
     turned = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0)))
-    size = float(skin.std() / rest.std())
+    return float(skin.std() / rest.std()), float(turned)
+
+
+def _check_place(rest: Floats, skin: Floats) -> None:
+    """Raise InputError for a skin that is turned far from where the template looks, or of another unit's size."""
+    size, turned = _place(rest, skin)
     if not LEAST_SIZE <= size <= MOST_SIZE:
         raise InputError(f"skin: {size:.3g} times as large as the template's [mm]; are its units off?")
     if turned > MOST_TURNED:

@@ -66,8 +66,12 @@ def pivot(head: LayeredHead) -> Floats:
 
 def turned(head: LayeredHead, skin: Floats, base: Floats) -> Floats:
     """Positions of the head's own frame [mm], shape (n, 3), in the room."""
-    middle = pivot(head)
-    return middle + (skin - middle) @ np.asarray(base, dtype=np.float64).T
+    return turned_about(pivot(head), skin, base)
+
+
+def turned_about(pivot: Floats, skin: Floats, base: Floats) -> Floats:
+    """Positions [mm], shape (n, 3), turned by a rotation (3, 3) about a point (3,)."""
+    return pivot + (skin - pivot) @ np.asarray(base, dtype=np.float64).T
 
 
 def lag(base: Floats, last: Floats, before: Floats, turns: Floats) -> Floats | None:

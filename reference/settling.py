@@ -31,7 +31,9 @@ from .stack import Stack
 
 TOLERANCE = 1e-6
 """Gradient norm relative to its start."""
-MOVING = ("soft_volume", "muscle_volume", "skin_growth")
+FOR_TARGETS: dict[str, Any] = {"tolerance": 1e-4, "max_iterations": 2000}
+"""Options of a face that only targets follow: it need be no more exact than they are."""
+GROWING = ("soft_volume", "muscle_volume", "skin_growth")
 """Besides bone scales and added gravity, what changes a neutral face where it differs from 1."""
 
 
@@ -107,7 +109,7 @@ def settled(
 def changes_neutral(parameters: Parameters) -> bool:
     """Whether the neutral face is not at rest under p: another volume, area, bone or gravity than it was made with."""
     scales = np.concatenate([parameters.scale(bone) for bone in ("cranium", "mandible")])
-    grown = any(np.any(np.asarray(getattr(parameters, name)) != 1.0) for name in MOVING)
+    grown = any(np.any(np.asarray(getattr(parameters, name)) != 1.0) for name in GROWING)
     return grown or bool(np.any(scales != 1.0)) or bool(np.any(parameters.added_gravity))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -13,8 +14,11 @@ from ..lhm.progress import OnProgress, silent
 from .modal.faces import Faces
 from .rivals import Method
 
+Times = tuple[float | None, float | None, float | None]
+"""Seconds of a fit, milliseconds of a bind and of a frame, those that were measured."""
 MOVES = 0.1
 """[mm] |T - S| from which on a vertex counts as one that moves."""
+VARYING = "p varying over the face"
 
 
 @dataclass(frozen=True)
@@ -22,8 +26,8 @@ class Score:
     """One method on some frames: distances of vertices to the simulator's [mm], and its costs.
 
     mean, p95, largest: over all vertices of all frames; moving: mean over vertices that simulation moves by more than
-    MOVES; share: mean over that of T = S. fit_seconds, bind_ms, frame_ms: medians on one thread; of a method that
-    `simulates`, bind_ms is without the simulator's part.
+    MOVES; share: mean over that of T = S. fit_seconds, bind_ms, frame_ms: medians on one thread, None where another
+    kind has them; of a method that `simulates`, bind_ms is without the simulator's part.
     """
 
     method: str
@@ -35,31 +39,39 @@ class Score:
     moving: float
     share: float
     simulates: bool
-    fit_seconds: float
-    bind_ms: float
-    frame_ms: float
+    fit_seconds: float | None
+    bind_ms: float | None
+    frame_ms: float | None
 
 
 def evaluate(
-    methods: Sequence[Method], test: Faces, training: Faces | None = None, *, on_progress: OnProgress = silent
+    methods: Sequence[Method],
+    test: Faces,
+    training: Faces | None = None,
+    *,
+    chosen: Sequence[int] | None = None,
+    on_progress: OnProgress = silent,
 ) -> list[Score]:
     """Scores of each method over all static frames of the test faces, and per kind of parameters ("all" first).
 
-    `training` faces fit what is not fitted yet; None for methods that need none.
+    Kind VARYING has the faces, of whatever other kind, whose p is not the same everywhere.
+
+    `training` faces fit what is not fitted yet; None for methods that need none. `chosen`: of the test faces, those of
+    these numbers alone.
     """
     scores = []
     for number, method in enumerate(methods):
         begin = time.perf_counter()
         if training is not None:
             method.fit(training)
-        scores += _scores(method, test, time.perf_counter() - begin)
+        scores += _scores(method, test, range(len(test)) if chosen is None else chosen, time.perf_counter() - begin)
         on_progress(f"evaluate: {method.name}", (number + 1) / len(methods))
     return scores
 
 
-def _scores(method: Method, test: Faces, fit_seconds: float) -> list[Score]:
-    kinds, errors, motions, binding, framing = [], [], [], [], []
-    for index in range(len(test)):
+def _scores(method: Method, test: Faces, chosen: Sequence[int], fit_seconds: float) -> list[Score]:
+    kinds, varying, errors, motions, binding, framing = [], [], [], [], [], []
+    for index in chosen:
         face, frames = test.face(index), test.frames(index)
         if not len(frames.weights):
             continue
@@ -73,13 +85,24 @@ def _scores(method: Method, test: Faces, fit_seconds: float) -> list[Score]:
         errors.append(np.linalg.norm(answer - truth, axis=2))
         motions.append(np.linalg.norm(truth, axis=2))
         kinds += [face.kind] * len(frames.weights)
+        varying += [bool(face.coefficients[:, 1:].any())] * len(frames.weights)
     error, motion, kind = np.concatenate(errors), np.concatenate(motions), np.array(kinds)
-    times = fit_seconds, 1e3 * float(np.median(binding)), 1e3 * float(np.median(framing))
-    chosen = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
-    return [_score(method, name, error[rows], motion[rows], times) for name, rows in chosen.items()]
+    times: Times = fit_seconds, 1e3 * float(np.median(binding)), 1e3 * float(np.median(framing))
+    parts = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
+    if any(varying):
+        parts[VARYING] = np.array(varying)
+    return [score_of(method, name, error[rows], motion[rows], times) for name, rows in parts.items()]
 
 
-def _score(method: Method, kind: str, error: Floats, motion: Floats, times: tuple[float, float, float]) -> Score:
+class Named(Protocol):
+    """What a score says of its method."""
+
+    name: str
+    simulates: bool
+
+
+def score_of(method: Named, kind: str, error: Floats, motion: Floats, times: Times) -> Score:
+    """Of distances of vertices to the truth (frames, n) [mm], and by how much that is off the blendshapes."""
     moves = motion > MOVES
     return Score(
         method=method.name,

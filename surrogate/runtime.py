@@ -5,9 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from importlib.resources import files
 from os import PathLike
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -15,16 +16,29 @@ from ..lhm import fit_head, identities, load_template
 from ..lhm.checked import checked
 from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
+from ..lhm.identities import LinearSpace
 from ..lhm.mesh import Floats, Floats32, Surface
-from ..reference import Parameters, settled
-from ..reference.linearised import DIRECT, linearised
+from ..reference import Parameters
 from .baked import BakedRig, baked
+from .dynamics import DynamicRig, Swing, dynamic_rig
+from .linear import derivatives
+from .local import of_static, on_wraps
+from .modal.compressed import compressed
 from .modal.features import STATIC
-from .modal.rig import BoundModes, Modal, add_combination
+from .modal.rig import BoundModes, Modal, Remainder
 from .modal.weights import ModalWeights
+from .rigs import (
+    EXPRESSIONS,
+    add_combination,
+    checked_blended,
+    checked_code,
+    checked_out,
+    checked_shapes,
+    checked_skin,
+    checked_weights,
+)
 
 Beyond = Literal["refuse", "clamp"]
-ARKIT = 52
 
 
 class Surrogate:
@@ -63,48 +77,48 @@ class Surrogate:
         head: LayeredHead | None = None,
         beyond: Beyond = "refuse",
     ) -> BoundSurrogate:
-        """A rig of one person and p: in milliseconds, or with `exact` in about a second.
+        """A rig of one person and p: in milliseconds, or with `exact` in seconds.
 
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
         values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
         beyond the ranges that the network has seen is refused, or clamped with a warning, by `beyond`. expressions:
         what the 52 weights add [mm], shape (52, n, 3); by default the space's, and where that is no built-in one
         `frame` needs `blended`. With `exact`, offset and responses are the simulator's, on `head` or on one that is
-        fitted to the skin (the default space's only), and the network adds what is not linear. Raises InputError for a
-        skin of another template, a code of another size and parameters that are refused, and what the simulator raises.
+        fitted to the skin (the default space's only), and the network adds what is not linear. `dynamic` frames follow
+        p's frequency and damping. Raises InputError for a skin of another template, a code of another size and
+        parameters that are refused, and what the simulator raises.
         """
         self._check_skin(skin)
         mean, weights = self.weights.mean, self.weights
-        code = np.asarray(code, dtype=np.float64)
-        if code.shape != weights.code_mean.shape or not np.isfinite(code).all():
-            raise InputError(f"code: expected {len(weights.code_mean)} finite numbers, got shape {code.shape}")
+        code = checked_code(code, len(weights.code_mean))
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        modes = self._modal.bound(code, at_vertices)
+        modes = compressed(self._modal.bound(code, at_vertices))
         if exact:
             if shapes is None:
                 raise InputError("expressions: not known for the weights' space; bind(exact=True) needs expressions=")
-            modes = _exact(modes, self._head(skin, head), at_vertices, shapes)
-        return BoundSurrogate(skin, modes, shapes)
+            fitted = self._head(skin, head)
+            offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
+            modes = replace(modes, offset=offset, responses=responses)
+            return BoundSurrogate(skin, modes, shapes, Swing.of_head(fitted, chosen))
+        known = weights.looseness
+        return BoundSurrogate(skin, modes, shapes, None if known is None else Swing.of(*known.at(code), chosen, skin))
 
-    def _check_skin(self, skin: Surface):
-        mean, network = self.weights.mean, f"the weights' template {self.weights.template}"
-        if len(skin.vertices) != len(mean.vertices):
-            raise InputError(f"skin: {len(skin.vertices)} vertices, {network} has {len(mean.vertices)}")
-        if not np.array_equal(skin.triangles, mean.triangles):
-            raise InputError(f"skin: its triangles are not those of {network}")
+    @cached_property
+    def _people(self) -> LinearSpace:
+        """The default space, which takes longer to read than a bind."""
+        return identities.Anny()
+
+    def _check_skin(self, skin: Surface) -> None:
+        checked_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
 
     def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32 | None:
         if expressions is None:
             if self.space != "anny":
                 return None
-            expressions = identities.Anny().expression_deltas(code)
-        shapes: Floats32 = np.ascontiguousarray(expressions, dtype=np.float32)
-        expected = (ARKIT, *self.weights.mean.vertices.shape)
-        if shapes.shape != expected or not np.isfinite(shapes).all():
-            raise InputError(f"expressions: expected finite displacements of shape {expected}, got {shapes.shape}")
-        return shapes
+            expressions = self._people.expression_deltas(code)
+        return checked_shapes(expressions, len(self.weights.mean.vertices))
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -115,22 +129,40 @@ class Surrogate:
         return fit_head(load_template(identities.Anny()), skin)
 
 
-class BoundSurrogate:
-    """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given."""
+@checked
+def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
+    """A rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
 
-    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None):
-        self.triangles, self.modes = skin.triangles, modes
+    expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3); parameters: local values are one per
+    face of the skin. What is not linear in the weights is left out. Raises InputError for other shapes, and what the
+    simulator raises.
+    """
+    chosen = Parameters() if parameters is None else parameters
+    shapes = checked_shapes(expressions, len(head.skin.vertices))
+    offset, responses = derivatives(head, on_wraps(chosen, head), shapes)
+    modes = BoundModes(offset, responses, np.zeros((0, *offset.shape), dtype=np.float32), Remainder.none())
+    return BoundSurrogate(head.skin, modes, shapes, Swing.of_head(head, chosen))
+
+
+class BoundSurrogate:
+    """One person and p: `frame` is all that runs per frame, on one thread, without allocation where `out` is given.
+
+    skin: the person's without p. `swing` is what `dynamic` needs; None where the weights do not know it.
+    """
+
+    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None, swing: Swing | None):
+        self.skin, self.modes, self.swing = skin, modes, swing
         self._expressions = expressions
         self._skin = skin.vertices.astype(np.float32)
         count, n = len(modes.modes), len(self._skin)
         self._settled = (self._skin + modes.offset).ravel()
-        self._added = np.concatenate([modes.responses, modes.modes]).reshape(ARKIT + count, 3 * n)
+        self._added = np.concatenate([modes.responses, modes.modes]).reshape(EXPRESSIONS + count, 3 * n)
         self._offset = np.ascontiguousarray(modes.offset.ravel())
-        self._amplitudes = np.zeros(ARKIT + count, dtype=np.float32)
+        self._amplitudes = np.zeros(EXPRESSIONS + count, dtype=np.float32)
         self._shapes: Floats32 | None = None
         if expressions is not None:
             self._shapes = self._added.copy()
-            self._shapes[:ARKIT] += expressions.reshape(ARKIT, -1)
+            self._shapes[:EXPRESSIONS] += expressions.reshape(EXPRESSIONS, -1)
 
     @property
     def neutral(self) -> Floats32:
@@ -144,17 +176,17 @@ class BoundSurrogate:
         are clipped with a warning that counts them. Raises InputError for shapes and values that are not finite.
         """
         weights = checked_weights(weights)
-        surface = np.empty_like(self._skin) if out is None else self._checked_out(out)
+        surface = checked_out(out, self._skin.shape)
         flat = surface.reshape(-1)
-        self._amplitudes[:ARKIT] = weights
-        self._amplitudes[ARKIT:] = self.modes.remainder_of(weights)
+        self._amplitudes[:EXPRESSIONS] = weights
+        self.modes.remainder_of.of_one(weights, self._amplitudes[EXPRESSIONS:])
         if blended is None:
             if self._shapes is None:
                 raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
             flat[:] = self._settled
             add_combination(self._amplitudes, self._shapes, flat)
         else:
-            surface[:] = self._checked_blended(blended)
+            surface[:] = checked_blended(blended, self._skin.shape)
             flat += self._offset
             add_combination(self._amplitudes, self._added, flat)
         return surface
@@ -164,40 +196,20 @@ class BoundSurrogate:
         if self._expressions is None:
             raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
         surface = self._skin.copy()
-        shapes = self._expressions.reshape(ARKIT, -1)
+        shapes = self._expressions.reshape(EXPRESSIONS, -1)
         add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
         return surface
 
     def bake(self, rank: int = 64) -> BakedRig:
-        """Plain morph targets, `rank` of them, with their error; InputError for a rank out of range."""
+        """Plain morph targets, at most `rank` of them, with their error; InputError for a rank out of range."""
         if self._shapes is None:
             raise InputError("expressions: not known for the weights' space; bake needs bind(expressions=)")
-        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.triangles, rank)
+        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
 
-    def _checked_out(self, out: Floats32) -> Floats32:
-        if out.shape != self._skin.shape or out.dtype != np.float32 or not out.flags.c_contiguous:
-            raise InputError(f"out: expected contiguous float32 of shape {self._skin.shape}")
-        return out
-
-    def _checked_blended(self, blended) -> Floats32:
-        blended = np.asarray(blended, dtype=np.float32)
-        if blended.shape != self._skin.shape or not np.isfinite(blended).all():
-            raise InputError(f"blended: expected finite positions of shape {self._skin.shape}, got {blended.shape}")
-        return blended
-
-
-def checked_weights(weights) -> Floats32:
-    """The 52 weights as float32, clipped to [0, 1] with a warning; InputError for other shapes, and for NaN."""
-    weights = np.asarray(weights, dtype=np.float32)
-    if weights.shape != (ARKIT,):
-        raise InputError(f"weights: expected the 52 of ARKit, got shape {weights.shape}")
-    if not np.isfinite(weights).all():
-        raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
-    outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    if outside:
-        warnings.warn(f"{outside} of 52 weights outside [0, 1] were clipped", stacklevel=3)
-        weights = np.clip(weights, 0.0, 1.0)
-    return weights
+    @checked
+    def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
+        """Frames with inertia (Eq. 21), time_step [s] apart; InputError where that is too long for p's frequency."""
+        return dynamic_rig(self, self.swing, time_step)
 
 
 def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
@@ -248,29 +260,3 @@ def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: 
             raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
-
-
-def _exact(modes: BoundModes, head: LayeredHead, at_vertices: Floats, shapes: Floats32) -> BoundModes:
-    """The modes with offset and responses of the simulator."""
-    neutral = settled(head, _on_wraps(head, at_vertices), tolerance=1e-4, max_iterations=2000)
-    if not neutral.converged:
-        raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
-    linear = linearised(neutral, accuracy=DIRECT)
-    deltas = shapes.astype(np.float64)
-    return replace(
-        modes,
-        offset=(linear.offset + neutral.displacement).astype(np.float32),
-        responses=(linear.of_expressions(deltas) - deltas).astype(np.float32),
-    )
-
-
-def _on_wraps(head: LayeredHead, at_vertices: Floats) -> Parameters:
-    """Parameters for a simulation: numbers where uniform, else one per triangle of the wraps."""
-    values: dict[str, Any] = {}
-    for k, name in enumerate(STATIC):
-        info, column = Parameters.info(name), at_vertices[:, k]
-        if np.ptp(column) < 1e-9 or not info.local:
-            values[name] = float(info.denormalise(column[0]))
-        else:
-            values[name] = info.denormalise((head.wrap_from_skin @ column)[head.skin_wrap.triangles].mean(axis=1))
-    return Parameters(**values)

@@ -124,7 +124,8 @@ def _single(work: Callable[[Item], Result], item: Item) -> Result:
 def _client(on: Schedule, items: int) -> Iterator[Client]:
     try:
         import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client
+        from distributed.utils import silence_logging_cmgr
     except ImportError:
         raise MissingDependencyError("several workers need Dask: pip install 'distributed>=2024.1'") from None
     settings = {
@@ -143,30 +144,41 @@ def _client(on: Schedule, items: int) -> Iterator[Client]:
             with client:
                 yield client
             return
-        # Ctrl-C reaches every process of a terminal, but this one alone decides, and then ends the others. They inherit
-        # that it is blocked; the tracker of resources would unblock it if it began later.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # The cluster's own silence ends with its close; what its connections say after that helps nobody either.
+        with silence_logging_cmgr(logging.CRITICAL), _processes(min(on.workers, items)) as client:
+            yield client
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[Client]:
+    """A cluster of this machine that ends at once with the context, whatever runs on it."""
+    from distributed import Client, LocalCluster
+
+    # Ctrl-C reaches every process of a terminal, but this one alone decides, and then ends the others. They inherit
+    # that it is blocked; the tracker of resources would unblock it if it began later.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=None,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": ":0"},  # its own port, or a second cluster would warn of the first
+            silence_logs=logging.CRITICAL,
+        )
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with cluster, Client(cluster) as client:
         try:
-            cluster = LocalCluster(
-                n_workers=min(on.workers, items),
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=None,
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-            )
+            yield client
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        with cluster, Client(cluster) as client:
-            try:
-                yield client
-            finally:
-                # Closing waits for what runs, and what is done lies in files.
-                for nanny in cluster.workers.values():
-                    nanny.auto_restart = False
-                    if nanny.pid is not None:
-                        os.kill(nanny.pid, signal.SIGKILL)
+            # Closing waits for what runs, and what is done lies in files.
+            for nanny in cluster.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    os.kill(nanny.pid, signal.SIGKILL)
 
 
 def _short(error: BaseException) -> str:

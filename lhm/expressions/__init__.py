@@ -1,7 +1,7 @@
 """ARKit's 52 expressions: names, weights, takes, blending, and shapes carried to other faces."""
 
 from ..arkit import ARKIT
-from .blending import blend, checked_weights, index, weights_of
+from .blending import blend, checked_weights, index, parsed, weights_of
 from .combinations import combinations, sample_weights
 from .conversation import conversation, conversation_take
 from .head_motion import head_motion
@@ -24,6 +24,7 @@ __all__ = [
     "conversation_take",
     "head_motion",
     "index",
+    "parsed",
     "personalised",
     "read_take",
     "recordings",

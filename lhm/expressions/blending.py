@@ -42,6 +42,25 @@ def weights_of(named: Mapping[str, float]) -> Floats:
     return weights
 
 
+def parsed(text: str) -> Floats:
+    """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
+    named: dict[str, float] = {}
+    for part in text.split("+"):
+        name, star, factor = (piece.strip() for piece in part.partition("*"))
+        if not name:
+            raise InputError(f"expression {text!r}: a name is missing; expected as 'jawOpen*0.5+cheekPuff'")
+        try:
+            weight = float(factor) if star else 1.0
+        except ValueError:
+            raise InputError(f"expression {text!r}: {factor!r} is no number") from None
+        if not 0.0 <= weight <= 1.0:
+            raise InputError(f"expression {text!r}: the weight of {name} is {weight:g}, outside [0, 1]")
+        if name in named:
+            raise InputError(f"expression {text!r}: {name} appears twice")
+        named[name] = weight
+    return weights_of(named)
+
+
 def checked_weights(weights) -> Floats:
     """Weights as float64, shape (..., 52), clipped to [0, 1] with a warning that counts those outside.
 

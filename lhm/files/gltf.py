@@ -69,7 +69,38 @@ def write_gltf(
     if motion.shape != (len(times), *neutral.vertices.shape):
         raise InputError(f"glTF: motion of shape {motion.shape} for {len(times)} times and {neutral.vertices.shape}")
     found = morphs(motion, tolerance=tolerance)
-    normals = _normal_targets(neutral, motion, found)
+    _write(path, neutral, times, found, _normal_targets(neutral, motion, found.weights), name=name)
+    return found
+
+
+def write_rig(
+    path: str | os.PathLike[str],
+    neutral: Surface,
+    times: Floats,
+    rig: Morphs,
+    usual: Floats,
+    *,
+    name: str = "skin",
+) -> None:
+    """Write a skin [mm] with given morph targets, played by their weights at `times` (k,) [s], rising.
+
+    usual: weights (u, t) of usual motions, for which the normals of the targets are fitted by least squares. Raises
+    InputError for a file that cannot be written.
+    """
+    motion = np.tensordot(usual, rig.targets, axes=1).astype(np.float32)
+    _write(path, neutral, times, rig, _normal_targets(neutral, motion, usual), name=name)
+
+
+def _write(
+    path: str | os.PathLike[str],
+    neutral: Surface,
+    times: Floats,
+    found: Morphs,
+    normals: Floats,
+    *,
+    name: str,
+) -> None:
+    """Write a skin [mm], its morph targets with what they add to the normals (t, n, 3), and their weights over time."""
     binary = _Binary()
     attributes = {
         "POSITION": binary.vectors(METRES * neutral.vertices, ARRAY),
@@ -103,7 +134,6 @@ def write_gltf(
         channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
         content["animations"] = [{"name": "take", "samplers": [sampler], "channels": [channel]}]
     write_whole(path, binary.glb(content))
-    return found
 
 
 def _columns(columns: list[Floats], count: int) -> Floats:
@@ -114,13 +144,13 @@ def _rows(targets: list[NDArray[np.float32]], n: int) -> NDArray[np.float32]:
     return np.array(targets, dtype=np.float32).reshape(len(targets), n, 3)
 
 
-def _normal_targets(neutral: Surface, motion: NDArray[np.float32], found: Morphs) -> Floats:
+def _normal_targets(neutral: Surface, motion: NDArray[np.float32], weights: Floats) -> Floats:
     """What each morph target adds to the normals, (t, n, 3): the least-squares fit over a sample of the frames."""
-    count = found.weights.shape[1]
+    count = weights.shape[1]
     some = np.unique(np.linspace(0, len(motion) - 1, min(len(motion), 4 * count + 8)).astype(int))
     turned = np.array([neutral.with_vertices(neutral.vertices + motion[k]).vertex_normals for k in some])
     turned -= neutral.vertex_normals
-    fitted = np.linalg.lstsq(found.weights[some], turned.reshape(len(some), -1), rcond=1e-6)[0]
+    fitted = np.linalg.lstsq(weights[some], turned.reshape(len(some), -1), rcond=1e-6)[0]
     return fitted.reshape(count, *neutral.vertices.shape)
 
 

@@ -16,6 +16,7 @@ from ..mesh import Floats, Ints, Surface, as_elements, as_points
 from .gltf_read import read_gltf
 from .npz import read_arrays
 from .obj import read_obj
+from .ply_strips import read_strips
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".npz")
 LONGEST = 65536
@@ -89,10 +90,11 @@ def _npz(path: Path) -> Scan:
 
 
 def _ply(path: Path) -> Scan:
-    header = path.read_bytes()[:LONGEST].partition(b"end_header")[0].decode("ascii", errors="replace")
+    content = path.read_bytes()
+    header = content[:LONGEST].partition(b"end_header")[0].decode("ascii", errors="replace")
     promised = {name: int(count) for name, count in re.findall(r"^element (\w+) (\d+)\s*$", header, re.MULTILINE)}
     if promised.get("tristrips") and not promised.get("face"):
-        raise InputError("its triangles are strips, which are not read; save it with plain faces (MeshLab does)")
+        return Scan(*read_strips(content))
     scan = _by_trimesh(path)
     # A text that ends early is read as far as it goes.
     for name, found in (("vertex", len(scan.vertices)), ("face", len(scan.triangles))):

@@ -98,7 +98,7 @@ def _closest(points, corners, order, start, stop, left, box):
 
 
 @njit(cache=True)
-def _closest_facing(points, normals, cosine, corners, faces, order, start, stop, left, box):
+def _closest_facing(points, normals, cosine, turned2, corners, faces, order, start, stop, left, box):
     """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none."""
     n = len(points)
     which, weights, distance = np.full(n, -1), np.zeros((n, 3)), np.full(n, np.inf)
@@ -118,8 +118,9 @@ def _closest_facing(points, normals, cosine, corners, faces, order, start, stop,
                     if aligned < cosine:
                         continue
                     u, v, w, d2 = closest_on_triangle(p, corners[t])
-                    if d2 < best:
-                        best, which[i] = d2, t
+                    cost = d2 + turned2 * (2.0 - 2.0 * aligned)
+                    if cost < best:
+                        best, which[i], distance[i] = cost, t, np.sqrt(d2)
                         weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
             else:
                 a, b = left[node], left[node] + 1
@@ -127,7 +128,6 @@ def _closest_facing(points, normals, cosine, corners, faces, order, start, stop,
                     a, b = b, a
                 stack[size], stack[size + 1] = a, b
                 size += 2
-        distance[i] = np.sqrt(best)
     return which, weights, distance
 
 
@@ -209,15 +209,19 @@ class TriangleTree:
         return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
 
     def closest_facing(
-        self, points: Floats, normals: Floats, faces: Floats, cosine: float
+        self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0
     ) -> tuple[Ints, Floats, Floats]:
         """As `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
+
+        A unit of difference between the normals counts as `turned` [mm] beside the distance.
 
         `normals` (k, 3) of the points and `faces` (m, 3) of the triangles are unit vectors. Where no triangle
         qualifies the triangle is -1, its weights are 0 and the distance is infinite.
         """
         arrays = (np.ascontiguousarray(a) for a in (points, normals))
-        return _closest_facing(*arrays, cosine, self.corners, np.ascontiguousarray(faces), *self._nodes)
+        return _closest_facing(
+            *arrays, cosine, turned * turned, self.corners, np.ascontiguousarray(faces), *self._nodes
+        )
 
     def self_crossings(self) -> Ints:
         """Pairs of triangles without a common vertex that cross, shape (k, 2)."""

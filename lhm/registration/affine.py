@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags, hstack
 
-from ..geometry.factor import factorise
+from ..geometry.factor import Solve, factorise_definite
 from ..mesh import Floats, Ints
 
 RETURN = 0.01
@@ -45,10 +45,13 @@ class SmoothAffine:
         self._matrix = (stretch.T @ stretch + 0.5 * change.T @ change + TIE * tied.T @ tied + diags(back)).tocsc()
         self._right = back[:, None] * np.vstack([np.zeros((n, 3)), np.tile(np.eye(3), (n, 1))])
         self._right[:n] += TIE * (ties.T @ (ties @ start))
+        self._factor: Solve | None = None
 
     def solve(self, stiffness: float, weights: Floats, targets: Floats) -> Floats:
         """The positions (n, 3) [mm] of least stiffness E + sum_i weights_i |x_i - targets_i|²."""
         data = np.concatenate([weights, np.zeros(3 * self.n)])
         right = stiffness * self._right
         right[: self.n] += weights[:, None] * targets
-        return factorise((stiffness * self._matrix + diags(data)).tocsc())(right)[: self.n]
+        # The pattern stays, so that its analysis serves every step.
+        self._factor = factorise_definite((stiffness * self._matrix + diags(data)).tocsc(), like=self._factor)
+        return self._factor(right)[: self.n]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.bvh import TriangleTree
 from ..mesh import Floats, Ints, Surface
@@ -12,32 +13,45 @@ SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towar
 
 
 class Target:
-    """A skin that points are matched with; it may be open and of any topology."""
+    """A skin that points are matched with; it may be open and of any topology. `like`: one of the same triangles."""
 
-    def __init__(self, skin: Surface):
+    tree: TriangleTree
+    rim: NDArray[np.bool_]
+
+    def __init__(self, skin: Surface, like: Target | None = None):
         self.skin = skin
         self.normals = skin.vertex_normals
         self.faces = _unit(self.normals[skin.triangles].sum(axis=1))
+        if like is not None:
+            self.tree, self.rim = like.tree.moved(skin.vertices), like.rim
+            return
         self.tree = TriangleTree(skin.vertices, skin.triangles)
         self.rim = np.zeros(len(skin.vertices), dtype=bool)
         self.rim[open_edges(skin.triangles).ravel()] = True
 
-    def match(self, points: Floats, normals: Floats) -> tuple[Floats, Floats, Floats]:
+    def match(self, points: Floats, normals: Floats, *, turned: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """The closest points (k, 3) [mm] that face as `normals` (k, 3) do within 60°, their distance, their weight.
 
         The weight is 0 where there is none, where it lies on an open edge of the skin, and where it lies beside the
-        point, more than 60° off the skin's normal, as at the brink of a cut; else 1.
+        point, more than 60° off the skin's normal, as at the brink of a cut; else 1. With `turned` [mm], what a unit of
+        difference between normals counts, points may lie beside.
         """
-        triangle, weights, distance = self.tree.closest_facing(points, normals, self.faces, FACING)
+        corners, shares, good = self.located(points, normals, turned=turned)
+        closest: Floats = (shares[:, :, None] * self.skin.vertices[corners]).sum(axis=1)
+        closest[~good] = points[~good]
+        return closest, np.linalg.norm(points - closest, axis=1), good.astype(np.float64)
+
+    def located(
+        self, points: Floats, normals: Floats, *, turned: float = 0.0
+    ) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+        """Vertices (k, 3) around such closest points, the barycentric weights, and a mask (k,) of those that count."""
+        triangle, shares, distance = self.tree.closest_facing(points, normals, self.faces, FACING, turned)
         corners = self.skin.triangles[triangle]
-        closest: Floats = (weights[:, :, None] * self.skin.vertices[corners]).sum(axis=1)
-        outward = _unit(np.einsum("kc,kcd->kd", weights, self.normals[corners]))
-        away = points - closest
+        outward = _unit(np.einsum("kc,kcd->kd", shares, self.normals[corners]))
+        away = points - (shares[:, :, None] * self.skin.vertices[corners]).sum(axis=1)
         over = np.abs(np.einsum("kd,kd->k", away, outward)) >= FACING * np.linalg.norm(away, axis=1)
-        open_edge = (weights == 0).any(axis=1) & (self.rim[corners] | (weights == 0)).all(axis=1)
-        good = (triangle >= 0) & ~open_edge & (over | (distance < SHARP))
-        closest[~good], distance[~good] = points[~good], 0.0
-        return closest, distance, good.astype(np.float64)
+        open_edge = (shares == 0).any(axis=1) & (self.rim[corners] | (shares == 0)).all(axis=1)
+        return corners, shares, (triangle >= 0) & ~open_edge & (over | (distance < SHARP) | (turned > 0))
 
 
 def robust(distance: Floats, limit: float) -> Floats:

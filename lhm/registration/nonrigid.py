@@ -13,10 +13,13 @@ from ..wraps.landmarks import Landmarks, Mask, distance_to
 from ..wraps.shrinkwrap import neighbours
 from .affine import SmoothAffine
 from .landmarks import Pairs
-from .matching import FACING, Target, robust
+from .matching import FACING, Target
+from .pulls import Pulls
 
 STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
-STEPS = 4
+TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
+"""[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
+STEPS = 6
 LATE = 8  # From this stage on matches are taken from lips and lids that cross.
 REPAIRS = 8
 LANDMARK, FADES = 5.0, 20.0
@@ -31,7 +34,8 @@ def laid_onto(
     """The vertices (n, 3) [mm] of a template that stands at `start`, laid onto a skin; how many pairs cross anew.
 
     `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
-    Visible vertices are drawn to their matches; those in hidden `parts` and those without a match are carried along.
+    Visible vertices are drawn to their matches, and by the skin's own (`Pulls`); those in hidden `parts`, those that
+    see no sky, and those without a match are carried along.
     Facing points of the two lips keep their gap. Where the surface comes to cross itself its vertices lose their
     match, with more rings in each of up to 8 rounds, and the round with the fewest crossings counts.
     """
@@ -41,13 +45,15 @@ def laid_onto(
     pockets = (parts == MOUTH) | (parts == EYES)
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < NEAR)
     own = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
-    drawn = parts == OUTSIDE
+    pulls = Pulls.of(target, start)
+    drawn = (parts == OUTSIDE) & pulls.visible
     best, fewest = x, -1
     for stage in range(len(STIFFNESSES) + REPAIRS):
         repair = stage - len(STIFFNESSES) + 1
         which = min(stage, len(STIFFNESSES) - 1)
         for _ in range(STEPS):
-            x = _step(x, start, model, target, drawn, marks, STIFFNESSES[which], LIMITS[which])
+            goals, weights = pulls.at(x, drawn, LIMITS[which], TURNED[which])
+            x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()
         crossing = triangles[[pair for pair in pairs if tuple(pair) not in own]].reshape(-1, 6)
@@ -62,25 +68,14 @@ def laid_onto(
     return best, fewest
 
 
-def _step(
-    x: Floats,
-    start: Surface,
-    model: SmoothAffine,
-    target: Target,
-    drawn: Mask,
-    marks: Pairs | None,
-    stiffness: float,
-    limit: float,
-) -> Floats:
-    closest, distance, weights = target.match(x, start.with_vertices(x).vertex_normals)
-    weights = weights * drawn * robust(distance, limit)
+def _step(model: SmoothAffine, goals: Floats, weights: Floats, marks: Pairs | None, stiffness: float) -> Floats:
     if marks is not None:
         ids, points = marks
         more = LANDMARK * min(1.0, stiffness / FADES)
-        pulled = weights[ids, None] * closest[ids] + more * points
+        pulled = weights[ids, None] * goals[ids] + more * points
         weights[ids] += more
-        closest[ids] = pulled / weights[ids, None]
-    return model.solve(stiffness, weights, closest)
+        goals[ids] = pulled / weights[ids, None]
+    return model.solve(stiffness, weights, goals)
 
 
 def lip_ties(skin: Surface, rim: Ints) -> csr_matrix:

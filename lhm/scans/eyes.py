@@ -23,8 +23,10 @@ AROUND, CLOSE = 16.0, 7.0
 LIMITS = np.geomspace(6.0, 2.0, 10)
 FAR = 3.0
 """[mm] Farther points count as this far."""
-CLOSED = 0.85
-"""A half-closed template that fits an eye so much better than an open one, in shares of its distance, says: closed."""
+CLOSED = 0.9
+"""Lids of the template that fit an eye so much better drawn down than open, in shares of the distance: it is closed."""
+DRAWN = (0.5, 0.75, 1.0)
+"""Weights of the blinks tried: closed lids of a scan meet higher or lower than the template's."""
 DIRECT = 1.45
 """A way from lid to lid of up to so many times the straight distance leads across the eye; around it is pi / 2."""
 LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
@@ -75,11 +77,11 @@ def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, regi
         away = distance_to(template.vertices, template.vertices[rim])
         visible = parts == OUTSIDE
         blink = space.expressions[ARKIT.index(f"eyeBlink{side}")]
-        opened, halved = (
+        opened, *drawn = (
             _misfit(template, weight * blink, registered.vertices, visible & (away < AROUND), away < CLOSE, target)
-            for weight in (0.0, 0.5)
+            for weight in (0.0, *DRAWN)
         )
-        if halved < CLOSED * opened:
+        if min(drawn) < CLOSED * opened:
             states.append("closed")
         else:
             states.append("solid" if _way(template, rim, registered, skin) < DIRECT else "open")

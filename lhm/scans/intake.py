@@ -14,7 +14,7 @@ from ..errors import InputError, MeshError, SoftdecaError
 from ..expressions.naming import arkit_named
 from ..files.scan_file import Scan, read_scan
 from ..files.surface_file import check_skin
-from ..fit import fit_registered
+from ..fit import fit_registered, stands
 from ..geometry.bvh import TriangleTree
 from ..geometry.closing import openings
 from ..head import LayeredHead
@@ -84,17 +84,33 @@ def read_head_scan(
         raise InputError(str(error) if str(path) in str(error) else f"{Path(path)}: {error}") from None
 
 
-def topology_of(path: str | os.PathLike[str], template: Template, *, unit: str | None = None) -> Surface | None:
-    """The skin in a file whose triangles are the template's, upright [`unit`, default mm]; None if they are others."""
+def topology_of(
+    path: str | os.PathLike[str],
+    template: Template,
+    said: Said = Said(),  # noqa: B008 (frozen)
+) -> tuple[Surface, tuple[str, ...]] | None:
+    """The skin [mm] in a file whose triangles are the template's, and what was found; None if they are others.
+
+    It is taken as it stands where it has a head's size and looks along +z, else put upright in millimetres. Raises
+    InputError that names the file for a skin that is no head in any unit.
+    """
     scan = read_scan(path)
     if not np.array_equal(scan.triangles, template.skin.triangles) or scan.morphs:
         return None
-    skin = Surface(scan.vertices * (1.0 if unit is None else millimetres(unit)), scan.triangles)
     try:
+        skin, notes = scan.surface, tuple[str, ...]()
+        if not np.ptp(skin.vertices, axis=0).max() > 0:
+            raise MeshError("skin: all its vertices are in one place")
+        if (said.unit, said.up, said.front) != (None, None, None) or not stands(template.skin, skin):
+            rest = template.skin.vertices
+            where = placed(
+                skin, (rest, rest), landmarks=(rest, skin.vertices), unit=said.unit, up=said.up, front=said.front
+            )
+            skin, notes = Surface(where.motion(skin.vertices), skin.triangles), where.notes
         check_skin(skin)
-    except MeshError as error:
+    except SoftdecaError as error:
         raise InputError(f"{Path(path)}: {error}") from None
-    return skin
+    return skin, notes
 
 
 def fit_scan(

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import csr_matrix, vstack
+from scipy.sparse import csr_matrix, diags, vstack
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from ..geometry.bvh import TriangleTree
 from ..identities.space import MOUTH, OUTSIDE
@@ -18,6 +19,8 @@ from ..wraps.landmarks import Mask
 from .cutting import Slit
 from .lips import LipLine
 
+BESIDE = 3.0
+"""[mm] Nearer than this to the cut a skin goes ever more with the rim, so that no spikes are left between the two."""
 REACH = 12.0
 """[mm] Along the template's skin, so far from the rim of a lip is that lip."""
 
@@ -42,12 +45,12 @@ def side_by_side(
 ) -> Registration:
     """The registration on the opened skin: what is above the cut is tied to the upper lip, what is below to the lower.
 
-    The cut's sides go with the rims of the template's lips, and the pocket with the template's lining.
+    The cut's sides, and what is near them, go with the rims of the template's lips; the pocket with its lining.
     """
     n, old, m = len(parts), len(near), len(whole.vertices)
     surface, visible = laid.surface, (parts[template.triangles] != MOUTH).all(axis=1)
     # Beyond the corners both lips are one skin.
-    lips = np.where(np.abs(line.local(surface.vertices)[:, 0]) < line.along[-1], _lips(template, parts, line), 0)
+    lips = np.where(np.abs(line.local(surface.vertices)[:, 0]) < line.along[-1], of_lips(template, parts, line), 0)
     to_skin = on_template(surface, skin).tolil()
     to_template = on_skin(surface, whole).tolil()
     of_skin = np.zeros(old)
@@ -63,11 +66,15 @@ def side_by_side(
         mine = np.flatnonzero(of_skin == side)
         kept = visible & (lips[template.triangles] != -side).all(axis=1)
         points, normals = whole.vertices[mine], whole.vertex_normals[mine]
-        to_skin[mine] = _closest(surface, kept, points, normals).tolil()
+        with_rim = _along(line.local(whole.vertices[edge]), line.local(surface.vertices[rim]), rim, n)
+        away, nearest = cKDTree(whole.vertices[edge]).query(points)
+        share = np.clip(1 - away / BESIDE, 0.0, 1.0)
+        own = _closest(surface, kept, points, normals)
+        to_skin[mine] = (diags(1 - share) @ own + diags(share) @ with_rim[nearest]).tolil()
         mine = np.flatnonzero((lips == side) & ~np.isin(np.arange(n), np.append(line.upper, line.lower)))
         kept = front & (skin_side[whole.triangles] != -side).all(axis=1) & ~_touches(whole.triangles, edge, sides)
         to_template[mine] = _closest(whole, kept, surface.vertices[mine], surface.vertex_normals[mine]).tolil()
-        cut_rows[edge - old] = _along(line.local(whole.vertices[edge]), line.local(surface.vertices[rim]), rim, n)
+        cut_rows[edge - old] = with_rim
         to_template[rim] = _along(line.local(surface.vertices[rim]), line.local(whole.vertices[edge]), edge, m)
     lining = np.flatnonzero(parts == MOUTH)
     number = np.full(n, -1)
@@ -86,7 +93,7 @@ def _touches(triangles: Ints, edge: Ints, sides) -> Mask:
     return np.isin(triangles, other).any(axis=1)
 
 
-def _lips(template: Surface, parts: Ints, line: LipLine) -> Ints:
+def of_lips(template: Surface, parts: Ints, line: LipLine) -> Ints:
     """1 for the template's visible vertices nearer to the upper lip's rim along the skin, -1 to the lower's, else 0."""
     outside = np.flatnonzero(parts == OUTSIDE)
     number = np.full(len(parts), -1)

@@ -17,7 +17,7 @@ from ..registration.registration import Registration
 from ..wraps.landmarks import Mask
 from ..wraps.shrinkwrap import neighbours
 from .cutting import Slit, slit
-from .lip_ties import shares, side_by_side
+from .lip_ties import of_lips, shares, side_by_side
 from .lips import LipLine, lip_line
 
 BESIDE, HIGH, BEHIND, BEFORE = 8.0, 12.0, 15.0, 35.0
@@ -26,6 +26,8 @@ BAND = (2.0, 6.0)
 """[mm] Lips, as heights over the line."""
 ACROSS = 1.8
 """Up to so many times the straight distance, the shortest way over the skin from lip to lip leads across the line."""
+CORNERS = (0.6, 0.9)
+"""Shares of the mouth's half width between which lips are told apart ever less by the template, and more by height."""
 SHARES = (1.0, 0.5, 0.0)
 """Of the way from the template's line to the furrow, tried in turns: lips may be too ragged to be followed."""
 GAP, INSIDE, FADES = 0.5, 1.5, 15.0
@@ -53,7 +55,10 @@ class OpenedMouth:
 
 
 def is_sealed(line: LipLine, skin: Surface) -> bool:
-    """Whether the skin goes on from lip to lip: most shortest ways between them, off the corners, are near straight."""
+    """Whether the skin goes on from lip to lip: most shortest ways between them, off the corners, are near straight.
+
+    Of lips that are sealed deep between them it says nothing.
+    """
     return bool(np.median(ways_across(line, skin)) < ACROSS)
 
 
@@ -88,25 +93,42 @@ def ways_across(line: LipLine, skin: Surface) -> Floats:
     return np.array(found or [np.inf])
 
 
-def opened(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth | None:
-    """The skin with its mouth opened where it is sealed, and the registration on it; None where it is open.
-
-    Raises MeshError, saying why, for a sealed mouth that cannot be cut.
-    """
-    if not is_sealed(lip_line(template, parts, laid.surface, skin), skin):
-        return None
+def opened(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth:
+    """The skin with its sealed mouth opened, and the registration on it; MeshError, saying why, if it cannot be cut."""
+    furrow = lip_line(template, parts, laid.surface, skin)
+    if not is_sealed(furrow, skin):
+        line = lip_line(template, parts, laid.surface, skin, share=0.0)
+        return cut_open(template, parts, laid, skin, line, _over_membrane(template, parts, laid, skin, line))
     for share in SHARES:
         try:
-            return cut_open(template, parts, laid, skin, lip_line(template, parts, laid.surface, skin, share=share))
+            line = lip_line(template, parts, laid.surface, skin, share=share)
+            return cut_open(template, parts, laid, skin, line, line.above(skin.vertices))
         except MeshError as error:
             failed = error
     raise failed
 
 
-def cut_open(template: Surface, parts: Ints, laid: Registration, skin: Surface, line: LipLine) -> OpenedMouth:
-    """The skin cut along a line, with the template's lining sewn in behind; MeshError where it cannot be cut."""
-    local, above = line.local(skin.vertices), line.above(skin.vertices)
-    near = _zone(line, local, above)
+def _over_membrane(template: Surface, parts: Ints, laid: Registration, skin: Surface, line: LipLine) -> Floats:
+    """What changes its sign (n,) between the lips, however these overlap: on which of them the template's points lie.
+
+    Where they lie on neither, and towards the corners, the height over the line decides.
+    """
+    side = laid.skin_weights @ of_lips(template, parts, line)
+    aside = np.abs(line.local(skin.vertices)[:, 0]) / line.along[-1]
+    height = np.clip(line.above(skin.vertices) / BAND[0], -1.0, 1.0)
+    share = np.where(np.abs(side) > 1e-9, np.clip((CORNERS[1] - aside) / (CORNERS[1] - CORNERS[0]), 0.0, 1.0), 0.0)
+    return share * side + (1 - share) * height
+
+
+def cut_open(
+    template: Surface, parts: Ints, laid: Registration, skin: Surface, line: LipLine, above: Floats
+) -> OpenedMouth:
+    """The skin cut where `above` (n,) changes its sign, with the template's lining sewn in behind.
+
+    MeshError where it cannot be cut.
+    """
+    local = line.local(skin.vertices)
+    near = _zone(line, local, line.above(skin.vertices))
     allowed = near[skin.triangles].all(axis=1)
     ends = (float(line.along[0]), float(line.along[-1]))
     cut = slit(skin.triangles, above, local[:, 0], ends, allowed, skin.vertices)

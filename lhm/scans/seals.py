@@ -7,16 +7,22 @@ from dataclasses import dataclass, field
 
 from ..arkit import ARKIT
 from ..errors import MeshError
+from ..geometry.stretch import torn_area
 from ..head import LayeredHead
 from ..membranes import MOUTH, at, torn
 from ..mesh import Floats, Surface
 from ..registration.registration import Registration
 from ..rig import Rig
 from ..template import Template
+from ..wraps.landmarks import distance_to
 from .eyes import Eyes, eyes_of
 from .lips import lip_line
 from .mouth import is_sealed, opened
 
+AROUND = 25.0
+"""[mm] Where a membrane between the lips is looked for, from the registered template's rim of them."""
+DRAWN = 250.0
+"""[mm²] Skin that an open jaw stretches fivefold there: a membrane has 530 to 1,250, lips that part 3 to 30."""
 TEARS = 100.0
 """[mm²] An expression that stretches more than this of a sealed mouth fivefold will not look right."""
 
@@ -45,12 +51,12 @@ def opened_up(template: Template, laid: Registration, skin: Surface, own: Mappin
     still, told = _eyes(template, laid, skin, own)
     if "jawOpen" in own:
         return Unsealed(skin, laid, own, still, False, told)
+    if not _sealed(template, laid, skin):
+        return Unsealed(skin, laid, own, still, False, told)
     try:
         mouth = opened(template.skin, template.parts, laid, skin)
     except MeshError as error:
         return Unsealed(skin, laid, own, still, True, (f"mouth: sealed, and not to be opened ({error})", *told))
-    if mouth is None:
-        return Unsealed(skin, laid, own, still, False, told)
     more = len(mouth.skin.vertices) - len(skin.vertices)
     note = f"mouth: sealed; opened between the lips, with the template's lining behind them ({more} more vertices)"
     return Unsealed(mouth.skin, mouth.laid, mouth.carried(own), still, False, (note, *told))
@@ -59,7 +65,7 @@ def opened_up(template: Template, laid: Registration, skin: Surface, own: Mappin
 def left_sealed(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
     """Leave the skin as it is, and say what is sealed."""
     still, told = _eyes(template, laid, skin, own)
-    sealed = "jawOpen" not in own and is_sealed(lip_line(template.skin, template.parts, laid.surface, skin), skin)
+    sealed = "jawOpen" not in own and _sealed(template, laid, skin)
     return Unsealed(skin, laid, own, still, sealed, ("mouth: sealed, and left so", *told) if sealed else told)
 
 
@@ -71,6 +77,18 @@ def named(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
     lips = at(head.skin, head.skin_from_wrap, head.regions, MOUTH)
     reason = "the mouth is sealed: its lips are one surface"
     return rig.doubting({name: reason for name in ARKIT if torn(head.skin, rig, lips, (name,)) > TEARS})
+
+
+def _sealed(template: Template, laid: Registration, skin: Surface) -> bool:
+    """Whether a skin's lips are one surface, or have a membrane deep between them, which an open jaw would draw out."""
+    if is_sealed(lip_line(template.skin, template.parts, laid.surface, skin), skin):
+        return True
+    if template.space is None or "jawOpen" in template.space.missing:
+        return False
+    rim = laid.vertices[template.marks.rim]
+    near = distance_to(skin.vertices, rim) < AROUND
+    moved = skin.vertices + laid.skin_weights @ template.space.expressions[ARKIT.index("jawOpen")]
+    return torn_area(skin.vertices, moved, skin.triangles[near[skin.triangles].all(axis=1)]) > DRAWN
 
 
 def _eyes(

@@ -17,18 +17,16 @@ from ...lhm import fit_head, identities, load_template
 from ...lhm.errors import InputError
 from ...lhm.expressions import ARKIT, personalised, sample_weights, transfer_expressions
 from ...lhm.files.cache import cached
-from ...lhm.geometry.rigid import rigid_motion
 from ...lhm.head import LayeredHead
-from ...lhm.identities.space import CLIP, LinearSpace
+from ...lhm.identities.space import LinearSpace
 from ...lhm.mesh import Floats, Surface
 from ...lhm.progress import OnProgress, silent
 from ...lhm.registration import register
+from ..codes import nearest_code
 from .person import Person
 
 SCANS = 24
 """Expressions of one person that the rig is made of; the paper's heads have 20 to 35."""
-RIDGE = 1.0
-"""[mm²] of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,26 +81,11 @@ class External:
         scans = neutral.vertices + np.stack([self.weights @ motion for motion in shapes])
         generic = transfer_expressions(self.mean, self.own.expressions, neutral)
         rig = personalised(neutral, generic, scans, expressed)
-        return Person(self.code_of(neutral), neutral, rig.deltas, personal=True)
+        return Person(nearest_code(self.own, neutral), neutral, rig.deltas, personal=True)
 
     def head(self, person: Person) -> LayeredHead:
         """The fitted head of a person."""
         return self.fit(person.skin)  # type: ignore[operator]
-
-    def code_of(self, skin: Surface) -> Floats:
-        """The code of the default space whose skin is nearest to one of its triangles, up to a rigid motion.
-
-        Least squares with standard normal codes as the prior, clipped as samples are.
-        """
-        code = np.zeros(self.own.code_size)
-        basis = self.own.identity.reshape(self.own.code_size, -1)
-        gram = basis @ basis.T / len(skin.vertices) + RIDGE * np.eye(len(code))
-        for _ in range(5):
-            rotation, translation = rigid_motion(skin.vertices, self.own.skin(code).vertices)
-            aligned = skin.vertices @ rotation.T + translation
-            right = basis @ (aligned - self.mean.vertices).ravel() / len(skin.vertices)
-            code = np.clip(np.linalg.solve(gram, right), -CLIP, CLIP)
-        return code
 
     def _seen(self, weights: Floats) -> Floats:
         """Weights without the shapes that the other space lacks."""

@@ -14,14 +14,12 @@ from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
 from ...reference.responses import expression_responses, skin_responses
+from ...reference.settling import FOR_TARGETS
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
 from .plan import CorpusPlan
 from .shard import ACCEPTED
 
-MAX_SETTLING = 2000
-SETTLED = 1e-4
-"""Of the settled face, relative to its start; it is what targets follow, and need be no more exact than they are."""
 UNDIFFERENTIATED = ("frequency", "damping", "strain_limit")
 
 
@@ -46,7 +44,7 @@ class Answer:
 
 def settled_neutral(people: People, head: LayeredHead, drawn: ParameterSet) -> Settled:
     """The neutral face under a parameter set; SceneError where it does not come to rest."""
-    neutral = settled(head, drawn.parameters(head, people.mean), tolerance=SETTLED, max_iterations=MAX_SETTLING)
+    neutral = settled(head, drawn.parameters(head, people.mean), **FOR_TARGETS)
     if not neutral.converged:
         raise SceneError(str(neutral.reason))
     return neutral

@@ -122,6 +122,11 @@ class Table:
             found["coefficients"] = person.coefficients[group]
         return found | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
 
+    def small(self, index: int, name: str) -> Any:
+        """One of a row's small fields, which are in memory."""
+        identity, row = self.rows[index]
+        return self._people[int(identity)].small[name][row]
+
     def settled(self, identity: int, group: int) -> NDArray:
         """By how much p moved a person's neutral skin [mm], shape (n, 3)."""
         person = self._people[int(identity)]

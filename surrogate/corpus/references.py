@@ -39,12 +39,10 @@ def _reference(group: Group, weights: Floats, positions: Floats, answer: Answer,
     none = np.zeros(answer.corrected.shape, dtype=np.float16)
     try:
         scene = group.scene(weights)
-        if law != FEM_LAWS[0]:
-            scene = neo_hookean_scene(scene)
-        prepared = prepare(scene, solver="fenicsx")
+        prepared = prepare(scene if law == FEM_LAWS[0] else neo_hookean_scene(scene), solver="fenicsx")
         # Relative to rest, or to small targets where that is the answer: at PD's own the gradient is rounding already.
         norms = [prepared.solve(start=start, max_iterations=0).history.gradient_norm[0] for start in (None, positions)]
-        asked = TOLERANCE * max(norms[0], SMALL * spring_norm(group.scene(weights)))
+        asked = TOLERANCE * max(norms[0], SMALL * spring_norm(scene))
         tolerance = min(asked / max(norms[1], asked), 0.5)
         solution = prepared.solve(start=positions, tolerance=tolerance)
     except SoftdecaError as error:

@@ -7,12 +7,11 @@ from os import PathLike
 
 import numpy as np
 
-from ...lhm.errors import InputError
 from ...lhm.mesh import Floats, Floats32, Ints, Surface
 from ..corpus.mixture import NAMES
 from ..corpus.plan import Split
 from ..corpus.reading import Table
-from .features import STATIC, Features
+from .features import STATIC, Features, normalised_code
 
 _COLUMNS = [NAMES.index(name) for name in STATIC]
 
@@ -77,11 +76,9 @@ class Faces:
         return self._responses.people
 
     @property
-    def shapes(self) -> Floats:
-        """The 52 shapes that all people share [mm], shape (52, n, 3); InputError where they are personal."""
-        if self._responses.template.shapes is None:
-            raise InputError("corpus: its people have shapes of their own, and no network here is trained on these")
-        return self._responses.template.shapes
+    def personal(self) -> bool:
+        """Whether each person has shapes of their own."""
+        return self._responses.template.shapes is None
 
     def face(self, index: int) -> Face:
         """One face."""
@@ -95,6 +92,18 @@ class Faces:
             offset=row["offset"],
             responses=row["expressions"],
         )
+
+    def skin(self, identity: int) -> Surface:
+        """A person's neutral skin [mm]."""
+        return self._responses.skin(identity)
+
+    def shapes(self, identity: int) -> np.ndarray:
+        """What each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
+        return self._responses.shapes(identity)
+
+    def moved(self, index: int) -> list[float]:
+        """By how much simulation moves the face in each of a face's static frames: 95 % of |T - S| [mm]."""
+        return [float(self._statics.small(int(row), "moved")[1]) for row in self.frames_of[index]]
 
     def frames(self, index: int, chosen: Ints | None = None) -> Frames:
         """A face's accepted static frames, or those of the given numbers."""
@@ -157,8 +166,8 @@ class Inputs:
         return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
 
     def code(self, code: Floats) -> Floats:
-        """A code as the network has it: all of it counts about as much as a few parameters."""
-        return 0.5 * (np.asarray(code, dtype=np.float64) - self.code_mean) / self.code_scale
+        """See `normalised_code`."""
+        return normalised_code(code, self.code_mean, self.code_scale)
 
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
         """See `Features.summary`."""

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ...lhm.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
+from ...reference.settling import GROWING
 from ..corpus.fields import basis
 from ..corpus.mixture import NAMES
 
@@ -27,14 +28,10 @@ _INFOS = {name: Parameters.info(name) for name in STATIC}
 _LOCAL = tuple(k for k, name in enumerate(STATIC) if _INFOS[name].local)
 _SOFT = STATIC.index("soft_stiffness")
 _GRAVITY = tuple(STATIC.index(name) for name in ("gravity", "gravity_x", "gravity_y", "gravity_z"))
-_MOVING = tuple(
-    STATIC.index(name)
-    for name in ("soft_volume", "muscle_volume", "skin_growth", "gravity", "gravity_x", "gravity_y", "gravity_z")
-    + tuple(f"{bone}_scale_{axis}" for bone in ("mandible", "cranium") for axis in "xyz")
-)
-"""What moves a neutral face; at the default of these it stays where it is, whatever the materials."""
-_THERE = tuple(STATIC.index(name) for name in ("soft_volume", "muscle_volume", "skin_growth"))
+_THERE = tuple(STATIC.index(name) for name in GROWING)
 _BONES = tuple(STATIC.index(f"{bone}_scale_{axis}") for bone in ("mandible", "cranium") for axis in "xyz")
+_MOVING = _THERE + _GRAVITY + _BONES
+"""What moves a neutral face; at the default of these it stays where it is, whatever the materials."""
 EFFECTS = len(_THERE) + len(_BONES) + 3
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
 _OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
@@ -83,7 +80,7 @@ class Features:
         return np.array(chosen[:POINTS])
 
     def at_vertices(self, coefficients: Floats) -> Floats:
-        """P at the vertices, shape (n, P), of coefficients (P, 1 + WAVES), see `corpus.fields`."""
+        """The p at the vertices, shape (n, P), of coefficients (P, 1 + WAVES), see `corpus.fields`."""
         return np.clip(self._basis @ np.asarray(coefficients, dtype=np.float64).T, -1.0, 1.0)
 
     def mirrored(self, at_vertices: Floats) -> Floats:
@@ -119,6 +116,11 @@ class Features:
         found = np.array(at_vertices)
         found[:, list(_MOVING)] = _DEFAULTS[list(_MOVING)]
         return found
+
+
+def normalised_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
+    """A code (c,) as the network has it: all of it counts about as much as a few parameters."""
+    return 0.5 * (np.asarray(code, dtype=np.float64) - mean) / scale
 
 
 def _softness(normalised):

@@ -3,10 +3,10 @@
     T - S = Σ_e e(v) E_e(v) + Σ_k (a_k + b_k) g_k(v) B_k(v) + Σ_j w_j Σ_k Z_jk g_k(v) B_k(v) + Σ_k N_k(w) g_k(v) B_k(v)
 
 with effects e(v) of p at a vertex (see `Features.effects`) and a table E of what they do to the mean face, then modes
-B_k (n, 3) of each of PARTS, gains g_k(v) from p at the vertex, the code and a trained position of
-the vertex, and amplitudes a, b, Z and N from a summary of p and h; N(0) = 0, and
-a = b = 0 where nothing of p moves the neutral face. The paper's L(p, h) in the vertex form of its
-ablation, where a separable table of modes takes the place of one network per face.
+B_k (n, 3) of each of PARTS, gains g_k(v) from p at the vertex, the code and a trained position of the vertex, and
+amplitudes a, b, Z and N from a summary of p and h; N(0) = 0, and a = b = 0 where nothing of p moves the neutral face.
+The paper's L(p, h) in the vertex form of its ablation, where a separable table of modes takes the place of one network
+per face.
 """
 
 from __future__ import annotations

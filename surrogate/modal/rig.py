@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from ...lhm.mesh import Floats, Floats32
-from .features import Features
+from .features import Features, normalised_code
 from .weights import ModalWeights
 
 
@@ -24,7 +24,7 @@ class Modal:
     def bound(self, code: Floats, at_vertices: Floats) -> BoundModes:
         """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P)."""
         network, weights = self.weights.network, self.weights
-        known = 0.5 * (np.asarray(code, dtype=np.float64) - weights.code_mean) / weights.code_scale
+        known = normalised_code(code, weights.code_mean, weights.code_scale)
         summary = self.features.summary(known, at_vertices)
         unmoved = self.features.summary(known, self.features.unmoved(at_vertices))
         own = known.astype(np.float32)
@@ -82,6 +82,20 @@ class Remainder:
         rest = made(np.zeros(52, dtype=np.float32))
         return replace(made, rest=rest)
 
+    @classmethod
+    def none(cls) -> Remainder:
+        """That of a rig without modes."""
+        inner, outer = np.zeros((52, 1), dtype=np.float32), np.zeros((52, 0), dtype=np.float32)
+        one = inner[0]
+        return cls(inner, one, inner[:1], one, outer[:1], outer, outer[0])
+
+    def of_one(self, weights: Floats32, amplitudes: Floats32) -> None:
+        """Write the amplitudes (k,) of one expression (52,): what a frame calls."""
+        _one(
+            weights, self.inner, self.inner_bias, self.middle, self.middle_bias, self.outer, self.linear, self.rest,
+            amplitudes,
+        )  # fmt: skip
+
     def __call__(self, weights: Floats32) -> Floats32:
         """Amplitudes (..., k) of weights (..., 52)."""
         hidden = _silu(_silu(weights @ self.inner + self.inner_bias) @ self.middle + self.middle_bias)
@@ -132,20 +146,21 @@ def _silu(values):
 
 
 @numba.njit(cache=True, fastmath=True)
-def add_combination(amplitudes, shapes, surface):
-    """Add Σ_k a_k B_k to a surface (m,) in place; shapes (k, m), two at a time, zeros left out."""
-    pending = -1
-    for k in range(len(amplitudes)):
-        if amplitudes[k] == 0.0:
-            continue
-        if pending < 0:
-            pending = k
-            continue
-        a, b, one, other = amplitudes[pending], amplitudes[k], shapes[pending], shapes[k]
-        for i in range(len(surface)):
-            surface[i] += a * one[i] + b * other[i]
-        pending = -1
-    if pending >= 0:
-        a, one = amplitudes[pending], shapes[pending]
-        for i in range(len(surface)):
-            surface[i] += a * one[i]
+def _one(weights, inner, inner_bias, middle, middle_bias, outer, linear, rest, amplitudes):
+    """`Remainder.__call__` of one expression, whose weights of zero cost nothing."""
+    first, second = inner_bias.copy(), middle_bias.copy()
+    amplitudes[:] = -rest
+    for i in range(len(weights)):
+        if weights[i] != 0.0:
+            for j in range(len(first)):
+                first[j] += weights[i] * inner[i, j]
+            for j in range(len(amplitudes)):
+                amplitudes[j] += weights[i] * linear[i, j]
+    for i in range(len(first)):
+        active = first[i] / (np.float32(1.0) + np.exp(-first[i]))
+        for j in range(len(second)):
+            second[j] += active * middle[i, j]
+    for i in range(len(second)):
+        active = second[i] / (np.float32(1.0) + np.exp(-second[i]))
+        for j in range(len(amplitudes)):
+            amplitudes[j] += active * outer[i, j]

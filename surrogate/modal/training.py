@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import io
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...lhm.errors import InputError
-from ...lhm.files.atomic import write_whole
 from ...lhm.mesh import Floats, Floats32
 from ...lhm.progress import OnProgress, silent
-from ..learning import torch
+from ..learning import keep_state, kept_state, torch
 from ..surface_hash import surface_hash
 from .faces import Face, Faces, Inputs, Neutral, Neutrals, mirrored
 from .features import EFFECTS, STATIC, Features
@@ -101,6 +98,8 @@ class _Loop:
         self.faces, self.config, self.neutrals = faces, config, neutrals
         if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
             raise InputError("training: the neutral faces are of another space or level than the corpus")
+        if faces.personal:
+            raise InputError("training: the corpus' people have shapes of their own, which the network does not see")
         people = np.unique(faces.groups[:, 0])
         if len(people) < 10:
             raise InputError(f"training: {len(people)} people have derivatives; at least 10 are needed")
@@ -134,6 +133,7 @@ class _Loop:
         self.curve: list[CurvePoint] = []
 
     def run(self, steps: int):
+        """Some steps, then the errors on held-out people: a point of the learning curve."""
         begin, total = time.perf_counter(), 0.0
         for _ in range(steps):
             total += self._step()
@@ -162,8 +162,7 @@ class _Loop:
         loss = self._settled_loss(faces + self._some_neutrals(rng), rng, vertices)
 
         p = [self.features.at_vertices(face.coefficients) for face in faces]
-        local, summary = self._features(faces, p, vertices)
-        _, unmoved = self._features(faces, [self.features.unmoved(one) for one in p], vertices[:1])
+        local, summary, unmoved = self._features(faces, p, vertices)
         relaxed_basis, response_basis, remainder_basis = network.bases(local, summary, vertices, (1, 2, 3))
         relaxed = self._tensor([(face.offset.astype(np.float32) - face.settled)[vertices].ravel() for face in faces])
         own = (network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed_basis)[:, 0]
@@ -195,8 +194,7 @@ class _Loop:
                 at_vertices, move = self.features.mirrored(at_vertices), mirrored(move, mirror)
             p.append(at_vertices)
             settled.append(move[vertices])
-        local, summary = self._features(faces, p, vertices)
-        _, unmoved = self._features(faces, [self.features.unmoved(one) for one in p], vertices[:1])
+        local, summary, unmoved = self._features(faces, p, vertices)
         (basis,) = network.bases(local, summary, vertices, (0,))
         effects = self._tensor([self.features.effects(one)[vertices] for one in p])
         own = (network.settled_amplitudes(summary, unmoved)[:, None] @ basis)[:, 0]
@@ -209,10 +207,13 @@ class _Loop:
         return [self.neutrals.face(int(k)) for k in rng.choice(len(self.neutrals), self.config.neutrals)]
 
     def _features(self, faces, p, vertices):
-        local = [self.features.local(one)[vertices] for one in p]
-        return self._tensor(local), self._tensor(
-            [self.inputs.summary(face.code, one) for face, one in zip(faces, p, strict=True)]
+        """Of faces: `local` at some vertices, the summary, and that of nothing moved."""
+        local = [self.features.local(one[vertices]) for one in p]
+        summaries = (
+            [self.inputs.summary(face.code, one) for face, one in zip(faces, at_vertices, strict=True)]
+            for at_vertices in (p, [self.features.unmoved(one) for one in p])
         )
+        return self._tensor(local), *map(self._tensor, summaries)
 
     def _tensor(self, rows):
         return torch.from_numpy(np.stack(rows).astype(np.float32)).to(self.device)
@@ -221,6 +222,7 @@ class _Loop:
         return errors_of(self.weights(), self.faces, self.validation)
 
     def weights(self) -> ModalWeights:
+        """The network as it is now, with what it was made from."""
         faces, config = self.faces, self.config
         arrays = {name: value.detach().cpu().numpy() for name, value in self.network.state_dict().items()}
         note = TrainingNote(
@@ -241,6 +243,7 @@ class _Loop:
         return [repr(self.config), f"{len(self.faces)} faces", f"{len(self.neutrals or ())} neutrals"]
 
     def keep(self, path: Path):
+        """Write all that `restore` needs, whole or not at all."""
         content = {
             "of": self._of,
             "step": self.step,
@@ -250,18 +253,11 @@ class _Loop:
             "schedule": self.schedule.state_dict(),
             "curve": [asdict(point) for point in self.curve],
         }
-        buffer = io.BytesIO()
-        torch.save(content, buffer)
-        write_whole(path, buffer.getvalue())
+        keep_state(path, content)
 
     def restore(self, path: Path):
-        try:
-            kept: dict[str, Any] = torch.load(path, weights_only=True)
-            same = kept["of"] == self._of
-        except Exception as error:
-            raise InputError(f"{path}: damaged, or no state of a training ({type(error).__name__})") from None
-        if not same:
-            raise InputError(f"{path}: of another training (config or corpus); remove it, or name another file")
+        """Go on where `keep` was called last; InputError for a file of another training."""
+        kept = kept_state(path, self._of)
         self.network.load_state_dict(kept["network"])
         self.optimiser.load_state_dict(kept["optimiser"])
         self.schedule.load_state_dict(kept["schedule"])

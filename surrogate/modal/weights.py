@@ -18,6 +18,7 @@ from ...lhm.files.atomic import write_whole
 from ...lhm.mesh import Floats, Surface
 from ..surface_hash import surface_hash
 from .features import STATIC
+from .looseness import Looseness
 
 FORMAT = "softdeca-modal-1"
 COARSE = ("modes.", "position", "response_table", "effects")
@@ -43,7 +44,10 @@ class TrainingNote:
 
 @dataclass(frozen=True, eq=False)
 class ModalWeights:
-    """Arrays of the network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,)."""
+    """Arrays of the network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,).
+
+    looseness: what dynamic frames need besides; None where nobody could fit heads to the people.
+    """
 
     space: str
     mean: Surface
@@ -51,6 +55,7 @@ class ModalWeights:
     code_scale: Floats
     network: Mapping[str, np.ndarray]
     note: TrainingNote
+    looseness: Looseness | None = None
 
     @property
     def template(self) -> str:
@@ -76,6 +81,9 @@ class ModalWeights:
             "code_mean": np.ascontiguousarray(self.code_mean),
             "code_scale": np.ascontiguousarray(self.code_scale),
         }
+        if self.looseness is not None:
+            arrays["looseness.shares"] = np.ascontiguousarray(self.looseness.shares, dtype=np.float16)
+            arrays["looseness.pivots"] = np.ascontiguousarray(self.looseness.pivots)
         write_whole(Path(path), save(arrays, metadata={"softdeca": json.dumps(about)}))
 
     @classmethod
@@ -114,6 +122,7 @@ class ModalWeights:
                         "seen": {name: (low, high) for name, (low, high) in note["seen"].items()},
                     }
                 ),
+                looseness=_looseness(arrays),
             )
         except InputError:
             raise
@@ -124,6 +133,16 @@ class ModalWeights:
             raise InputError(
                 f"weights {path}: their mesh is not the one they name ({about['template']}); train them anew"
             )
-        if not all(np.isfinite(value).all() for value in weights.network.values()):
+        if not all(np.isfinite(value).all() for name, value in arrays.items() if name != "mean.triangles"):
             raise InputError(f"weights {path}: some are not finite")
         return weights
+
+
+def _looseness(arrays: Mapping[str, np.ndarray]) -> Looseness | None:
+    if "looseness.shares" not in arrays:
+        return None
+    shares, pivots = arrays["looseness.shares"].astype(np.float64), arrays["looseness.pivots"]
+    expected = (len(arrays["code_mean"]) + 1, len(arrays["mean.vertices"]))
+    if shares.shape != expected or pivots.shape != (expected[0], 3):
+        raise ValueError(f"looseness of shape {shares.shape}, {expected} is needed")
+    return Looseness(shares, pivots)

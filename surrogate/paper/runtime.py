@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -14,17 +12,20 @@ from numpy.typing import NDArray
 from ...lhm import identities
 from ...lhm.checked import checked
 from ...lhm.errors import InputError
-from ...lhm.files import cache
 from ...lhm.geometry.deformation import DeformationTransfer, weighted_edges
 from ...lhm.mesh import Floats, Floats32, Surface
 from ...reference import Parameters
+from ..rigs import (
+    EXPRESSIONS,
+    add_combination,
+    checked_blended,
+    checked_code,
+    checked_shapes,
+    checked_skin,
+    checked_weights,
+)
 from .checkpoint import Checkpoint
 from .samples import normalise_parameters
-
-
-def default_path() -> Path:
-    """Where the study keeps the trained surrogate, in the user's cache folder."""
-    return cache.folder() / "surrogate.npz"
 
 
 class HypernetworkSurrogate:
@@ -36,9 +37,9 @@ class HypernetworkSurrogate:
 
     @classmethod
     @checked
-    def load(cls, path: str | PathLike[str] | None = None) -> HypernetworkSurrogate:
-        """Read a checkpoint; None is the one that the study has trained. InputError if it is missing or damaged."""
-        return cls(Checkpoint.load(default_path() if path is None else path))
+    def load(cls, path: str | PathLike[str]) -> HypernetworkSurrogate:
+        """Read a checkpoint. InputError if it is missing or damaged."""
+        return cls(Checkpoint.load(path))
 
     def bind(
         self, skin: Surface, code: Floats, parameters: Parameters | Floats | None = None, *, expressions=None
@@ -52,22 +53,13 @@ class HypernetworkSurrogate:
         range or not trained.
         """
         checkpoint = self.checkpoint
-        self._check_skin(skin)
-        code = np.asarray(code, dtype=np.float64)
-        if code.shape != checkpoint.code_mean.shape or not np.isfinite(code).all():
-            raise InputError(f"code: expected {len(checkpoint.code_mean)} finite numbers, got shape {code.shape}")
+        checked_skin(skin, checkpoint.reference, f"the checkpoint's template {checkpoint.template}")
+        code = checked_code(code, len(checkpoint.code_mean))
         normalised = self._normalised(Parameters() if parameters is None else parameters)
         latents = face_latents(checkpoint.network, (code - checkpoint.code_mean) / checkpoint.code_scale, normalised)
         return BoundHypernetwork(
             self._transfer, checkpoint.network, latents, skin, self._expressions(code, expressions)
         )
-
-    def _check_skin(self, skin: Surface):
-        template, network = self.checkpoint.reference, f"the checkpoint's template {self.checkpoint.template}"
-        if len(skin.vertices) != len(template.vertices):
-            raise InputError(f"skin: {len(skin.vertices)} vertices, {network} has {len(template.vertices)}")
-        if not np.array_equal(skin.triangles, template.triangles):
-            raise InputError(f"skin: its triangles are not those of {network}")
 
     def _normalised(self, parameters: Parameters | Floats) -> Floats32:
         names = self.checkpoint.parameter_names
@@ -93,11 +85,7 @@ class HypernetworkSurrogate:
             if space is None:
                 return None
             expressions = space.expression_deltas(code)
-        expressions = np.ascontiguousarray(expressions, dtype=np.float32)
-        expected = (52, *self.checkpoint.reference.vertices.shape)
-        if expressions.shape != expected:
-            raise InputError(f"expressions: expected shape {expected}, got {expressions.shape}")
-        return expressions
+        return checked_shapes(expressions, len(self.checkpoint.reference.vertices))
 
 
 class BoundHypernetwork:
@@ -121,8 +109,8 @@ class BoundHypernetwork:
         blended: the linear blendshapes' answer S_t [mm] of a rig of one's own, shape (n, 3). Weights outside [0, 1]
         are clipped with a warning that counts them. Raises InputError for shapes and values that are not finite.
         """
-        weights = _checked_weights(weights)
-        surface = self.blend(weights) if blended is None else self._checked_blended(blended)
+        weights = checked_weights(weights)
+        surface = self.blend(weights) if blended is None else checked_blended(blended, self._skin.shape)
         forces = np.zeros((len(surface), 3), dtype=np.float32)
         latent = expression_latent(self._network, weights)
         _latent_forces(self._latents, latent, surface, self._transfer.triangles, self._transfer.stiffness, forces)
@@ -133,32 +121,14 @@ class BoundHypernetwork:
         if self._expressions is None:
             raise InputError("expressions: not known for the checkpoint's space; give bind(expressions=) or blended=")
         surface = self._skin.copy()
-        _add_expressions(self._expressions, np.asarray(weights, dtype=np.float32), surface)
+        shapes = self._expressions.reshape(EXPRESSIONS, -1)
+        add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
         return surface
-
-    def _checked_blended(self, blended) -> Floats32:
-        blended = np.ascontiguousarray(blended, dtype=np.float32)
-        if blended.shape != self._skin.shape or not np.isfinite(blended).all():
-            raise InputError(f"blended: expected finite positions of shape {self._skin.shape}, got {blended.shape}")
-        return blended
 
 
 def _open_space(name: str) -> identities.IdentitySpace | None:
     """The built-in space that a checkpoint names, if it names one."""
     return identities.Anny() if name == "anny" else None
-
-
-def _checked_weights(weights) -> Floats32:
-    weights = np.asarray(weights, dtype=np.float32)
-    if weights.shape != (52,):
-        raise InputError(f"weights: expected the 52 of ARKit, got shape {weights.shape}")
-    if not np.isfinite(weights).all():
-        raise InputError(f"weights: number {np.flatnonzero(~np.isfinite(weights))[0]} is not finite")
-    outside = np.count_nonzero((weights < 0.0) | (weights > 1.0))
-    if outside:
-        warnings.warn(f"{outside} of 52 weights outside [0, 1] were clipped", stacklevel=3)
-        weights = np.clip(weights, 0.0, 1.0)
-    return weights
 
 
 def expression_latent(network: Mapping[str, NDArray[np.float32]], weights: Floats32) -> Floats32:
@@ -186,15 +156,6 @@ def _linear(network, layer: str, values):
 
 def _elu(values):
     return np.where(values > 0.0, values, np.expm1(np.minimum(values, 0.0)))
-
-
-@numba.njit(cache=True, fastmath=True)
-def _add_expressions(expressions, weights, surface):
-    for k in range(len(weights)):
-        if weights[k] != 0.0:
-            for v in range(len(surface)):
-                for c in range(3):
-                    surface[v, c] += weights[k] * expressions[k, v, c]
 
 
 @numba.njit(cache=True, fastmath=True)

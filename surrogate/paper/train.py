@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import time
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...lhm.errors import InputError
-from ...lhm.files.atomic import write_whole
 from ...lhm.geometry.deformation import DeformationTransfer
 from ...lhm.progress import OnProgress, silent
-from ..learning import torch
+from ..learning import keep_state, kept_state, torch
 from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary
 from .hypernetwork import Hypernetwork, smooth_positions, transfer_delta
@@ -185,7 +182,7 @@ class _Loop:
     def keep(self, path):
         """Write all that `restore` needs, whole or not at all."""
         state = {
-            "config": repr(self.config),
+            "of": repr(self.config),
             "step": self.step,
             "seconds": self.seconds,
             "history": [asdict(point) for point in self.history],
@@ -194,25 +191,16 @@ class _Loop:
             "best": self.best,
             "best_error": self.best_error,
         }
-        buffer = io.BytesIO()
-        torch.save(state, buffer)
-        write_whole(path, buffer.getvalue())
+        keep_state(path, state)
 
     def restore(self, path):
         """Go on where `keep` was called last; InputError for a file of another training."""
-        try:
-            state: Any = torch.load(path, weights_only=True)
-            if state["config"] != repr(self.config):
-                raise InputError(f"training state {path}: of another configuration; delete it to start anew")
-            self.network.load_state_dict(state["network"])
-            self.optimiser.load_state_dict(state["optimiser"])
-            self.step, self.seconds = state["step"], state["seconds"]
-            self.best, self.best_error = state["best"], state["best_error"]
-            self.history = [TrainingPoint(**point) for point in state["history"]]
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(f"training state {path}: damaged or of another network; delete it ({error})") from None
+        state = kept_state(path, repr(self.config))
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step, self.seconds = state["step"], state["seconds"]
+        self.best, self.best_error = state["best"], state["best_error"]
+        self.history = [TrainingPoint(**point) for point in state["history"]]
 
 
 def _rate(step: int, config: TrainConfig) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..modal.compressed import compressed
 from ..modal.faces import Face, Faces
 from ..modal.rig import Modal
 from ..modal.weights import ModalWeights
@@ -23,7 +24,7 @@ class ModalMethod:
     def bind(self, face: Face) -> Bound:
         """By the run time's own arithmetic."""
         modal = self._modal
-        bound = modal.bound(face.code, modal.features.at_vertices(face.coefficients))
+        bound = compressed(modal.bound(face.code, modal.features.at_vertices(face.coefficients)))
         offset = face.offset.astype(np.float32) if self.simulates else bound.offset
         responses = face.responses.astype(np.float32) if self.simulates else bound.responses
         return lambda weights: offset + np.tensordot(weights, responses, axes=1) + bound.remainder(weights)

@@ -16,7 +16,7 @@ from softdeca.benchmarks.heads_report import page, summary
 from softdeca.lhm import FitError, InputError, check_head, fit_head, identities, load_template
 from softdeca.lhm.progress import silent
 
-COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "heads")
+COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "heads", "--level", "1")
 
 
 def figures(results):
@@ -28,14 +28,14 @@ def figures(results):
 def three(tmp_path_factory):
     """Three heads by one worker: the folder and its results."""
     out = tmp_path_factory.mktemp("heads")
-    return out, run_heads(HeadsConfig(count=3, out=out, gallery=1), silent)
+    return out, run_heads(HeadsConfig(count=3, out=out, gallery=1, level=1), silent)
 
 
 def test_each_head_is_that_of_its_seed(three):
     _, results = three
     space = identities.Anny()
     _, skin = space.sample(np.random.default_rng(2))
-    report = check_head(fit_head(load_template(space), skin))
+    report = check_head(fit_head(load_template(space, level=1), skin))
     assert results["heads"][2]["seed"] == 2
     assert results["heads"][2]["figures"]["smallest_dihedral"] == report.smallest_dihedral
     low, high = (results["distributions"]["lip_path"][key] for key in ("min", "max"))
@@ -78,7 +78,7 @@ def test_two_workers_resume_a_torn_file_to_the_same_result(three, tmp_path):
     first = rows.read_bytes().splitlines(keepends=True)[0]
     rows.write_bytes(first + b'{"seed": 1, "err')
     said = []
-    again = run_heads(HeadsConfig(count=3, workers=2, out=tmp_path), lambda what, fraction: said.append(what))
+    again = run_heads(HeadsConfig(count=3, workers=2, out=tmp_path, level=1), lambda what, fraction: said.append(what))
     assert figures(again) == figures(results)
     assert again["heads"][0] == results["heads"][0], "what was done is kept, times included"
     lines = [json.loads(line) for line in rows.read_text().splitlines()]
@@ -87,7 +87,7 @@ def test_two_workers_resume_a_torn_file_to_the_same_result(three, tmp_path):
 
 
 def test_workers_end_without_a_word(tmp_path):
-    arguments = [*COMMAND, "--count", "2", "--workers", "2", "--out", str(tmp_path)]
+    arguments = [*COMMAND, "--count", "2", "--workers", "2", "--gallery", "0", "--out", str(tmp_path)]
     ended = subprocess.run(arguments, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 0 and all(line.endswith(" s)") for line in ended.stderr.splitlines() if line)
 
@@ -95,7 +95,7 @@ def test_workers_end_without_a_word(tmp_path):
 def test_another_campaign_in_the_folder_is_refused(three):
     out, _ = three
     with pytest.raises(InputError, match="another sigma .2.5, expected 4"):
-        run_heads(HeadsConfig(count=3, sigma=4.0, out=out), silent)
+        run_heads(HeadsConfig(count=3, sigma=4.0, out=out, level=1), silent)
     for bad in ({"count": 0}, {"workers": 0}, {"seed": -1}, {"sigma": float("nan")}, {"sigma": 11.0}):
         with pytest.raises(InputError, match=next(iter(bad))):
             HeadsConfig(out=out, **bad)
@@ -111,7 +111,7 @@ def test_failures_are_listed_with_seed_and_reason_and_fail_the_command(tmp_path,
         return fit_head(template, skin)
 
     monkeypatch.setattr(campaign, "fit_head", failing)
-    ended = command("bench", "heads", "--count", 3, "--seed", 7, "--workers", 1, "--out", tmp_path)
+    ended = command("bench", "heads", "--count", 3, "--seed", 7, "--workers", 1, "--level", 1, "--out", tmp_path)
     assert ended.status == 1 and ended.errors == []
     lines = ended.out.splitlines()
     assert lines[:2] == ["FAILED seed 7: layers: 3 tets are flat", "FAILED seed 8: ZeroDivisionError: a defect of ours"]
@@ -157,7 +157,7 @@ def test_an_interrupted_campaign_goes_on_and_leaves_no_worker(how, tmp_path):
     rows = [json.loads(line) for line in (tmp_path / "heads.jsonl").read_text().splitlines()]
     assert 1 <= len(rows) < 400 and not (tmp_path / "results.json").exists()
     seed = min(row["seed"] for row in rows)
-    again = run_heads(HeadsConfig(count=1, seed=seed, out=tmp_path), silent)
+    again = run_heads(HeadsConfig(count=1, seed=seed, out=tmp_path, level=1), silent)
     assert again["heads"] == [row for row in rows if row["seed"] == seed]
 
 

@@ -1,6 +1,7 @@
 """`head personalise`: scans of a person's expressions, of the head's topology and of another, make its rig theirs."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.sparse import csr_matrix
 
 from softdeca.lhm import Surface, expressions, fit_head, load_template
 from softdeca.lhm.files.head_file import load_head, save_head
+from softdeca.lhm.fit import own_first
 from softdeca.lhm.scans import read_guesses
 
 SMILE, OPEN = expressions.index("mouthSmileLeft"), expressions.index("jawOpen")
@@ -104,3 +106,25 @@ def test_what_is_wrong_with_the_guesses_is_one_line(own, command, name, text, wo
     ended = command("head", "personalise", own / "head.npz", own / name, "--out", out)
     assert ended.status == 1 and words in ended.errors[-1] and len(ended.errors) == 1, ended.errors
     assert not out.exists()
+
+
+def test_a_head_with_morph_targets_of_its_own_keeps_those_that_no_scan_shows(person, own, command):
+    folder, head, shapes = person
+    puff = expressions.index("cheekPuff")
+    told = {"mouthSmileLeft": 0.7 * shapes[SMILE], "cheekPuff": 1.3 * head.rig.deltas[puff].astype(float)}
+    rigged = replace(head, rig=own_first(head.rig, told))
+    save_head(folder / "rigged.npz", rigged)
+    (folder / "smile.json").write_text(json.dumps({"smile.ply": {"mouthSmileLeft": 1}}))
+    out = folder / "rigged_own.npz"
+    ended = command("head", "personalise", folder / "rigged.npz", folder / "smile.json", "--out", out, "--json")
+    assert ended.status == 0, ended.errors
+    rig = load_head(out).rig
+    assert "2 of its own" in rig.source and "personalised from 1 scans, 1 of 52 shapes" in rig.source
+    np.testing.assert_allclose(rig.deltas[puff], told["cheekPuff"], atol=1e-5)
+    weight = json.loads(ended.out)["weights"]["smile.ply"]["mouthSmileLeft"]
+    moved = np.linalg.norm(shapes[SMILE], axis=1) > 2.0
+    before, after = (
+        np.linalg.norm(found - shapes[SMILE], axis=1)[moved].mean()
+        for found in (told["mouthSmileLeft"], weight * rig.deltas[SMILE])
+    )
+    assert after < 0.5 * before, (after, before)

@@ -53,6 +53,8 @@ def test_the_surrogate():
     # Thirty percent more soft tissue: the network's neutral face is much nearer to the simulator's than the scan is.
     assert np.linalg.norm(names["rig"].neutral - simulated.neutral, axis=1).mean() < 0.4 * moved
     assert np.isfinite(names["skin"]).all() and names["morphs"].mean_error < 0.05
+    weights = expressions.weights_of({"jawOpen": 0.8})
+    assert np.array_equal(names["moving"].frame(weights), names["skin"])
 
 
 def test_a_mesh_of_ones_own(tmp_path, monkeypatch):

@@ -353,7 +353,9 @@ def _words_of(parameter: click.Parameter) -> Iterator[list[str]]:
 
 def _leaves(names: tuple[str, ...], command: click.Command) -> Iterator[tuple[tuple[str, ...], click.Command]]:
     if isinstance(command, click.Group):
-        for name, inner in command.commands.items():
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            inner = command.get_command(context, name)
             yield from _leaves((*names, name), inner)
     else:
         yield names, command

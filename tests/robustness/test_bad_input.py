@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.benchmarks.study import parse_expression
-from softdeca.lhm import SoftdecaError, fit_head, load_template
+from softdeca.lhm import SoftdecaError, expressions, fit_head, load_template
 from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.files.atomic import replaced
 from softdeca.lhm.files.head_file import load_head, save_head
@@ -95,7 +94,7 @@ def test_a_wrong_argument_is_named_in_one_line(command, tmp_path, monkeypatch, a
 
 
 def test_a_factor_scales_and_spaces_do_not_matter():
-    weights = parse_expression(" jawOpen * 0.5 + cheekPuff")
+    weights = expressions.parsed(" jawOpen * 0.5 + cheekPuff")
     assert sorted(weights[weights > 0]) == [0.5, 1.0]
 
 

@@ -58,6 +58,26 @@ def strips(x, triangles):
     return header + "\n".join(f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in x) + f"\n{4 * len(triangles)} {strip}\n"
 
 
+def binary_strips(x, triangles):
+    """Two triangles a strip, where they follow one another as a strip's do, and vertices with a colour."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(x)}\nproperty float x\nproperty float y\n"
+        "property float z\nproperty uchar red\nelement tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    rows = np.zeros(len(x), dtype=[("x", "<f4", 3), ("red", "u1")])
+    rows["x"] = x
+    left = {tuple(t) for t in triangles.tolist()}
+    runs = []
+    for a, b, c in triangles.tolist():
+        if (a, b, c) not in left:
+            continue
+        left.remove((a, b, c))
+        after = next((t for t in left if t[0] == c and t[1] == b), None)
+        runs += [a, b, c, *([after[2]] if after else []), -1]
+        left.discard(after)
+    return header.encode() + rows.tobytes() + np.array([len(runs), *runs], dtype="<i4").tobytes()
+
+
 def with_lines(text, *lines):
     return text + "\n".join(lines) + "\n"
 
@@ -95,6 +115,8 @@ MENDED = {
     "materials.obj": lambda x, t: obj(x, t[:900]) + "usemtl back\n" + obj(x[:0], t[900:]),
     "lines.obj": lambda x, t: with_lines(obj(x, t), "l 1 2", "p 3", "curv 0 1 1 2", "\x0c"),
     "big-endian.ply": big_endian,
+    "strips.ply": strips,
+    "strips-binary.ply": binary_strips,
     "ascii.ply": lambda x, t: exported("ply", x, t, encoding="ascii"),
     "binary.stl": lambda x, t: stl(x, t, b"a head"),
     "solid.stl": lambda x, t: stl(x, t, b"solid head"),
@@ -133,7 +155,8 @@ REFUSED = {
     "ascii-cut.ply": (lambda x, t: exported("ply", x, t, encoding="ascii")[:-4000], "cut off"),
     "cloud.ply": (lambda x, t: exported("ply", x, t[:0]), "no triangles"),
     "lies.ply": (lambda x, t: big_endian(x, t).replace(b"element vertex 12", b"element vertex 92", 1), "ply"),
-    "strips.ply": (strips, "its triangles are strips"),
+    "strips-cut.ply": (lambda x, t: strips(x, t)[:-4000], "cut off"),
+    "strips-beside.ply": (lambda x, t: strips(x, t).replace("element tri", "element other 0\nelement tri"), "strips"),
     "cut.stl": (lambda x, t: stl(x, t, b"a head")[:-1000], "stl"),
     "text.stl": (lambda x, t: "solid head\nfacet normal 0 0 1\nouter loop\nvertex 1 2", "stl"),
     "cut.glb": (lambda x, t: exported("glb", x, t)[:-4000], "glb"),

@@ -57,6 +57,7 @@ def scene(name: str) -> dict:
         "name": name,
         "parameters": {"gravity": 1.0},
         "largest_displacement_mm": 20.0,
+        "another_minimum_mm": None,
         "runs": [solved("FEniCSx Newton"), solved("PD, accelerated"), solved("FEniCSx Newton", "neo-Hookean")],
         "comparisons": {what: apart(1e-9, 1e-10) for what in AGREEMENTS},
         "skin": {"PD to neo-Hookean": apart(0.25, 0.01), "surrogate to PD": apart(0.1, 0.01)},
@@ -95,10 +96,11 @@ def results() -> dict:
         "title": "two scenes <of one head>",
         "identities": "anny",
         "machine": {"processor": "a CPU", "cores": 2, "versions": {"numpy": "1.26.4"}},
-        "head": {"tets": 58080, "least_volume": 0.012},
+        "head": [{"figure": "smallest dihedral", "value": 6.1, "unit": "°", "limit": "at least 2 °"}],
         "cases": [scene("jawOpen"), scene("mouthPucker*0.5+cheekPuff")],
         "tets": 58080,
         "local_step_ms": 6.0,
+        "unverified": [],
         "verification": [
             {
                 "problem": "bar",
@@ -144,7 +146,7 @@ class Links(HTMLParser):
 
 def report_of(results: dict) -> str:
     results = results | {"gates": gates(results)}
-    return page(results, {"head": PIXEL} | {case["name"]: PIXEL for case in results["cases"]})
+    return page(results, {"head": PIXEL} | {case["name"]: PIXEL for case in results["cases"]}, "<p>turn it</p>")
 
 
 def test_difference_is_that_of_two_points_by_hand():
@@ -216,7 +218,9 @@ def test_the_report_stands_alone_and_holds_every_scene(results):
     text = report_of(results)
     links = Links(text)
     assert links.targets and all(target.startswith(("data:", "#")) for target in links.targets)
-    assert not {"script", "link", "iframe", "object"} & set(links.tags)
+    assert not {"script", "link", "object"} & set(links.tags)
+    # The head in 3D is a page within the page, not a file beside it.
+    assert links.tags.count("iframe") == 1 and 'srcdoc="&lt;p&gt;turn it' in text
     assert "@import" not in text and not re.search(r"url\((?!#|\"#|'#)", text)
     assert text.count(base64.b64encode(PIXEL).decode()) == 3
     words = " ".join(links.words)
@@ -257,6 +261,34 @@ def test_whatever_a_case_times_was_warmed_up_before(sphere_head, monkeypatch):
     prepared.clear()
     cases.run_case(head, case, head.skin.vertices, lambda _: None)
     assert len(set(prepared)) == 6 and set(prepared) <= warmed
+
+
+def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere_head, monkeypatch):
+    pytest.importorskip("dolfinx")
+    head = replace(sphere_head, regions={"lips": np.arange(len(sphere_head.bone)) < 5})
+    case = cases.Case("none", np.zeros(52), Parameters(gravity=3.0))
+    run, starts = cases._run, []
+
+    def elsewhere(label, law, scene, how):
+        solution, row = run(label, law, scene, how)
+        if (how.solver, law) == ("fenicsx", cases.PD_ENERGY):
+            starts.append(row["start"])
+            if how.start is None:
+                solution = replace(solution, positions=solution.positions + [0.0, 0.5, 0.0])
+        return solution, row
+
+    monkeypatch.setattr(cases, "_run", elsewhere)
+    record = cases.run_case(head, case, head.skin.vertices, lambda _: None).record
+    assert starts == ["rest", "PD's answer"]
+    assert record["another_minimum_mm"] == pytest.approx(0.5, rel=1e-3)
+    assert record["comparisons"]["PD to FEniCSx, same energy"]["relative"] < 1e-6
+    assert [row["start"] for row in record["runs"]][:3] == ["rest", "rest", "PD's answer"]
+
+
+def test_a_second_minimum_stands_in_the_report(results):
+    assert "two minima" not in report_of(results)
+    edited("cases/0/another_minimum_mm", 0.226)(results)
+    assert "jawOpen has two minima of PD's energy: FEniCSx from rest ends 0.23 mm" in report_of(results)
 
 
 def test_a_study_warms_up_before_its_first_case(sphere_head, monkeypatch, tmp_path):

@@ -116,7 +116,7 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(samples, checkpo
     halted = train(samples["train"], short, state=state)
     assert halted.summary.steps == 50
     config = torch.load(state, weights_only=True)
-    torch.save({**config, "config": repr(CONFIG)}, state)
+    torch.save({**config, "of": repr(CONFIG)}, state)
     resumed = train(samples["train"], CONFIG, state=state)
     assert [p.validation_mm for p in resumed.summary.history] == [p.validation_mm for p in checkpoint.summary.history]
     for name, value in checkpoint.network.items():
@@ -202,7 +202,7 @@ def bind(surrogate, **changes):
         ({"parameters": Parameters(soft_volume=1.2)}, "soft_volume = 1.2: .* trained at 1 only"),
         ({"parameters": np.zeros((5, COUNT))}, rf"shape \(80, {COUNT}\)"),
         ({"parameters": np.zeros((80, COUNT))}, r"soft_stiffness = 0 is outside \[1, 20\]"),
-        ({"expressions": np.zeros((51, 42, 3))}, "expressions: expected shape"),
+        ({"expressions": np.zeros((51, 42, 3))}, "expressions: expected finite displacements of shape"),
     ],
 )
 def test_bad_bindings_are_named(surrogate, changes, message):

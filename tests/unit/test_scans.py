@@ -342,3 +342,26 @@ def test_what_is_said_of_axes_and_unit_is_taken_or_refused(face, person):
 def test_a_sphere_has_no_face(face):
     with pytest.raises(FitError, match="no face found"):
         scans.placed(Surface(100 * X, TRIANGLES), face)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("cm", 0.1), ("in", 1 / 25.4)])
+def test_a_skin_of_the_templates_triangles_is_found_in_any_unit_and_orientation(tmp_path, unit, factor):
+    template = load_template(level=1)
+    rest = template.skin
+    turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])  # z up, x the front
+
+    def written(vertices):
+        np.savez(tmp_path / "skin.npz", vertices=vertices, triangles=rest.triangles)
+        return tmp_path / "skin.npz"
+
+    skin, notes = scans.topology_of(written(factor * rest.vertices @ turn.T), template)
+    np.testing.assert_allclose(skin.vertices, rest.vertices, atol=1e-9)
+    assert f"taken for {unit}," in notes[0] and notes[1] == "axes: z is up, x the front"
+    # As it stands where it stands as a head does, a child's too.
+    skin, notes = scans.topology_of(written(0.6 * rest.vertices), template)
+    np.testing.assert_array_equal(skin.vertices, 0.6 * rest.vertices)
+    assert notes == ()
+    with pytest.raises(InputError, match="skin.npz: skin: in that unit its face is 0.0+1 times .* another --unit"):
+        scans.topology_of(written(1e-3 * rest.vertices), template, scans.Said(unit="mm"))
+    with pytest.raises(InputError, match="skin.npz: skin: all its vertices are in one place"):
+        scans.topology_of(written(0 * rest.vertices), template)

@@ -1,0 +1,61 @@
+"""After how many frames, or faces, a corpus and a training have paid: against the simulator, and the linearised one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..surrogate.corpus.folder import read_manifest, shard_path
+from ..surrogate.corpus.shard import read_label
+from ..surrogate.evaluate import Score
+from ..surrogate.modal.weights import TrainingNote
+
+PAID = ("shapes", "fit", "settling", "derivatives", "statics", "sequences")
+"""Phases of making a corpus that training needs."""
+
+
+@dataclass(frozen=True)
+class Breakeven:
+    """Processor seconds of one core, and what follows.
+
+    corpus: of the training people that are there; training: of the network; simulated_frame: a static frame of the
+    simulator to the corpus' tolerance, on a settled face; linearised_face: fit, settling and derivatives of one face;
+    own_frame, own_face: the network's frame and bind. frames: after which corpus and training cost less than
+    simulating; faces: after which less than linearising each.
+    """
+
+    corpus: float
+    training: float
+    simulated_frame: float
+    linearised_face: float
+    own_frame: float
+    own_face: float
+
+    @property
+    def frames(self) -> float:
+        """Frames of faces that are bound already."""
+        return (self.corpus + self.training) / (self.simulated_frame - self.own_frame)
+
+    @property
+    def faces(self) -> float:
+        """Faces bound, whatever their frames, which cost about the same."""
+        return (self.corpus + self.training) / (self.linearised_face - self.own_face)
+
+
+def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven:
+    """Of a network with its note and its scores, and of the corpus' training people that are there."""
+    manifest = read_manifest(corpus)
+    people = range(int(manifest["content"]["identities"]) - int(manifest["tested"]))
+    labels = [read_label(path) for path in (shard_path(corpus, k) for k in people) if path.exists()]
+    spent = {phase: sum(label.seconds.get(phase, 0.0) for label in labels) for phase in PAID}
+    groups = len(labels) * int(manifest["content"]["groups"])
+    frames = groups * int(manifest["content"]["frames"])
+    return Breakeven(
+        corpus=sum(spent.values()),
+        training=float(note.curve[-1]["seconds"]),
+        simulated_frame=spent["statics"] / frames,
+        linearised_face=(spent["shapes"] + spent["fit"]) / len(labels)
+        + (spent["settling"] + spent["derivatives"]) / groups,
+        own_frame=1e-3 * (network.frame_ms or 0.0),
+        own_face=1e-3 * (network.bind_ms or 0.0),
+    )

@@ -1,0 +1,113 @@
+"""Processes that measure one task after another: one that dies, or takes too long, costs its own task and no other."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+
+from threadpoolctl import threadpool_limits
+
+from ...lhm.errors import MissingDependencyError, SoftdecaError
+from ..apart import forget_peak, peak_megabytes
+from .study import Study, Task, Values
+
+
+@dataclass(frozen=True)
+class Measured:
+    """How a task ended: "done" with values, "skipped" or "failed" with a reason; seconds, and peak memory [MB]."""
+
+    task: Task
+    status: str
+    reason: str = ""
+    values: Values = field(default_factory=dict)
+    seconds: float = 0.0
+    memory_mb: float | None = None
+
+
+def measured(study: Study, tasks: Sequence[Task], lanes: int) -> Iterator[Measured]:
+    """Each task as it is done, by as many processes side by side; they end with the iterator."""
+    waiting = list(reversed(tasks))
+    running: dict[Future, _Lane] = {}
+    idle = [_Lane(study) for _ in range(max(1, min(lanes, len(tasks))))]
+    every = list(idle)
+    try:
+        while waiting or running:
+            while waiting and idle:
+                lane = idle.pop()
+                running[lane.submit(waiting.pop())] = lane
+            done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
+            for future, lane in list(running.items()):
+                if future in done or lane.overdue:
+                    del running[future]
+                    yield lane.result(future)
+                    idle.append(lane)
+    finally:
+        for lane in every:
+            lane.end()
+
+
+class _Lane:
+    """One process at a time; a new one where the last died, was ended, or each task has its own."""
+
+    def __init__(self, study: Study):
+        self._study = study
+        self._pool: ProcessPoolExecutor | None = None
+        self._task, self._begin = Task("", ""), 0.0
+
+    def submit(self, task: Task) -> Future:
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_unmoved_by_ctrl_c)
+        self._task, self._begin = task, time.monotonic()
+        return self._pool.submit(_measure, self._study, task)
+
+    @property
+    def overdue(self) -> bool:
+        return time.monotonic() - self._begin > self._study.limit
+
+    def result(self, future: Future) -> Measured:
+        seconds = time.monotonic() - self._begin
+        if not future.done():
+            self.end()
+            return Measured(self._task, "failed", f"ended after {self._study.limit:g} s", seconds=seconds)
+        try:
+            found: Measured = future.result()
+        except BrokenProcessPool:
+            self.end()
+            return Measured(self._task, "failed", "its process died", seconds=seconds)
+        if self._study.alone:
+            self.end()
+        return found
+
+    def end(self) -> None:
+        """Kill the process: what it has done is written already."""
+        if self._pool is not None:
+            for pid in list(self._pool._processes or ()):
+                os.kill(pid, signal.SIGKILL)
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+def _unmoved_by_ctrl_c() -> None:
+    # Ctrl-C reaches every process of a terminal; the first one decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _measure(study: Study, task: Task) -> Measured:
+    forget_peak()
+    begin = time.perf_counter()
+    try:
+        with threadpool_limits(1):
+            values = study.measure(task)
+    except MissingDependencyError as error:
+        return Measured(task, "skipped", str(error))
+    except Exception as error:
+        reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
+        return Measured(task, "failed", " ".join(reason.split()), seconds=time.perf_counter() - begin)
+    memory = peak_megabytes() if study.alone else None
+    return Measured(task, "done", values=values, seconds=time.perf_counter() - begin, memory_mb=memory)

@@ -1,0 +1,75 @@
+"""A study as data: cases by methods, what is measured of each, and what has to hold."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from .runner import Row
+
+Values = Mapping[str, Any]
+"""What was measured of a task, as JSON can say it: numbers, texts, lists of them. A NaN makes the row a failure."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One case by one method, both as they are named in the report."""
+
+    case: str
+    method: str
+
+    def __str__(self) -> str:
+        return f"{self.case}, {self.method}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the report: the key of `Values` that it shows, its title with unit; `cost` where less is better."""
+
+    key: str
+    title: str
+    cost: bool = False
+
+
+class Study(ABC):
+    """A frozen dataclass, whose fields are the options of `softdeca bench NAME`; `metadata["help"]` explains each.
+
+    It travels to another process by pickle and there measures one task at a time. Where seconds are compared it is
+    `timed`: its tasks run one after another, and nothing of ours beside them. Where memory is, each has a process
+    `alone`; others share one, so that packages are loaded once. A task that takes more than `limit` [s] is ended.
+    """
+
+    name: ClassVar[str]
+    question: ClassVar[str]
+    columns: ClassVar[tuple[Column, ...]]
+    timed: ClassVar[bool] = False
+    alone: ClassVar[bool] = False
+    limit: ClassVar[float] = 3600.0
+
+    @abstractmethod
+    def tasks(self) -> Sequence[Task]:
+        """What there is to do. Raises InputError for options out of range."""
+
+    @abstractmethod
+    def measure(self, task: Task) -> Values:
+        """Do one task. What it raises becomes the row's reason, and MissingDependencyError one to skip it."""
+
+    @staticmethod
+    def lines(values: Values) -> Sequence[Values]:
+        """What the report shows of a task: one line, unless it answers several questions."""
+        return [values]
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """What has to hold, as `gates.at_most` says it, beside that no row failed."""
+        return []
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """The conclusion in prose, its numbers from the rows."""
+        return ""
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, bytes]:
+        """PNG by caption."""
+        return {}

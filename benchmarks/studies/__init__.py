@@ -1,0 +1,22 @@
+"""The studies, a file each, by the name of their command."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from ..harness.study import Study
+
+STUDIES = {
+    "verification": "verification:Verification",
+    "hard": "hard:Hard",
+    "mixed": "mixed:Mixed",
+    "split": "split:Split",
+}
+"""Module and class, so that none is loaded before it is asked for."""
+
+
+def study_of(name: str) -> type[Study]:
+    """The class of a study."""
+    module, _, kind = STUDIES[name].partition(":")
+    found: type[Study] = getattr(import_module(f".{module}", __package__), kind)
+    return found

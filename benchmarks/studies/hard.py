@@ -1,0 +1,62 @@
+"""Every hard case through every solver that it is for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+from ...reference import problems
+from ..gates import at_most
+from ..harness.runner import Row
+from ..harness.study import Column, Study, Task, Values
+from .asked import solvers_asked
+
+
+@dataclass(frozen=True)
+class Hard(Study):
+    """Random starts, collapse, crush, twist, slivers, long steps."""
+
+    name = "hard"
+    question = "Where solvers are pushed hard: are they right, do they say why they stop, or are they silently wrong?"
+    columns = (
+        Column("criterion", "what is compared"),
+        Column("outcome", "outcome"),
+        Column("error", "error"),
+        Column("bound", "bound"),
+        Column("passed", "no fault"),
+        Column("iterations", "iterations", cost=True),
+    )
+
+    solvers: tuple[str, ...] = field(default=(), metadata={"help": "only these; repeat for several  [all]"})
+    laws: bool = field(
+        default=False, metadata={"help": "also every law on every element of FEniCSx: a quarter of an hour"}
+    )
+
+    def tasks(self) -> Sequence[Task]:
+        """Each case by each solver, and element, that it is for."""
+        solvers = solvers_asked(self.solvers)
+        return [task for task, (_, solver, _) in self._ways().items() if solver in solvers]
+
+    def _ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
+        posed = (*problems.HARD, *problems.LAWS_ON_ELEMENTS) if self.laws else problems.HARD
+        return {
+            Task(f"{case.name} ({case.source.split(';')[0]})", f"{solver} {element}"): (case, solver, element)
+            for case in posed
+            for solver, element in case.ways
+        }
+
+    def measure(self, task: Task) -> Values:
+        """The outcome."""
+        outcome = problems.run_hard(*self._ways()[task])
+        return asdict(outcome) | {"passed": outcome.passed}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """No case is missed, or ended for another reason than it may."""
+        return [at_most("cases with a fault", sum(not row.values["passed"] for row in rows), 0)]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """How many are right, and how many stopped for a reason that is right to name."""
+        right = sum(row.values["outcome"] == "passed" for row in rows)
+        refused = sum(row.values["passed"] and row.values["outcome"] != "passed" for row in rows)
+        wrong = len(rows) - right - refused
+        return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."

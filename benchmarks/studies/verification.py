@@ -1,0 +1,74 @@
+"""Every verification problem through every solver that models it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+from ...reference import problems
+from ..gates import at_most
+from ..harness.runner import Row
+from ..harness.study import Column, Study, Task, Values
+from .asked import solvers_asked
+
+Outcomes = Callable[[], Sequence[problems.Outcome]]
+
+
+@dataclass(frozen=True)
+class Verification(Study):
+    """Closed forms and published values, and with `fine` finer meshes, orders of convergence and locking by FEniCSx."""
+
+    name = "verification"
+    question = "Do the solvers give closed forms, published values and theory's orders of convergence?"
+    columns = (
+        Column("problem", "problem"),
+        Column("source", "source"),
+        Column("value", "value"),
+        Column("reference", "reference"),
+        Column("error", "error"),
+        Column("bound", "bound"),
+        Column("passed", "within"),
+        Column("iterations", "iterations", cost=True),
+    )
+
+    solvers: tuple[str, ...] = field(default=(), metadata={"help": "only these; repeat for several  [all]"})
+    fine: bool = field(default=False, metadata={"help": "also finer meshes, orders and locking by FEniCSx: 15 minutes"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each problem by each solver."""
+        solvers = solvers_asked(self.solvers)
+        posed = (*problems.ALL, *problems.FINE) if self.fine else problems.ALL
+        found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
+        return found + [Task(name, "fenicsx") for name in (_fine() if self.fine and "fenicsx" in solvers else ())]
+
+    def measure(self, task: Task) -> Values:
+        """The outcomes of a problem, or of a series of meshes or materials."""
+        fine = _fine().get(task.case)
+        if fine is not None:
+            return {"outcomes": [asdict(outcome) for outcome in fine()]}
+        problem = next(p for p in (*problems.ALL, *problems.FINE) if p.name == task.case)
+        return {"outcomes": [asdict(problems.run(problem, task.method))]}
+
+    @staticmethod
+    def lines(values: Values) -> Sequence[Values]:
+        """An outcome each."""
+        outcomes: Sequence[Values] = values["outcomes"]
+        return outcomes
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """None outside its bound."""
+        outside = sum(not outcome["passed"] for row in rows for outcome in self.lines(row.values))
+        return [at_most("values outside their bound", outside, 0)]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """How many there are."""
+        outcomes = [outcome for row in rows for outcome in self.lines(row.values)]
+        within = sum(outcome["passed"] for outcome in outcomes)
+        solvers = sorted({outcome["solver"] for outcome in outcomes})
+        return f"{within} of {len(outcomes)} values by {', '.join(solvers)} are within their bounds."
+
+
+def _fine() -> Mapping[str, Outcomes]:
+    orders = {f"orders of {e}": lambda e=e: list(problems.orders.study(e)) for e in problems.orders.ORDERS}
+    locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.locking.outcomes(nu) for nu in problems.locking.POISSON}
+    return orders | locking

@@ -1,0 +1,100 @@
+"""softdeca animate: a take of ARKit weights through the surrogate."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Parameters
+from ..reference.parameter_file import read_parameters
+from .progress import shown
+from .take_options import WhichHead, of_takes, taken
+from .written_file import FOLDER
+
+
+@click.command()
+@click.argument("take")
+@of_takes
+@click.option("--out", default="out/animation", type=FOLDER, help="folder of the results")
+@click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
+@click.option("--exact", is_flag=True, help="offset and responses by the simulator, in seconds, on any head")
+@click.option(
+    "--beyond",
+    type=click.Choice(["refuse", "clamp"]),
+    default="refuse",
+    help="parameters that the network has not seen: refuse them, or take the nearest",
+)
+@click.option("--targets", type=click.IntRange(min=1), help="write glTF of so many morph targets that serve any take")
+@click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
+def animate(
+    take: str,
+    head_file: Path | None,
+    space_name: str | None,
+    seed: int | None,
+    level: int | None,
+    parameter_file: Path | None,
+    kind: str,
+    preview: str,
+    fps: float | None,
+    chosen: str | None,
+    turned: bool,
+    dynamic: bool,
+    out: Path,
+    surrogate: Path | None,
+    exact: bool,
+    beyond: str,
+    targets: int | None,
+    as_json: bool,
+) -> int:
+    """Animate TAKE by the surrogate: what `simulate` reads and writes, at the price of blendshapes.
+
+    The shipped network serves the default head's people. A head of their triangles that is none of them takes offset
+    and responses of the simulator besides; a head of other triangles, such as ICT-FaceKit's, takes these alone and
+    leaves out what is not linear in the weights. The method is named. Parameters in the TOML file may vary: one value
+    per face of the skin.
+
+    Writes OUT/take.vtkhdf (or .glb) and OUT/preview.gif (or .mp4); with --targets OUT/rig.glb besides, whose morph
+    targets are the rig's own, with the take's weights of them.
+    """
+    from ..benchmarks.animate import animate as run
+    from ..benchmarks.animate import of_head, of_people
+    from ..benchmarks.played import Wanted
+    from ..surrogate import Surrogate
+
+    which = WhichHead(head_file, space_name, seed, level)
+    if targets is not None and dynamic:
+        raise click.UsageError("--targets are of static frames; leave out --dynamic", click.get_current_context())
+    recorded = taken(take, fps, chosen, turned)
+    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
+    wanted = Wanted(out, kind, preview, dynamic, turned)  # type: ignore[arg-type]
+    network = Surrogate.load(surrogate)
+    with shown() as progress:
+        if head_file is None and which.space.name == network.space == "anny":
+            served = of_people(
+                network,
+                which.code(which.space),
+                parameters,
+                exact=exact,
+                level=level or DEFAULT_LEVEL,
+                beyond=beyond,  # type: ignore[arg-type]
+            )
+        else:
+            head, deltas = which.head(progress)
+            served = of_head(network, head, deltas, parameters, exact=exact, beyond=beyond)  # type: ignore[arg-type]
+        result = run(wanted, served, recorded, progress)
+        files = list(result.files)
+        if targets is not None:
+            served.rig.bake(targets).write_gltf(out / "rig.glb", recorded)
+            files.append(out / "rig.glb")
+    if as_json:
+        click.echo(json.dumps(asdict(result) | {"files": files}, indent=1, default=str))
+        return 0
+    click.echo(
+        f"{result.frames} frames by {result.method}: bound in {result.bind_seconds:.2g} s, "
+        f"median {result.frame_ms:.2g} ms a frame"
+    )
+    for path in files:
+        click.echo(path)
+    return 0

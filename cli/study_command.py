@@ -1,0 +1,135 @@
+"""`softdeca bench NAME` of a study: its fields as options, its rows and gates as lines."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..benchmarks.harness.study import Study
+from ..benchmarks.studies import STUDIES, study_of
+from ..lhm.errors import InputError
+from .progress import shown
+from .written_file import WrittenFolder
+
+ONLY = ("missing", "failed", "all")
+
+
+def gate_line(gate: dict) -> str:
+    """A gate as a line."""
+    value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
+    return f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})"
+
+
+class Studies(click.Group):
+    """A group with a command for each study, made when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Studies, and what else was added."""
+        return sorted({*STUDIES, *super().list_commands(ctx)})
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """The command of a study, or another."""
+        return _command(study_of(name)) if name in STUDIES else super().get_command(ctx, name)
+
+
+@click.command("list")
+def listed() -> int:
+    """What each study asks."""
+    for name in STUDIES:
+        click.echo(f"{name:<14} {study_of(name).question}")
+    return 0
+
+
+@click.command("compare")
+@click.argument("before", type=click.Path(path_type=Path))
+@click.argument("after", type=click.Path(path_type=Path))
+def changes(before: Path, after: Path) -> int:
+    """Compare two results of one study: costs that changed by more than noise, and what one has not done.
+
+    BEFORE and AFTER are folders of a study, or their results.json. Exit status 1 if a cost rose.
+    """
+    from ..benchmarks.harness.compare import compared, study_in
+
+    name = study_in(before)
+    if name not in STUDIES:
+        raise InputError(f"{before}: of a study {name!r}, which there is not")
+    found, only = compared(before, after, study_of(name))
+    told = [change for change in found if change.told]
+    for change in told:
+        click.echo(f"{change.share:+8.1%}  {change.task}, {change.what}: {change.before:.4g} -> {change.after:.4g}")
+    for line in only:
+        click.echo(line)
+    click.echo(f"{len(found) - len(told)} of {len(found)} costs are the same within noise")
+    return 1 if any(change.share > 0 for change in told) else 0
+
+
+def _command(kind: type[Study]) -> click.Command:
+    own = [_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # every study is a dataclass
+    common = [
+        click.Option(["--match"], default="", help="only cases and methods with this in their name"),
+        click.Option(["--only"], type=click.Choice(ONLY), default="missing", help="which to do: failed again, or all"),
+        click.Option(["--workers"], type=click.IntRange(min=1), help="processes; default: all; one if timed"),
+        click.Option(["--out"], type=WrittenFolder(), default=f"out/{kind.name}", help="folder of the report"),
+        click.Option(["--json", "as_json"], is_flag=True, help="print the results file to stdout"),
+    ]
+
+    def run(match: str, only: Any, workers: int | None, out: Path, as_json: bool, **options: Any) -> int:
+        return _run(kind(**options), match, only, workers, out, as_json)
+
+    text = f"""{kind.question}
+
+    Writes OUT/index.html, OUT/results.json and, as they come, OUT/rows.jsonl; rows that are there are kept. Exit
+    status 1 if a statement does not hold or a case could not be measured.
+    """
+    return click.Command(kind.name, params=[*own, *common], callback=run, help=text)
+
+
+def _option(field: Field) -> click.Option:
+    words = dict(field.metadata)
+    name = words.pop("option", "--" + field.name.replace("_", "-"))
+    if field.default is False:
+        return click.Option([name, field.name], is_flag=True, **words)
+    if isinstance(field.default, tuple):
+        singular = name.removesuffix("s")
+        return click.Option([singular, field.name], multiple=True, default=field.default, **words)
+    return click.Option([name, field.name], default=field.default, type=type(field.default), **words)
+
+
+def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:
+    from ..benchmarks.harness import run
+    from ..benchmarks.harness.page import shown as cell
+
+    with shown() as progress:
+        results = run(study, out, only=only, workers=workers, match=match, progress=progress)
+    if as_json:
+        click.echo((out / "results.json").read_text())
+        return 0 if results.passed else 1
+    skipped = Counter(row.reason for row in results.rows if row.status == "skipped")
+    for reason, count in skipped.items():
+        click.echo(f"SKIPPED {count} of {len(results.rows)}: {reason}")
+    for row in results.rows:
+        if row.status == "failed":
+            click.echo(f"FAILED {row.case}, {row.method}: {row.reason}")
+        if not row.done:
+            continue
+        for values in study.lines(row.values):
+            said = ((column.title, cell(values.get(column.key))) for column in study.columns)
+            figures = "  ".join(f"{title} {_short(value)}" for title, value in said if value not in (None, row.case))
+            click.echo(f"{row.case}, {row.method}: {figures}")
+    if results.words:
+        click.echo(results.words)
+    for gate in results.gates:
+        click.echo(gate_line(gate))
+    for name in ("index.html", "results.json", "rows.jsonl"):
+        click.echo(f"wrote {out / name}")
+    return 0 if results.passed else 1
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "NO"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,107 @@
+"""What `simulate` and `animate` ask for alike: which take, on which head, and which files."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm.errors import InputError
+from ..lhm.expressions import Take
+from ..lhm.files.head_file import load_head
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats
+from ..lhm.progress import OnProgress
+from ..lhm.template import DEFAULT_LEVEL
+
+AFile = click.Path(path_type=Path)
+OF_HEADS = (
+    click.option("--head", "head_file", type=AFile, help="a head by `head fit`; default: one fitted to --identities"),
+    click.option(
+        "--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with --head: whose expressions"
+    ),
+    click.option("--seed", type=click.IntRange(min=0), help="of a random identity; default: the mean"),
+    click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap"),
+    click.option(
+        "--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults"
+    ),
+)
+OF_FILES = (
+    click.option(
+        "--format", "kind", type=click.Choice(["vtkhdf", "gltf"]), default="vtkhdf", help="of the moving skin"
+    ),
+    click.option(
+        "--preview", type=click.Choice(["mp4", "gif", "none"]), default="gif", help="a rendered picture of it"
+    ),
+    click.option("--fps", type=float, help="frames per second; default: the take's own"),
+    click.option("--frames", "chosen", metavar="A:B", help="only these frames, B left out, counted at --fps"),
+    click.option("--turned", is_flag=True, help="write the head turned as TAKE has it; default: in its own frame"),
+)
+DYNAMIC = click.option(
+    "--dynamic", is_flag=True, help="with inertia: flesh lags, and swings as TAKE turns the head; not lips, bone"
+)
+
+
+def of_takes(command: Callable) -> Callable:
+    """A command's options of head, parameters and files."""
+    for option in reversed((*OF_HEADS, *OF_FILES, DYNAMIC)):
+        command = option(command)
+    return command
+
+
+@dataclass(frozen=True)
+class WhichHead:
+    """The options that say which head; UsageError where two of them contradict."""
+
+    head_file: Path | None
+    space_name: str | None
+    seed: int | None
+    level: int | None
+
+    def __post_init__(self):
+        for name in ("seed", "level"):
+            if self.head_file is not None and getattr(self, name) is not None:
+                more = "both say which head; give one" if name == "seed" else "is of a head yet to be fitted"
+                raise click.UsageError(f"--head and --{name} {more}", click.get_current_context())
+
+    @property
+    def space(self) -> identities.LinearSpace:
+        """The people that are named, or the default's."""
+        return identities.from_text("anny" if self.space_name is None else self.space_name)
+
+    def code(self, space: identities.LinearSpace) -> Floats:
+        """The mean's code, or a random one's."""
+        rng = np.random.default_rng(self.seed)
+        return np.zeros(space.code_size) if self.seed is None else space.sample(rng)[0]
+
+    def head(self, progress: OnProgress) -> tuple[LayeredHead, Floats]:
+        """The head, and what each expression adds to its skin [mm], shape (52, n, 3)."""
+        from ..benchmarks.head_pictures import deltas_of
+
+        progress("head", 0.0)
+        if self.head_file is not None:
+            head = load_head(self.head_file)
+            deltas = deltas_of(head, str(self.head_file), self.space_name)
+        else:
+            space = self.space
+            template = load_template(space, level=self.level or DEFAULT_LEVEL, progress=progress)
+            code = self.code(space)
+            head, deltas = fit_head(template, space.skin(code)), space.expression_deltas(code)
+        progress("head", 1.0)
+        return head, deltas
+
+
+def taken(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:
+    """The frames of a take that are asked for; its remarks go to stderr."""
+    from ..benchmarks.takes import cut, take_from_text
+
+    take = take_from_text(text)
+    take = expressions.resampled(take, take.rate if fps is None else fps)
+    take = take if chosen is None else cut(take, chosen)
+    if turned and take.head is None:
+        raise InputError(f"--turned: {text} has no head rotation")
+    if take.remarks():
+        click.echo(f"softdeca: {text}: {'; '.join(take.remarks())}", err=True)
+    return take

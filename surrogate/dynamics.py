@@ -1,0 +1,154 @@
+"""A rig with inertia (SoftDECA Eq. 21): what is loose goes on from its two frames before, towards the static answer.
+
+    f_t = γ F(w_t) + 2α f_{t-1} - β f_{t-2},    γ = 1 - 2α + β
+
+F is any rig's static frame. α and β of a vertex are those of an oscillator of p's frequency and damping there, as far
+as flesh is loose (`reference.dynamics`). Its poles lie inside the unit circle whatever p, so no motion of w makes it
+grow; γ makes it blind to a shift of everything, and lets a face at rest rest where statics have it.
+
+What tissue adds to the springs' stiffness is left out: told by the rig's responses it lowered the error of dynamic
+frames by 2 % where flesh is loose, and raised it where a turning head shakes all of a face at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numba
+import numpy as np
+
+from ..lhm.errors import InputError
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats, Floats32, Ints, Surface
+from ..reference import Parameters
+from ..reference.base import lag, pivot, rotation, turns
+from ..reference.dynamics import Recurrence, coefficients
+from ..reference.inertia import loose
+from .local import at_vertices
+
+OSCILLATION = ("frequency", "damping")
+
+
+@dataclass(frozen=True, eq=False)
+class Swing:
+    """How a bound face swings: loose shares in [0, 1], frequency [Hz] and damping ratio, (n,); pivot (3,) [mm]."""
+
+    loose: Floats
+    frequency: Floats
+    damping: Floats
+    pivot: Floats
+
+    @classmethod
+    def of(cls, loose: Floats, pivot: Floats, parameters: Parameters | Floats, skin: Surface) -> Swing:
+        """With p's frequency and damping, one number or one per face; an array of static parameters has defaults."""
+        known = parameters if isinstance(parameters, Parameters) else Parameters()
+        frequency, damping = (at_vertices(name, getattr(known, name), skin) for name in OSCILLATION)
+        return cls(loose, frequency, damping, pivot)
+
+    @classmethod
+    def of_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
+        """Of a layered head, whose depth of bone under the skin tells where flesh is loose."""
+        # Weights of skin off the wrap's triangles reach a little beyond their corners.
+        shares = np.clip(head.skin_from_wrap @ loose(head), 0.0, 1.0)
+        return cls.of(shares, pivot(head), parameters, head.skin)
+
+    def recurrence(self, time_step: float) -> Recurrence:
+        """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
+        return coefficients(self.frequency, self.damping, time_step, loose=self.loose)
+
+
+class StaticRig(Protocol):
+    """Anything that makes a skin [mm] of 52 weights; `blended` replaces the blendshapes that the weights make."""
+
+    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
+        """The skin [mm], shape (n, 3)."""
+        ...
+
+
+class DynamicRig:
+    """Frames of a static rig in their order, time_step [s] apart: the first begins at rest in its own expression.
+
+    The head may turn in the room (`base`), which shakes what is loose; answers are in the head's own frame.
+    """
+
+    def __init__(self, rig: StaticRig, swing: Swing, time_step: float):
+        found = swing.recurrence(time_step)
+        self.time_step, self.recurrence = float(time_step), found
+        self._rig = rig
+        self._loose = np.flatnonzero(np.asarray(found.beta) > 0.0)
+        self._coefficients = _columns(found, self._loose)
+        self._driven = np.asarray(found.driven, dtype=np.float64)[self._loose, None]
+        self._pivot = swing.pivot
+        self._last = np.zeros((len(self._loose), 3), dtype=np.float32)
+        self._before, self._pushed = np.zeros_like(self._last), np.zeros_like(self._last)
+        self._turns = np.stack([np.eye(3), np.eye(3)])
+        self._begun = self._turning = False
+
+    def begin(self, weights, blended=None, *, velocity: Floats | None = None, base: Floats | None = None) -> Floats32:
+        """Put the face at rest in an expression, but moving at `velocity` [mm/s], (n, 3); returns the static skin.
+
+        `base`: how the head was turned in the two frames before the first, the earlier first, (2, 3, 3), or one (3, 3)
+        for both; not turned if None. InputError for other shapes, and values that are not finite.
+        """
+        turned = turns("base", np.eye(3) if base is None else base)
+        skin = self._rig.frame(weights, blended)
+        moving = np.zeros_like(skin) if velocity is None else np.asarray(velocity, dtype=np.float32)
+        if moving.shape != skin.shape or not np.isfinite(moving).all():
+            raise InputError(f"velocity: expected finite values of the skin's shape {skin.shape}")
+        self._last[:] = skin[self._loose]
+        self._before[:] = self._last - np.float32(self.time_step) * moving[self._loose]
+        self._turns, self._begun, self._turning = turned, True, True
+        return skin
+
+    def frame(self, weights, blended=None, *, base: Floats | None = None, out: Floats32 | None = None) -> Floats32:
+        """The next skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given.
+
+        `base`: the head's rotation in the room, shape (3, 3), or None as in the last frame (at first, not turned).
+        Raises what the static rig raises, and InputError for a base that is no rotation; then the state stays.
+        """
+        turned = None if base is None else rotation("base", base)
+        skin = self._rig.frame(weights, blended, out=out)
+        if not self._begun:
+            self._last[:] = self._before[:] = skin[self._loose]
+            self._turns = self._turns if turned is None else np.stack([turned, turned])
+            self._begun = True
+        if self._turning or turned is not None:
+            self._push(self._turns[1] if turned is None else turned)
+        _swing(skin, self._loose, self._coefficients, self._last, self._before, self._pushed)
+        return skin
+
+    def _push(self, now: Floats) -> None:
+        """What the head's turning adds to this frame [mm], and the turns that the next one has before it."""
+        middle = self._pivot
+        behind = lag(now, self._last - middle, self._before - middle, self._turns)
+        self._pushed[:] = 0.0 if behind is None else self._driven * behind
+        self._turning = behind is not None
+        self._turns = np.stack([self._turns[1], now])
+
+
+def dynamic_rig(rig: StaticRig, swing: Swing | None, time_step: float) -> DynamicRig:
+    """A rig's frames with inertia; InputError for one of which nothing is known."""
+    if swing is None:
+        raise InputError(
+            "dynamic: the weights do not tell where faces are loose; bind(exact=True) takes it of the head"
+        )
+    return DynamicRig(rig, swing, time_step)
+
+
+def _columns(recurrence: Recurrence, chosen: Ints) -> Floats32:
+    """2α and β of some vertices, shape (k, 2)."""
+    columns = 2.0 * np.asarray(recurrence.alpha), np.asarray(recurrence.beta)
+    return np.stack(columns, axis=1)[chosen].astype(np.float32)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _swing(skin, loose, coefficients, last, before, pushed):
+    """Eq. 21 at the loose vertices of a static skin, in place; as differences, so that rest is kept to the bit."""
+    for k in range(len(loose)):
+        a, b, v = coefficients[k, 0], coefficients[k, 1], loose[k]
+        for c in range(3):
+            still, one = skin[v, c], last[k, c]
+            moved = still + (a * (one - still) - b * (before[k, c] - still)) + pushed[k, c]
+            before[k, c], last[k, c] = one, moved
+            skin[v, c] = moved

@@ -1,0 +1,26 @@
+"""The simulator's offset and responses of one head: the exact part of a bound rig, and a rig of any head by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..lhm.errors import InputError
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats32
+from ..reference import Parameters, settled
+from ..reference.linearised import DIRECT, linearised
+from ..reference.settling import FOR_TARGETS
+
+
+def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> tuple[Floats32, Floats32]:
+    """T - S at w = 0, shape (n, 3), and its derivatives by shapes (k, n, 3), all [mm]; some seconds.
+
+    InputError for a face that does not settle under these parameters, and what the simulator raises.
+    """
+    neutral = settled(head, parameters, **FOR_TARGETS)
+    if not neutral.converged:
+        raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
+    linear = linearised(neutral, accuracy=DIRECT)
+    deltas = shapes.astype(np.float64)
+    offset = (linear.offset + neutral.displacement).astype(np.float32)
+    return offset, (linear.of_expressions(deltas) - deltas).astype(np.float32)

@@ -1,0 +1,54 @@
+"""Parameters that vary over a face, given per face of its skin, on vertices and on the wraps of a head."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..lhm.errors import InputError
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats, Surface
+from ..reference import Parameters
+from .modal.features import STATIC
+
+
+def at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
+    """A parameter at the vertices, shape (n,), of one number or one per face; InputError for what is out of range."""
+    n, values = len(skin.vertices), np.asarray(value, dtype=np.float64)
+    info = Parameters.info(name)
+    if values.ndim and values.shape != (len(skin.triangles),):
+        raise InputError(f"parameter {name}: expected one value, or one per face of the skin, ({len(skin.triangles)},)")
+    outside = ~((values >= info.low) & (values <= info.high))
+    if outside.any():
+        worst = np.ravel(values)[np.ravel(outside)][0]
+        raise InputError(f"parameter {name} = {worst:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
+    if not values.ndim:
+        return np.full(n, float(values))
+    corners = skin.triangles.ravel()
+    found = np.bincount(corners, weights=np.repeat(values, 3), minlength=n)
+    return found / np.maximum(np.bincount(corners, minlength=n), 1)
+
+
+def on_wraps(parameters: Parameters, head: LayeredHead) -> Parameters:
+    """The same for a simulation, which has local values per triangle of the wraps."""
+    values: dict[str, Any] = {}
+    for info in Parameters.infos():
+        value = getattr(parameters, info.name)
+        if np.ndim(value):
+            carried = head.wrap_from_skin @ at_vertices(info.name, value, head.skin)
+            value = carried[head.skin_wrap.triangles].mean(axis=1)
+        values[info.name] = value
+    return Parameters(**values)
+
+
+def of_static(head: LayeredHead, at_vertices: Floats) -> Parameters:
+    """Parameters for a simulation, of STATIC mapped to [-1, 1] at the skin's vertices (n, P): numbers where uniform."""
+    values: dict[str, Any] = {}
+    for k, name in enumerate(STATIC):
+        info, column = Parameters.info(name), at_vertices[:, k]
+        if np.ptp(column) < 1e-9 or not info.local:
+            values[name] = float(info.denormalise(column[0]))
+        else:
+            values[name] = info.denormalise((head.wrap_from_skin @ column)[head.skin_wrap.triangles].mean(axis=1))
+    return Parameters(**values)

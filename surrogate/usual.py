@@ -1,0 +1,21 @@
+"""Expressions that a rig is likely to be asked for, by which its shapes are chosen and compressed."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from ..lhm.expressions import conversation
+from ..lhm.expressions.combinations import combinations
+from ..lhm.mesh import Floats32
+
+
+@cache
+def usual_expressions(seed: int, count: int) -> Floats32:
+    """Weights (2 count, 52): frames of made-up conversation, then random combinations."""
+    talked = conversation(np.random.default_rng([seed, 0]), count)
+    random = combinations(np.random.default_rng([seed, 1]), count)
+    found: Floats32 = np.concatenate([talked, random]).astype(np.float32)
+    found.flags.writeable = False
+    return found

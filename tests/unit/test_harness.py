@@ -1,0 +1,170 @@
+"""The runner of studies: failures are rows, what is done is kept, and two results are compared beside their noise."""
+
+import json
+import sys
+
+import pytest
+
+from softdeca.benchmarks.harness import compared, run
+from softdeca.lhm import InputError
+
+# Another process has to import what it measures.
+TOYS = """
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from softdeca.benchmarks.gates import at_most
+from softdeca.benchmarks.harness import Column, Study, Task
+from softdeca.lhm.errors import InputError, MissingDependencyError
+
+
+@dataclass(frozen=True)
+class Toy(Study):
+    name = "toy"
+    question = "What is twice a number?"
+    columns = (Column("twice", "twice"), Column("times", "time [ms]", cost=True))
+    limit = 20.0
+
+    folder: str = ""
+    cases: tuple[str, ...] = ("1", "2")
+
+    def tasks(self):
+        return [Task(case, "doubling") for case in self.cases]
+
+    def measure(self, task):
+        with open(Path(self.folder) / "calls", "a") as file:
+            file.write(task.case + "\\n")
+        if task.case == "bad":
+            raise InputError("case: must be a number")
+        if task.case == "bug":
+            raise ZeroDivisionError("a defect of ours")
+        if task.case == "dead":
+            os._exit(7)
+        if task.case == "slow":
+            time.sleep(600)
+        if task.case == "missing":
+            raise MissingDependencyError("needs what is not there")
+        if task.case == "nan":
+            return {"twice": float("nan"), "times": [1.0]}
+        return {"twice": 2.0 * float(task.case), "times": [1.0, 1.1, 0.9]}
+
+    def gates(self, rows):
+        return [at_most("the largest", max(row.values["twice"] for row in rows), 4.0)]
+
+    def words(self, rows):
+        return f"{len(rows)} numbers were doubled."
+
+
+@dataclass(frozen=True)
+class Impatient(Toy):
+    limit = 0.5
+
+
+@dataclass(frozen=True)
+class Apart(Toy):
+    alone = True
+"""
+
+
+@pytest.fixture
+def toys(tmp_path, monkeypatch):
+    (tmp_path / "toy_studies.py").write_text(TOYS)
+    monkeypatch.syspath_prepend(tmp_path)
+    import toy_studies
+
+    yield toy_studies
+    del sys.modules["toy_studies"]
+
+
+def calls(folder):
+    return (folder / "calls").read_text().split()
+
+
+def test_rows_come_in_the_order_of_tasks_and_are_kept(toys, tmp_path):
+    study = toys.Toy(folder=str(tmp_path))
+    results = run(study, tmp_path / "out", workers=2)
+    assert [(row.case, row.values["twice"]) for row in results.rows] == [("1", 2.0), ("2", 4.0)]
+    assert results.passed and results.words == "2 numbers were doubled."
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["rows"][0]["values"]["twice"] == 2.0
+    again = run(study, tmp_path / "out")
+    assert again.rows == results.rows and sorted(calls(tmp_path)) == ["1", "2"]
+    # A row torn by a kill is done again, the other is not.
+    rows = tmp_path / "out" / "rows.jsonl"
+    lines = rows.read_text().splitlines()
+    rows.write_text(lines[0] + "\n" + lines[1][:40])
+    assert run(study, tmp_path / "out").passed and len(calls(tmp_path)) == 3
+    assert run(study, tmp_path / "out", only="all").passed and len(calls(tmp_path)) == 5
+    # Another question is not answered by these rows.
+    other = toys.Toy(folder=str(tmp_path), cases=("1", "2", "2.0"))
+    assert len(run(other, tmp_path / "out").rows) == 3 and len(calls(tmp_path)) == 8
+
+
+def test_what_fails_is_a_row_with_its_reason_and_the_rest_is_complete(toys, tmp_path):
+    study = toys.Toy(folder=str(tmp_path), cases=("1", "bad", "bug", "dead", "nan", "missing", "2"))
+    results = run(study, tmp_path / "out", workers=1)
+    assert {row.case: (row.status, row.reason) for row in results.rows} == {
+        "1": ("done", ""),
+        "bad": ("failed", "case: must be a number"),
+        "bug": ("failed", "ZeroDivisionError: a defect of ours"),
+        "dead": ("failed", "its process died"),
+        "nan": ("failed", "not finite: twice"),
+        "missing": ("skipped", "needs what is not there"),
+        "2": ("done", ""),
+    }
+    assert not results.passed and results.gates[0]["value"] == 4 and results.gates[1]["passed"]
+    text = (tmp_path / "out" / "index.html").read_text()
+    assert "its process died" in text and "a defect of ours" in text and "NaN" not in text
+    before = len(calls(tmp_path))
+    run(study, tmp_path / "out", only="failed")
+    assert sorted(calls(tmp_path)[before:]) == sorted(["bad", "bug", "dead", "nan", "missing"])
+
+
+def test_what_takes_too_long_is_ended(toys, tmp_path):
+    results = run(toys.Impatient(folder=str(tmp_path), cases=("slow", "missing")), tmp_path / "out", workers=1)
+    assert results.rows[0].reason == "ended after 0.5 s" and not results.passed
+    assert results.words == "Nothing could be measured."
+
+
+def test_a_process_of_its_own_tells_its_memory(toys, tmp_path):
+    rows = run(toys.Apart(folder=str(tmp_path)), tmp_path / "out", match="1").rows
+    assert len(rows) == 1 and 20 < rows[0].memory_mb < 2000
+    with pytest.raises(InputError, match="toy: no case and method matches 'nothing'"):
+        run(toys.Apart(folder=str(tmp_path)), tmp_path / "out", match="nothing")
+
+
+def results_file(path, rows):
+    rows = [
+        {"case": case, "method": "m", "status": "done" if times else "failed", "values": {"times": times, "error": 1.0}}
+        for case, times in rows.items()
+    ]
+    path.write_text(json.dumps({"study": "toy", "rows": rows}))
+    return path
+
+
+def test_changes_are_told_beyond_noise(toys, tmp_path):
+    quiet, noisy = [1.0, 1.001, 0.999], [1.0, 1.4, 0.8]
+    before = results_file(tmp_path / "a.json", {"quiet": quiet, "noisy": noisy, "gone": quiet, "late": None})
+    slower = results_file(
+        tmp_path / "b.json", {"quiet": [1.1, 1.101, 1.1], "noisy": [1.1, 1.5, 0.9], "gone": None, "late": quiet}
+    )
+    found, only = compared(before, slower, toys.Toy)
+    assert {change.task: change.told for change in found} == {"quiet, m": True, "noisy, m": False}
+    assert found[0].share == pytest.approx(0.1)
+    assert only == ["gone, m: done before, failed after", "late, m: failed before, done after"]
+    (tmp_path / "c.json").write_text("{}")
+    with pytest.raises(InputError, match="c.json: no results of a study"):
+        compared(before, tmp_path / "c.json", toys.Toy)
+
+
+def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
+    words = ("bench", "verification", "--solver", "skfem", "--match", "two layers", "--out", tmp_path)
+    ended = command(*words)
+    assert ended.status == 0 and ended.errors == []
+    assert "4 of 4 values by skfem are within their bounds." in ended.out
+    said = json.loads(command(*words, "--json").out)
+    assert said["options"] == {"solvers": ["skfem"], "fine": False} and len(said["rows"]) == 4
+    same = command("bench", "compare", tmp_path, tmp_path / "results.json")
+    assert same.status == 0 and same.out == "4 of 4 costs are the same within noise\n"
+    assert "verification" in command("bench", "list").out

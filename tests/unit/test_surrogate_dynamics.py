@@ -1,0 +1,148 @@
+"""The surrogate's dynamics (Eq. 21): rest, shifts, stability, frequency, beside the simulator's own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError, expressions
+from softdeca.reference import Parameters, Sequence, settled
+from softdeca.surrogate import linearised_rig
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.dynamics import DynamicRig, Swing
+from softdeca.surrogate.modal.looseness import Looseness
+from softdeca.surrogate.sphere import Spheres
+
+SPACE = Spheres(1)
+N = len(SPACE.mean.vertices)
+P = Parameters(soft_volume=1.2, frequency=4.0, damping=0.3)
+
+
+def shapes():
+    return SPACE.expression_deltas(np.zeros(SPACE.code_size))
+
+
+@pytest.fixture(scope="module")
+def head():
+    return SPACE.fit(SPACE.mean)
+
+
+@pytest.fixture(scope="module")
+def rig(head):
+    return linearised_rig(head, shapes(), P)
+
+
+def test_frames_follow_the_simulators(head, rig):
+    weights, moving = np.zeros((16, 52)), rig.dynamic(1 / 60)
+    weights[:, 7] = 0.5 * np.sin(np.arange(16) / 3) ** 2
+    simulated = Sequence.of(settled(head, P), dynamic=True)
+    static, dynamic = [], []
+    for w in weights:
+        targets = SPACE.mean.vertices + np.tensordot(w, shapes(), axes=1)
+        truth = simulated.skin(targets, simulated.frame(targets))
+        static.append(np.abs(rig.frame(w) - truth).max())
+        dynamic.append(np.abs(moving.frame(w) - truth).max())
+    assert max(static) > 0.5 and max(dynamic) < 0.1 * max(static)
+
+
+def test_a_turning_head_shakes_the_face_as_in_simulation(head, rig):
+    simulated, moving, still = Sequence.of(settled(head, P), dynamic=True), rig.dynamic(), np.zeros(52)
+    bases = expressions.rotations(np.stack([0.2 * np.sin(np.arange(12) / 4), np.zeros(12), np.zeros(12)], axis=1))
+    simulated.begin(SPACE.mean.vertices, base=bases[0])
+    moving.begin(still, base=bases[0])
+    largest, off = 0.0, 0.0
+    for base in bases:
+        truth = simulated.skin(SPACE.mean.vertices, simulated.frame(SPACE.mean.vertices, base=base))
+        off = max(off, np.abs(moving.frame(still, base=base) - truth).max())
+        largest = max(largest, np.abs(truth - rig.neutral).max())
+    assert largest > 0.5 and off < 0.05 * largest
+
+
+def test_rest_is_kept_to_the_bit(rig):
+    moving, weights = rig.dynamic(), np.linspace(0.0, 0.4, 52)
+    first = moving.frame(weights)
+    for _ in range(100):
+        assert np.array_equal(moving.frame(weights), first)
+    assert np.array_equal(first, rig.frame(weights))
+
+
+def test_a_free_face_swings_at_ps_frequency(rig):
+    """Without a change of w, a velocity makes an oscillation of 4 Hz whose peaks fall by 0.3."""
+    moving, weights = rig.dynamic(1 / 240), np.zeros(52)
+    moving.begin(weights, velocity=np.full((N, 3), 100.0))
+    away = np.array([(moving.frame(weights) - rig.neutral)[0, 0] for _ in range(240)])
+    crossings = np.flatnonzero(np.diff(np.sign(away)))
+    assert 240 / np.diff(crossings)[:2].mean() / 2 == pytest.approx(4.0 * np.sqrt(1 - 0.3**2), rel=0.06)
+    ratio = np.abs(away[crossings[0] : crossings[1]]).max() / np.abs(away[: crossings[0]]).max()
+    assert ratio == pytest.approx(np.exp(-np.pi * 0.3 / np.sqrt(1 - 0.3**2)), rel=0.05)
+
+
+@pytest.mark.parametrize("low", [(2.0, 0.1), (8.0, 0.7)], ids=["slow", "quick"])
+def test_ten_thousand_frames_of_random_weights_stay_near(rig, low):
+    swing = replace(rig.swing, frequency=np.full(N, low[0]), damping=np.full(N, low[1]))
+    moving, rng = DynamicRig(rig, swing, 1 / 60), np.random.default_rng(0)
+    out, largest = np.empty((N, 3), dtype=np.float32), 0.0
+    for _ in range(10_000):
+        largest = max(largest, float(np.abs(moving.frame(rng.random(52, dtype=np.float32), out=out)).max()))
+    assert largest < 250.0
+    for _ in range(600):
+        moving.frame(np.zeros(52), out=out)
+    assert np.abs(out - rig.frame(np.zeros(52))).max() < 1e-3
+
+
+def test_baked_rigs_have_it_too(rig):
+    baked = rig.bake(52)
+    one, other = rig.dynamic(), baked.dynamic()
+    for k in range(10):
+        weights = np.full(52, 0.04 * k)
+        assert np.abs(one.frame(weights) - other.frame(weights)).max() < 5e-3
+
+
+def test_blendshapes_of_ones_own_lag_alike(rig):
+    one, other = rig.dynamic(), rig.dynamic()
+    for k in range(10):
+        weights = np.full(52, 0.04 * k)
+        assert np.abs(one.frame(weights) - other.frame(weights, blended=rig.blend(weights))).max() < 1e-3
+
+
+def test_looseness_of_people_is_linear_in_their_code(head):
+    people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
+    found = Looseness.of(people, count=12)
+    shares, pivot = found.at(np.zeros(SPACE.code_size))
+    # A sphere without regions is loose everywhere, and turns about its middle.
+    assert shares == pytest.approx(np.ones(N)) and np.abs(pivot).max() < 2.0
+    assert found.shares.shape == (1 + SPACE.code_size, N)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frequency": 20.0}, "parameter frequency = 20 is outside"),
+        ({"damping": np.full(7, 0.3)}, "parameter damping: expected one value, or one per face"),
+    ],
+    ids=["range", "shape"],
+)
+def test_bad_parameters_are_named(head, changes, message):
+    class Given(Parameters):
+        def __post_init__(self):
+            """Unchecked, as an array of parameters is."""
+
+    with pytest.raises(InputError, match=message):
+        Swing.of_head(head, Given(**changes))
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda rig: rig.dynamic(0.0), "time_step: must be finite and above 0"),
+        (lambda rig: rig.dynamic(1.0), "frequency = 4 is outside"),
+        (lambda rig: rig.dynamic().begin(np.zeros(52), velocity=np.zeros((3, 3))), "velocity: expected finite"),
+        (lambda rig: rig.dynamic().frame(np.zeros(52), base=2 * np.eye(3)), "base: no rotation"),
+        (lambda rig: rig.dynamic().frame(np.zeros(51)), "the 52 of ARKit"),
+        (lambda rig: rig.bake(4).dynamic().frame(np.zeros(52), np.zeros((N, 3))), "blended: a baked rig has"),
+    ],
+    ids=["step", "rate", "velocity", "base", "weights", "baked"],
+)
+def test_bad_frames_are_named(rig, act, message):
+    with pytest.raises(InputError, match=message):
+        act(rig)
