@@ -141,11 +141,8 @@ def dof_counts(space) -> tuple[int, int]:
 
 def global_dofs(space) -> Ints:
     """The numbers over all processes of a process' block dofs, first its own."""
-    owned, ghosts = dof_counts(space)
     numbering = space.dofmap.index_map
-    first = numbering.local_range[0]
-    others = numbering.ghosts if hasattr(numbering, "ghosts") else numbering.ghosts()
-    return np.concatenate([np.arange(first, first + owned), np.asarray(others)[:ghosts]]).astype(np.int64)
+    return np.concatenate([np.arange(*numbering.local_range), np.asarray(numbering.ghosts)]).astype(np.int64)
 
 
 def cell_vertices(domain) -> Ints:

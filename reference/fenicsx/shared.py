@@ -96,8 +96,8 @@ def check_same(comm: MPI.Intracomm, scene: Scene):
     for term in scene.terms:
         parts += [term.name, *(getattr(term, key) for key in term.__dataclass_fields__)]
     known = [part for part in parts if isinstance(part, (np.ndarray, str, float, int, tuple))]
-    raw = [part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode() for part in known]
-    if len(set(comm.allgather(tuple(crc32(each) for each in raw)))) > 1:
+    sums = tuple(crc32(part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode()) for part in known)
+    if len(set(comm.allgather(sums))) > 1:
         raise SceneError("the processes of mpirun were given different scenes; each makes the same calls")
 
 
