@@ -1,7 +1,7 @@
 """What several processes gain: FEniCSx's phases on one head by 1, 2, ... processes of mpirun, and whether they agree.
 
 Every count of processes has its turn in each round, and a phase's seconds are the least of all its repeats, so that
-what else runs on the machine spoils little.
+what else runs on the machine spoils little. `megabytes` is the largest process' resident memory at its peak.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -136,40 +137,46 @@ def without_notices(errors: str) -> str:
 
 def measure_here() -> None:
     """Measure the scene of the file that the command names first, into the one that it names second."""
-    ranks.join()
     given, told = sys.argv[-2:]
     scene, repeats = pickle.loads(Path(given).read_bytes())
-    Path(told).write_bytes(pickle.dumps(measure(scene, repeats)))
+    found = measure(scene, repeats)
+    from ..reference.fenicsx.dolfinx_version import ALL
+
+    found["megabytes"] = max(ALL.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3))
+    if ALL.rank == 0:
+        Path(told).write_bytes(pickle.dumps(found))
 
 
 def measure(scene: Scene, repeats: int) -> dict:
-    """Seconds of each phase (the least of some repeats), and the answer, by the processes that have joined.
+    """Seconds of each phase (the least of some repeats), and the answer, by all processes that mpirun has started.
 
     energy, gradient and hessian are those of a state near rest; first_solve makes multigrid's levels and solves one
     system, next_solve solves another with new values; whole is a solve to TIGHT of a prepared scene.
     """
     from ..reference.fenicsx import prepare
-    from ..reference.fenicsx.linear import hold
+    from ..reference.fenicsx.linear import LINEAR_SOLVERS, hold
     from ..reference.fenicsx.numbering import Numbering
-    from ..reference.fenicsx.shared_linear import solver_of
-    from ..reference.fenicsx.shares import problem_of
+    from ..reference.fenicsx.prepared import processes_for
+    from ..reference.fenicsx.problem import Problem
 
     prepare(scene).solve(max_iterations=1)  # compiles
     times: dict[str, list[float]] = {phase: [] for phase in PHASES}
-    order = Numbering(scene)
-    problem = problem_of(scene, order)
-    held = np.flatnonzero(order.held(scene.dirichlet()[0]) | problem.unsupported[:, None])
+    order = Numbering(scene, comm=processes_for(scene))
+    problem = Problem(scene, order)
+    owned = order.nodes.owned
+    held = np.flatnonzero((order.held(scene.dirichlet()[0]) | problem.unsupported[:, None])[:owned])
     rng = np.random.default_rng(0)
     for _ in range(repeats):
         seconds, prepared = _timed(lambda: prepare(scene))
         times["prepare"].append(seconds)
-        u = rng.normal(0.0, 1e-3, order.X.shape)
+        u = rng.normal(0.0, 1e-3, (owned, 3))
         u.flat[held] = 0.0
+        u = order.nodes.spread(u)
         seconds, state = _timed(lambda u=u: problem.at(u))
         times["energy"].append(seconds)
         seconds, gradient = _timed(state.gradient)
         times["gradient"].append(seconds)
-        solver = solver_of("cg", problem.matrix)
+        solver = LINEAR_SOLVERS["cg"](problem.matrix)
         for phase in ("first_solve", "next_solve"):
             seconds, hessian = _timed(lambda state=state: state.softened_hessian(0.0))
             times["hessian"].append(seconds)

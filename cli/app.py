@@ -31,7 +31,7 @@ def main() -> None:
     Of processes that mpirun starts together the first one runs it, and the others help FEniCSx.
     """
     try:
-        ranks.join()
+        ranks.lead()
         status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False)
     except SoftdecaError as error:
         status = _fail(str(error))

@@ -312,7 +312,8 @@ def _rank_lines(results: Mapping) -> str:
     for row in results["rows"]:
         lines.append(
             f"{row['name']}, {row['tets']} tets, {row['processes']} processes: "
-            f"{row['iterations']} iterations, {row['off']:.1e} of the largest displacement from one process' answer"
+            f"{row['iterations']} iterations, {row['off']:.1e} of the largest displacement from one process' answer, "
+            f"the largest process {row['megabytes']:.0f} MB"
         )
         lines += [
             f"  {phase.replace('_', ' '):<12} {seconds:8.4f} s   {row['gain'][phase]:5.2f} x"

@@ -1,14 +1,14 @@
 """Scenes, the solvers that consume them, and the problems that verify them."""
 
 from ..lhm.errors import MissingDependencyError, SceneError
-from . import materials, terms
+from . import materials, ranks, terms
 from .facial import facial_scene, neo_hookean_scene
 from .march import march
 from .parameters import ParameterInfo, Parameters
 from .scene import Scene
 from .sequence import Sequence
 from .settling import Settled, settled
-from .solution import History, Reason, Solution
+from .solution import History, Reason, Solution, Times
 from .solution_file import write_solution
 from .solve import SOLVERS, Prepared, prepare, solve
 from .trajectory import Trajectory
@@ -26,12 +26,14 @@ __all__ = [
     "Sequence",
     "Settled",
     "Solution",
+    "Times",
     "Trajectory",
     "facial_scene",
     "march",
     "materials",
     "neo_hookean_scene",
     "prepare",
+    "ranks",
     "settled",
     "solve",
     "terms",

@@ -1,7 +1,11 @@
-"""Processes that `mpirun` starts together: the first runs the command, the others do their part of its work.
+"""Processes that `mpirun` starts together.
 
-The first process makes objects on the others and calls their methods, so every decision is its own and no two processes
-can disagree. What it does alone (files, output, other solvers) the others wait for, asleep.
+A script is ordinary SPMD: every process makes the same calls, FEniCSx divides each mesh among them, and all have the
+answer. A command has files and a terminal, so its first process runs it, and the others make the calls of FEniCSx
+that the first one makes: `lead` and `mirrored`. They wait for the next one asleep.
+
+A SoftdecaError is about what all processes were given, so all raise it and it is told once. Any other error in one
+process ends all of them: the others may wait for it (`end_all`).
 """
 
 from __future__ import annotations
@@ -10,15 +14,13 @@ import atexit
 import gc
 import importlib
 import os
-import pickle
 import signal
 import sys
 import time
 import traceback
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -31,142 +33,98 @@ INHERITED = ("OMPI_", "PMIX_", "PMI_", "ORTE_", "PRTE_", "HYDRA_", "HYDI_")
 KEPT = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
 AWAKE = 2e-3  # seconds of waiting for work, after which a process sleeps between its looks
 NAP, LONGEST_NAP = 5e-5, 2e-3
+AGREED = 2.0  # seconds within which all processes meet the same error
 
-_team: Team | None = None
+_followers: Followers | None = None
 
 
 @dataclass(frozen=True)
-class Task:
+class Call:
     """A call of the object `key`: of its method, or of what makes it; `dropped` are objects that may go."""
 
     key: int
     method: str
     make: Callable[..., Any] | None
     arguments: tuple
-    together: bool
+    named: dict[str, Any]
     dropped: tuple[int, ...]
 
 
-class Remote:
-    """One object on each of the other processes, made by `Team.make`."""
+class Mirrored:
+    """An object that this process and all its followers have made, and whose methods all of them call together."""
 
-    def __init__(self, team: Team, key: int):
-        self._team, self._key = team, key
-        weakref.finalize(self, team._dropped.append, key)
+    def __init__(self, followers: Followers, make: Callable[..., Any], *arguments, **named):
+        self._followers, self._key = followers, followers.new_key()
+        weakref.finalize(self, followers.dropped.append, self._key)
+        with followers.make_too(Call(self._key, "", make, arguments, named, followers.take_dropped())):
+            self.own = make(*arguments, **named)
 
-    def begin(self, method: str, arguments: Sequence[tuple]):
-        """Call a method on each process, with its arguments; they answer to `end`."""
-        self._team._send(self._key, method, arguments)
-
-    def end(self) -> list:
-        """What the processes answer to the last call; raises what one of them raised."""
-        return self._team._receive()
-
-    def call(self, method: str, arguments: Sequence[tuple]) -> list:
-        """Begin and end."""
-        self.begin(method, arguments)
-        return self.end()
-
-    @contextmanager
-    def together(self, method: str, arguments: Sequence[tuple]) -> Iterator[list]:
-        """Call a method that this process takes part in, within the block; its list is filled afterwards.
-
-        An error in one process alone would leave the others waiting for it: it ends all of them.
-        """
-        with self._team._as_one():
-            self._team._send(self._key, method, arguments, together=True)
-            answers: list = []
-            yield answers
-        answers += self._team._receive()
+    def call(self, method: str, *arguments, here: dict[str, Any] | None = None, **named) -> Any:
+        """What the method gives in this process; `here` are arguments that it alone has."""
+        followers = self._followers
+        with followers.make_too(Call(self._key, method, None, arguments, named, followers.take_dropped())):
+            return getattr(self.own, method)(*arguments, **named, **(here or {}))
 
 
-class Team:
-    """The other processes, as the first one sees them; `comm` is all of them, `size` their number."""
+class Followers:
+    """The other processes, as the first one sees them."""
 
     def __init__(self, comm):
         self.comm, self.size = comm, comm.size
-        self._pid = os.getpid()
+        self.pid = os.getpid()
+        self.dropped: list[int] = []
         self._keys = 0
-        self._dropped: list[int] = []
-        self._unanswered = False
-        self._stuck = False
+        self._within = False
 
-    def begin_making(self, kind: Callable[..., Any], arguments: Sequence[tuple]) -> Remote:
-        """An object of a kind on each of the others, with its arguments; there after its `end`."""
-        remote = self._new()
-        self._send(remote._key, "", arguments, make=kind)
-        return remote
-
-    def make(self, kind: Callable[..., Any], arguments: Sequence[tuple]) -> Remote:
-        """The same, there at once."""
-        remote = self.begin_making(kind, arguments)
-        remote.end()
-        return remote
-
-    @contextmanager
-    def making(self, kind: Callable[..., Any], arguments: Sequence[tuple]) -> Iterator[Remote]:
-        """Like `make`, while this process makes its own within the block: see `Remote.together`."""
-        remote = self._new()
-        with self._as_one():
-            self._send(remote._key, "", arguments, make=kind, together=True)
-            yield remote
-        self._receive()
-
-    def _new(self) -> Remote:
+    def new_key(self) -> int:
+        """A name for another object."""
         self._keys += 1
-        return Remote(self, self._keys)
+        return self._keys
 
-    @contextmanager
-    def _as_one(self) -> Iterator[None]:
-        self._stuck = True  # unless the block ends well
-        yield
-        self._stuck = False
+    def take_dropped(self) -> tuple[int, ...]:
+        """The objects that have gone here since the last call."""
+        dropped = tuple(self.dropped)
+        del self.dropped[: len(dropped)]
+        return dropped
 
-    def _send(self, key: int, method: str, arguments: Sequence[tuple], *, make=None, together: bool = False):
-        if self._stuck and not together:
+    def import_too(self, name: str) -> Followers:
+        """Let the others import a module that this process imports within a `with` of what is returned."""
+        return self.make_too(Call(self.new_key(), "", importlib.import_module, (name,), {}, self.take_dropped()))
+
+    def make_too(self, call: Call) -> Followers:
+        """Let the others make a call that this process makes within a `with` of what is returned."""
+        if self._within:
             raise SoftdecaError("the processes of mpirun fell out of step when the last solve was cut off; start anew")
-        if self._unanswered:  # an interruption kept a call from its end
-            self._collect()
-        dropped = tuple(self._dropped)
-        del self._dropped[: len(dropped)]
-        for rank, own in enumerate(arguments, start=1):
-            self.comm.send(Task(key, method, make, own, together, dropped), dest=rank)
-        self._unanswered = True
+        for rank in range(1, self.size):
+            self.comm.send(call, dest=rank)
+        return self
 
-    def _collect(self) -> list[tuple[bool, Any]]:
-        answers = [self.comm.recv(source=rank) for rank in range(1, self.size)]
-        self._unanswered = False
-        return answers
+    def __enter__(self):
+        self._within = True
 
-    def _receive(self) -> list:
-        answers = self._collect()
-        for fine, answer in answers:
-            if not fine:
-                raise answer
-        return [answer for _, answer in answers]
+    def __exit__(self, kind, error, where):
+        self._within = error is not None and not isinstance(error, SoftdecaError)
 
     def dismiss(self, status: int):
-        """Let the others end; where they wait for a call that this process has left, end all with the status."""
-        if self._stuck:
+        """Let the others end; where they are in a call that this process has left, end all with the status."""
+        if self._within:
             sys.stdout.flush()
             sys.stderr.flush()
             self.comm.Abort(status or 1)
-        if self._unanswered:
-            self._collect()
         for rank in range(1, self.size):
             self.comm.send(None, dest=rank)
 
 
-def join() -> Team | None:
-    """Become one of the processes that mpirun has started; None where it has started no other.
+def lead() -> None:
+    """Become the first of the processes that mpirun has started, if it has, to run a command for all of them.
 
-    Only the first process returns; the others work for it, and end when it ends or calls `leave`. Raises
+    Only the first process returns; the others follow it, and end when it ends or calls `leave`. Raises
     MissingDependencyError, in the first process, where mpi4py is missing or belongs to another MPI than mpirun.
     """
-    global _team
-    started = int(next((os.environ[name] for name in SIZES if name in os.environ), "1"))
+    global _followers
+    started = _started()
     if started < 2:
-        return None
+        return
     os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # while waiting, leave the processor to who has work
     place = int(next((os.environ[name] for name in PLACES if name in os.environ), "0"))
     try:
@@ -179,29 +137,54 @@ def join() -> Team | None:
     if world.size != started:
         of = mpi.Get_library_version().split(",")[0].strip()
         _refuse(place, f"mpirun has started {started} processes, but mpi4py knows {world.size}: use mpirun of {of}")
-    comm = pkl5.Intracomm(world)
+    comm = pkl5.Intracomm(world.Dup())
     if comm.rank > 0:
-        _serve(comm)
+        _follow(comm)
         sys.exit(0)
     for name in [n for n in os.environ if n.startswith(INHERITED) and n not in KEPT]:
         del os.environ[name]
     signal.signal(signal.SIGTERM, _interrupted)  # what mpirun sends when it is interrupted
-    _team = Team(comm)
+    _followers = Followers(comm)
     atexit.register(leave)
-    return _team
 
 
-def team() -> Team | None:
-    """The processes that have joined this one; None in a process of its own, as a child of the first is."""
-    return _team if _team is not None and _team._pid == os.getpid() else None
+def followers() -> Followers | None:
+    """The processes that follow this one; None in a script, and in a process of its own, as a child of the first is."""
+    return _followers if _followers is not None and _followers.pid == os.getpid() else None
 
 
 def leave(status: int = 0):
-    """Let the others end, as this process is about to; does nothing where none have joined."""
-    global _team
-    if team() is not None:
-        _team.dismiss(status)  # type: ignore[union-attr]
-    _team = None
+    """Let the others end, as this process is about to; does nothing where none follow."""
+    global _followers
+    if (others := followers()) is not None:
+        others.dismiss(status)
+    _followers = None
+
+
+def _started() -> int:
+    """How many processes mpirun has started."""
+    return int(next((os.environ[name] for name in SIZES if name in os.environ), "1"))
+
+
+def end_all(kind: type[BaseException], error: BaseException, where):
+    """What a process does with an error that nothing has caught: tell it, and end all processes that may wait for it.
+
+    Where all of them meet one the first tells it, and each ends by itself.
+    """
+    from mpi4py import MPI
+
+    comm = MPI.COMM_WORLD
+    met, begin = comm.Ibarrier(), time.perf_counter()
+    while not (together := met.Test()) and time.perf_counter() - begin < AGREED:
+        time.sleep(LONGEST_NAP)
+    if comm.rank == 0 or not together:
+        if isinstance(error, SoftdecaError):
+            print(f"softdeca: error: {' '.join(str(error).split())}", file=sys.stderr)
+        else:
+            traceback.print_exception(kind, error, where)
+    sys.stderr.flush()
+    if not together:
+        comm.Abort(1)
 
 
 def _interrupted(*_) -> NoReturn:
@@ -214,33 +197,30 @@ def _refuse(place: int, why: str) -> NoReturn:
     sys.exit(1)
 
 
-def _serve(comm):
-    """Do what the first process asks for until it asks for the end."""
+def _follow(comm):
+    """Make the calls that the first process makes until it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process decides what an interruption means
     warnings.simplefilter("ignore")
     held: dict[int, Any] = {}
     while True:
         _wait_for_work(comm)
-        task = comm.recv(source=0)
-        if task is None:
+        call = comm.recv(source=0)
+        if call is None:
             return
-        for key in task.dropped:
+        for key in call.dropped:
             held.pop(key, None)
-        if task.dropped:
+        if call.dropped:
             gc.collect()  # problems and their states refer to one another
         try:
-            if task.make is not None:
-                held[task.key], answer = task.make(*task.arguments), None
+            if call.make is not None:
+                held[call.key] = call.make(*call.arguments, **call.named)
             else:
-                answer = getattr(held[task.key], task.method)(*task.arguments)
-        except Exception as error:
-            failure = _portable(error, comm.rank)
-            if task.together:
-                print(f"softdeca: error: {' '.join(str(failure).split())}", file=sys.stderr, flush=True)
-                comm.Abort(1)
-            comm.send((False, failure), dest=0)
-        else:
-            comm.send((True, answer), dest=0)
+                getattr(held[call.key], call.method)(*call.arguments, **call.named)
+        except SoftdecaError:
+            pass  # the first process has it too
+        except Exception:
+            traceback.print_exc()
+            comm.Abort(1)
 
 
 def _wait_for_work(comm):
@@ -251,12 +231,5 @@ def _wait_for_work(comm):
             nap = min(1.2 * nap, LONGEST_NAP)
 
 
-def _portable(error: Exception, rank: int) -> Exception:
-    """The error, or one that says the same and can be sent."""
-    if isinstance(error, SoftdecaError):
-        return error
-    try:
-        pickle.loads(pickle.dumps(error))
-        return error
-    except Exception:
-        return RuntimeError(f"process {rank}: {traceback.format_exc()}")
+if _started() > 1:
+    sys.excepthook = end_all

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -12,6 +11,7 @@ import numpy as np
 
 from ..lhm.errors import SceneError
 from ..lhm.mesh import Floats, tet_volumes
+from .compiling import Clock, Spent
 from .recovered import Recovered, von_mises
 from .scene import Scene
 
@@ -39,21 +39,35 @@ class Reason(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Per iteration, the start first: time [s] in the solve (callbacks left out), energy [µJ], gradient norm [mN]."""
+    """Per iteration, the start first: time [s], energy [µJ], gradient norm [mN].
+
+    Time is all that has gone into the answer since `solve` was called: other attempts and first guesses too, each once,
+    but neither callbacks nor compilation.
+    """
 
     time: Floats
     energy: Floats
     gradient_norm: Floats
 
 
+@dataclass(frozen=True)
+class Times:
+    """Seconds of preparation, which later solves share, and of this solve; compilation in both beside them."""
+
+    preparation: float
+    solve: float
+    compilation: float
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A solver's answer.
 
-    positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made; energy [µJ],
-    with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail` holds counts that only one
-    solver has, such as linear iterations. Stresses [kPa], one per tet, and reactions [mN] are worked out by the same
-    solver when they are first asked for, from its own nodes and integration points.
+    positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made, by all
+    attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail`
+    holds counts that only one solver has, such as linear iterations; `times` is None unless a solver made it. Stresses
+    [kPa], one per tet, and reactions [mN] are worked out by the same solver when they are first asked for, from its own
+    nodes and integration points.
     """
 
     positions: Floats
@@ -64,6 +78,7 @@ class Solution:
     volume_ratio: Floats
     detail: dict[str, float] = field(default_factory=dict)
     recovery: Callable[[], Recovered] | None = field(default=None, repr=False)
+    times: Times | None = None
 
     @property
     def converged(self) -> bool:
@@ -106,27 +121,32 @@ OnIteration = Callable[[int, Floats, float, float], "bool | None"]
 
 
 class Recorder:
-    """Collects the history of one solve; time spent in the callback does not count."""
+    """Collects the history of one solve; time spent in the callback or on compilation does not count."""
 
     def __init__(self, on_iteration: OnIteration | None = None):
         self._callback = on_iteration
-        self._begin = time.perf_counter()
+        self._clock = Clock()
         self._rows: list[tuple[float, float, float]] = []
 
     def record(self, positions: Floats, energy: float, gradient_norm: float) -> bool:
         """Add an iteration; return whether the callback asks to stop."""
-        now = time.perf_counter()
-        self._rows.append((now - self._begin, energy, gradient_norm))
+        self._rows.append((self._clock.spent().work, energy, gradient_norm))
         if self._callback is None:
             return False
+        away = Clock()
         stop = bool(self._callback(len(self._rows) - 1, positions, energy, gradient_norm))
-        self._begin += time.perf_counter() - now
+        self._clock.pause(away.spent().work)
         return stop
 
     def history(self) -> History:
         """What was recorded so far."""
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
         return History(rows[:, 0], rows[:, 1], rows[:, 2])
+
+    def times(self, preparation: Spent) -> Times:
+        """What the solve has taken so far, and its preparation."""
+        solve = self._clock.spent()
+        return Times(preparation.work, solve.work, preparation.compilation + solve.compilation)
 
 
 def volume_ratio(scene: Scene, positions: Floats) -> Floats:

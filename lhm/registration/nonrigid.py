@@ -35,7 +35,7 @@ def laid_onto(
 
     `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
     Visible vertices are drawn to their matches, and by the skin's own (`Pulls`); those in hidden `parts`, those that
-    see no sky, and those without a match are carried along.
+    see no sky but at the lips, and those without a match are carried along.
     Facing points of the two lips keep their gap. Where the surface comes to cross itself its vertices lose their
     match, with more rings in each of up to 8 rounds, and the round with the fewest crossings counts.
     """
@@ -46,7 +46,9 @@ def laid_onto(
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < NEAR)
     own = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
     pulls = Pulls.of(target, start)
-    drawn = (parts == OUTSIDE) & pulls.visible
+    # Lips that touch see no sky, but have to come to lie between those of the skin.
+    lips = distance_to(x, x[places.rim]) < LIP_ZONE
+    drawn = (parts == OUTSIDE) & (pulls.visible | lips)
     best, fewest = x, -1
     for stage in range(len(STIFFNESSES) + REPAIRS):
         repair = stage - len(STIFFNESSES) + 1

@@ -1,9 +1,21 @@
 """The reference: hyperelastic finite elements on FEniCSx, and PD's own energies by quadrature-point tangents.
 
-Meshes live on COMM_SELF, so that several solves may run in several processes. Under `mpirun -n N softdeca ...`, or
-after `reference.ranks.join()`, the first process solves and the others integrate their shares of the tets and hold
-their rows of the linear system; it alone does what else there is (surfaces, springs, bodies, mixed elements, load
-paths, factors that a march keeps). Importing this package without dolfinx raises MissingDependencyError.
+How to read it, from what is asked to what is solved:
+
+- `prepared`: prepare and solve. A `run` is one call of solve, with the one record of what all attempts spend; a `plan`
+  says which strategies are tried and when the next one is. `MirroredFenicsx` is for commands under mpirun.
+- The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, over the
+  `condensed` energy of elements with a pressure), `balance` (continuation: the `load_path` of the equations of
+  `equilibrium`). `dynamics` marches through time by minimisations, with a `chord`.
+- What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (`hyperelastic` laws by UFL from
+  `densities` and `mixed_densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
+  (`membrane`, `bending`, `follower`) and `loads`. `bodies` makes parts rigid, `moving` adds a time step.
+- Where it lives: `numbering` is the scene's mesh and its nodes, `shared` how processes divide them, `assembly` the
+  matrix. `linear`, `direct`, `saddle` and `block_saddle` solve systems, by name. `dolfinx_version` is the only module
+  that knows which dolfinx there is.
+
+Of several processes every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package
+without dolfinx raises MissingDependencyError.
 """
 
 # First of all, since it says in one line what to install, and keeps ufl's warning of its own imports to itself.

@@ -7,47 +7,63 @@ from numba import njit
 from scipy.sparse import csr_matrix
 
 from ...lhm.mesh import Floats, Ints
-from .dolfinx_version import COMM, PETSc
+from .dolfinx_version import ALONE, MPI, PETSc
+from .shared import Shared
 
 
 class Stiffness:
-    """A matrix (3n, 3n) in 3x3 blocks with room for the coupling of every element's vertices, zero at first.
+    """A matrix (3n, 3n) in 3x3 blocks with room for the coupling of every element's nodes, zero at first.
 
-    PETSc's `matrix` and `values` are the same memory, so element blocks are summed where they belong, at the speed of
-    memory.
+    `local` is what this process' elements add up to, over all nodes that it knows of. Its memory is `values`, so
+    element blocks are summed where they belong, at the speed of memory. `matrix` is the sum of all processes', each
+    with the rows that it owns; alone it is the same as `local`.
     """
 
-    def __init__(self, elements: list[Ints], n: int):
-        pattern = _pattern(elements, n)
+    def __init__(self, elements: list[Ints], nodes: Shared):
+        self.nodes = nodes
+        pattern = _pattern(elements, nodes.count)
         count = np.diff(pattern.indptr)
         self.starts = pattern.indptr.astype(np.int64)
         self.columns = pattern.indices
         indptr = np.concatenate([[0], np.cumsum(np.repeat(3 * count, 3))]).astype(PETSc.IntType)
         indices = _three_rows(self.starts, self.columns).astype(PETSc.IntType)
+        self._rows = indptr, indices
         self.values: Floats = np.zeros(len(indices))
-        self.matrix = PETSc.Mat().createAIJWithArrays((3 * n, 3 * n), (indptr, indices, self.values), comm=COMM)
-        self.matrix.setBlockSize(3)
-        blocks = PETSc.LGMap().create(np.arange(n, dtype=PETSc.IntType), bsize=3, comm=COMM)
-        self.matrix.setLGMap(blocks, blocks)
-        self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self.matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
-        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.local = PETSc.Mat().createAIJWithArrays((3 * nodes.count,) * 2, (indptr, indices, self.values), comm=ALONE)
+        self.local.setBlockSize(3)
+        blocks = PETSc.LGMap().create(np.arange(nodes.count, dtype=PETSc.IntType), bsize=3, comm=ALONE)
+        self.local.setLGMap(blocks, blocks)
+        self.matrix = self.local if nodes.comm.size == 1 else self._distributed()
+        for matrix in (self.local, self.matrix):
+            matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
+            matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+
+    def _distributed(self) -> PETSc.Mat:
+        self.matrix = allocated(self.nodes, *self._rows)
+        return self.assembled()
+
+    def assembled(self) -> PETSc.Mat:
+        """The matrix of all processes, from what each has added since `clear`."""
+        if self.matrix is self.local:
+            self.matrix.assemble()
+            return self.matrix
+        return added_up(self.matrix, *self._rows, self.values)
+
+    def entries(self) -> tuple[Ints, Ints, Floats]:
+        """Rows, columns and values of `local`, its stored zeros included."""
+        indptr, indices = self._rows
+        return np.repeat(np.arange(len(indptr) - 1), np.diff(indptr)), indices, self.values
 
     def slots(self, elements: Ints) -> Ints:
         """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
         return _found(self.starts, self.columns, elements)
 
-    def places(self, nodes: Ints, starts: Ints, columns: Ints) -> Ints:
-        """Where the values of a matrix over some of the vertices (k,) are among this one's, from its blocks' rows.
-
-        Its rows of blocks start at `starts` (k + 1,), and have `columns`.
-        """
-        rows = np.repeat(np.arange(len(nodes)), np.diff(starts))
-        pairs = np.column_stack([nodes[rows], nodes[columns]])
-        slots = _found(self.starts, self.columns, pairs)[:, 0, 1]
-        result = np.empty(9 * len(columns), dtype=np.int64)
-        result[_nine(starts, rows, np.arange(len(rows)))] = _nine(self.starts, pairs[:, 0], slots)
-        return result
+    def has_room(self, elements: Ints) -> np.ndarray:
+        """Which of elements (m, k) the pattern couples all nodes of, shape (m,)."""
+        m, k = elements.shape
+        slots = np.minimum(self.slots(elements), len(self.columns) - 1)
+        return (self.columns[slots] == elements[:, None, :]).reshape(m, k * k).all(axis=1)
 
     def clear(self):
         """Set all values to zero."""
@@ -61,15 +77,36 @@ class Stiffness:
 
     def touch(self):
         """Tell PETSc that `values` have changed."""
-        self.matrix.stateIncrease()
+        self.local.stateIncrease()
 
 
-def _nine(starts: Ints, rows: Ints, slots: Ints) -> Ints:
-    """Where the nine values of blocks (k,) in slots of rows are, shape (k, 9)."""
-    first = starts[rows]
-    corner, width = 9 * first + 3 * (slots - first), 3 * (starts[rows + 1] - first)
-    along = np.arange(9)
-    return corner[:, None] + width[:, None] * (along // 3) + along % 3
+def allocated(shared: Shared, indptr: Ints, indices: Ints) -> PETSc.Mat:
+    """A matrix of the owned rows, with room for what all processes add to them, from the rows that each knows of.
+
+    `indptr` and `indices` number rows and columns as fields do, `size` for each that is shared.
+    """
+    size, owned = shared.size, shared.size * shared.owned
+    count = np.diff(indptr)
+    rows = np.repeat(np.arange(len(count)), count)
+    inside = np.bincount(rows[indices < owned], minlength=len(count))
+    foreign = np.where(np.arange(len(count)) < owned, 0.0, count)  # added to rows of others
+    room = shared.summed(foreign.reshape(-1, size)).ravel().astype(np.int64)
+    total = size * shared.total
+    inner = np.minimum(inside[:owned] + room, owned).astype(PETSc.IntType)
+    outer = np.minimum((count - inside)[:owned] + room, total - owned).astype(PETSc.IntType)
+    matrix = PETSc.Mat().createAIJ(((owned, total),) * 2, bsize=size, nnz=(inner, outer), comm=shared.comm)
+    local = shared.local_map()
+    matrix.setLGMap(local, local)
+    return matrix
+
+
+def added_up(matrix: PETSc.Mat, indptr: Ints, indices: Ints, values: Floats) -> PETSc.Mat:
+    """The sum of what all processes have for the rows that each knows of, in a matrix of `allocated`."""
+    matrix.zeroEntries()
+    rows = np.arange(len(indptr) - 1, dtype=PETSc.IntType)
+    matrix.setValuesLocalIJV(indptr, indices, values, addv=PETSc.InsertMode.ADD_VALUES, rowmap=rows)
+    matrix.assemble()
+    return matrix
 
 
 def _pattern(elements: list[Ints], n: int) -> csr_matrix:
@@ -127,22 +164,22 @@ def _add_blocks(starts, elements, slots, blocks, values):
                         values[at + r * width + c] += blocks[e, a, b, r, c]
 
 
-def rigid_motions(X: Floats) -> PETSc.NullSpace:
-    """Three translations and three rotations of vertices X (n, 3), orthonormal: what multigrid has to keep."""
+def rigid_motions(X: Floats, comm: MPI.Intracomm) -> PETSc.NullSpace:
+    """Three translations and three rotations of nodes X (n, 3), orthonormal: what multigrid has to keep."""
     n = len(X)
     basis = np.zeros((6, n, 3))
-    centred = X - X.mean(axis=0)
+    centred = X - comm.allreduce(X.sum(axis=0)) / comm.allreduce(n)
     for c in range(3):
         basis[c, :, c] = 1.0
         a, b = (c + 1) % 3, (c + 2) % 3
         basis[3 + c, :, a], basis[3 + c, :, b] = -centred[:, b], centred[:, a]
-    return null_space(basis)
+    return null_space(basis, comm)
 
 
-def null_space(basis: Floats) -> PETSc.NullSpace:
-    """What vectors (6, n, 3) span, made orthonormal."""
-    orthonormal = np.linalg.qr(basis.reshape(len(basis), -1).T)[0]
-    vectors = [
-        PETSc.Vec().createWithArray(np.ascontiguousarray(column), bsize=3, comm=COMM) for column in orthonormal.T
-    ]
-    return PETSc.NullSpace().create(vectors=vectors, comm=COMM)
+def null_space(basis: Floats, comm: MPI.Intracomm) -> PETSc.NullSpace:
+    """What vectors (6, n, 3) span, made orthonormal by Cholesky's factor of their products, twice against rounding."""
+    vectors = basis.reshape(len(basis), -1)
+    for _ in range(2):
+        vectors = np.linalg.solve(np.linalg.cholesky(comm.allreduce(vectors @ vectors.T)), vectors)
+    made = [PETSc.Vec().createWithArray(np.ascontiguousarray(row), bsize=3, comm=comm) for row in vectors]
+    return PETSc.NullSpace().create(vectors=made, comm=comm)

@@ -38,14 +38,15 @@ class Rings:
     stiffness: Floats
 
     @classmethod
-    def of(cls, term: Bending, vertices: Floats, order: Ints) -> list[Rings]:
+    def of(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
         """The term's rings, one Rings per number of neighbours.
 
-        vertices [mm], shape (n, 3), are the scene's; `order` (n,) numbers them for the solver.
+        vertices [mm], shape (n, 3), are the scene's; `order` (n,) numbers them for the solver, the `owned` ones first.
         """
         X = vertices if term.rest is None else term.rest
         cotangents, area, stiffness = _weights(term, X)
         inner = _inner(term.triangles, len(X))
+        inner = inner[(order[inner] >= 0) & (order[inner] < owned)]
         count = np.diff(cotangents.indptr)
         found = []
         for k in np.unique(count[inner]):

@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix, diags
 from ...lhm.mesh import Floats, Ints
 from .condensed import PENALTY, Condensed
 from .direct import Factorisation, csr_arrays
-from .dolfinx_version import COMM, PETSc, free_dropped
+from .dolfinx_version import ALONE, PETSc, free_dropped
 from .linear import MULTIGRID, LinearAnswer, hold, set_options, why_not
 from .saddle import Saddle
 
@@ -165,9 +165,9 @@ class BlockSaddle:
         C = self._scale**2 * self._condensed.compliance(springs=springs)
         S = C + self._scale**2 * PENALTY * self._condensed.softness()
         self._parts = [_matrix(part) for part in (B, csr_matrix(B.T), -C, -S)]
-        system = PETSc.Mat().createNest([[H, self._parts[0]], [self._parts[1], self._parts[2]]], comm=COMM)
+        system = PETSc.Mat().createNest([[H, self._parts[0]], [self._parts[1], self._parts[2]]], comm=ALONE)
         self._parts.append(system)
-        self._ksp = PETSc.KSP().create(COMM)
+        self._ksp = PETSc.KSP().create(ALONE)
         self._ksp.setOptionsPrefix(_PREFIX)
         self._ksp.setType(PETSc.KSP.Type.GMRES)
         self._ksp.setGMRESRestart(RESTART)
@@ -218,8 +218,8 @@ class BlockSaddle:
 
 
 def _vector(values: Floats) -> PETSc.Vec:
-    return PETSc.Vec().createWithArray(values, comm=COMM)
+    return PETSc.Vec().createWithArray(values, comm=ALONE)
 
 
 def _matrix(values: csr_matrix) -> PETSc.Mat:
-    return PETSc.Mat().createAIJ(values.shape, csr=csr_arrays(values), comm=COMM)
+    return PETSc.Mat().createAIJ(values.shape, csr=csr_arrays(values), comm=ALONE)

@@ -17,14 +17,15 @@ from ...lhm.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import RigidBody
 from .assembly import null_space
-from .dolfinx_version import COMM, PETSc
+from .dolfinx_version import PETSc
 from .numbering import Numbering
 from .problem import Problem, State
+from .shared import anywhere
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Nodes (k,) of a rigid body, their places r about its centre [mm], shape (k, 3), and its RMS radius [mm]."""
+    """A rigid body: its nodes here (k,), their places r about its centre [mm], (k, 3), and its RMS radius [mm]."""
 
     nodes: Ints
     r: Floats
@@ -40,30 +41,40 @@ class Pose:
 
     def of(self, body: Body) -> Floats:
         """The body's nodes [mm], shape (k, 3)."""
-        return self.centre + self.turn.apply(body.r)
+        return self.centre + turned(self.turn, body.r)
 
     def moved(self, translation: Floats, rotation: Floats) -> Pose:
         """The pose after a translation [mm] and a turn by exp([rotation])."""
         return Pose(self.centre + translation, Rotation.from_rotvec(rotation) * self.turn)
 
 
+def turned(turn: Rotation, r: Floats) -> Floats:
+    """Places r (k, 3) after a turn; of a process without nodes of a body there are none."""
+    return turn.apply(r) if len(r) else np.zeros((0, 3))
+
+
 class RigidProblem:
-    """A Problem in which bodies are rigid; unknowns come in blocks of three, bodies' translation and rotation last."""
+    """A Problem in which bodies are rigid; unknowns come in blocks of three, bodies' translation and rotation last.
+
+    Each process has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
+    """
 
     def __init__(self, scene: Scene, order: Numbering, problem: Problem):
-        self.problem = problem
+        self.problem, self.comm = problem, problem.comm
         self._order = order
-        self._n = len(order.X)
+        self._n = order.nodes.owned
         self.set(scene)
         self.nodes: Ints = np.concatenate([body.nodes for body in self._bodies])
         self.free: Ints = np.setdiff1d(np.arange(self._n), self.nodes)
-        self.count = len(self.free) + 2 * len(self._bodies)
+        self._has_bodies = self.comm.rank == self.comm.size - 1
+        self.count = len(self.free) + (2 * len(self._bodies) if self._has_bodies else 0)
+        counts = self.comm.allgather(self.count)
+        self._first, self._total = sum(counts[: self.comm.rank]), sum(counts)
         rest = [Pose(centre, Rotation.identity()) for centre in self._centres]
         P = self._projection(rest)
         indptr, indices = (part.astype(PETSc.IntType) for part in (P.indptr, P.indices))
-        self._P = PETSc.Mat().createAIJ(
-            ((3 * self._n,) * 2, (3 * self.count,) * 2), bsize=3, csr=(indptr, indices, P.data), comm=COMM
-        )
+        sizes = (3 * self._n, 3 * order.nodes.total), (3 * self.count, 3 * self._total)
+        self._P = PETSc.Mat().createAIJ(sizes, bsize=3, csr=(indptr, indices, P.data), comm=self.comm)
         self.matrix = problem.matrix.ptap(self._P)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -78,7 +89,7 @@ class RigidProblem:
             places, member = np.array(scene.vertices), np.zeros(scene.vertices.shape, dtype=bool)
             places[term.vertices] = scene.body_rest(term)
             member[term.vertices] = True
-            nodes = np.flatnonzero(order.held(member).all(axis=1))
+            nodes = np.flatnonzero(order.held(member)[: self._n].all(axis=1))
             centre = places[term.vertices].mean(axis=0)
             radius = float(np.sqrt(np.mean(np.sum((places[term.vertices] - centre) ** 2, axis=1))))
             self._bodies.append(Body(nodes, order.to_dofs(places)[nodes] - centre, radius))
@@ -97,15 +108,20 @@ class RigidProblem:
         """The poses that fit positions by node [mm], shape (n, 3), best."""
         poses = []
         for body in self._bodies:
-            inner = body.r.mean(axis=0)  # of quadratic elements the nodes' mean is not the vertices'
-            centre = x[body.nodes].mean(axis=0)
-            U, _, Vt = np.linalg.svd((x[body.nodes] - centre).T @ (body.r - inner))
+            count = self._sum(len(body.nodes))
+            inner = self._sum(body.r.sum(axis=0)) / count  # of quadratic elements the nodes' mean is not the vertices'
+            centre = self._sum(x[body.nodes].sum(axis=0)) / count
+            U, _, Vt = np.linalg.svd(self._sum((x[body.nodes] - centre).T @ (body.r - inner)))
             U[:, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))
             poses.append(Pose(centre - U @ Vt @ inner, Rotation.from_matrix(U @ Vt)))
         return poses
 
+    def _sum(self, values):
+        """The sum over processes."""
+        return self.comm.allreduce(values)
+
     def place(self, poses: list[Pose], x: Floats):
-        """Put the bodies' nodes into positions by node [mm], shape (n, 3)."""
+        """Put the bodies' nodes into positions by node [mm], shape (owned or more, 3)."""
         for body, pose in zip(self._bodies, poses, strict=True):
             x[body.nodes] = pose.of(body)
 
@@ -114,33 +130,36 @@ class RigidProblem:
         blocks = np.zeros((self.count, 3), dtype=bool)
         blocks[: len(self.free)] = held[self.free]
         for b, body in enumerate(self._bodies):
-            blocks[len(self.free) + 2 * b :][:2] = self.problem.unsupported[body.nodes].all()
+            unsupported = not anywhere(self.comm, ~self.problem.unsupported[body.nodes])
+            blocks[len(self.free) + 2 * b :][:2] = unsupported
         return np.flatnonzero(blocks)
 
     def at(self, u: Floats, poses: list[Pose]) -> RigidState:
-        """The problem at a displacement [mm], shape (n, 3), of the free nodes, and poses of the bodies."""
-        u = np.array(u)
-        x = self._order.X + u
+        """The problem at a displacement [mm], shape (owned or more, 3), of the free nodes, and poses of the bodies."""
+        u = np.array(u[: self._n])
+        x = self._order.X[: self._n] + u
         self.place(poses, x)
-        u[self.nodes] = (x - self._order.X)[self.nodes]
-        return RigidState(self, self.problem.at(u), poses)
+        u[self.nodes] = (x - self._order.X[: self._n])[self.nodes]
+        return RigidState(self, self.problem.at(self._order.nodes.spread(u)), poses)
 
     def moved(self, state: RigidState, step: Floats) -> RigidState:
-        """The problem after a step of the unknowns [mm], shape (3 count,)."""
+        """The problem after a step of the unknowns [mm], a vector (3 count,)."""
         blocks = step.reshape(-1, 3)
-        u = np.array(state.u)
+        u = np.array(state.u[: self._n])
         u[self.free] += blocks[: len(self.free)]
-        motions = blocks[len(self.free) :].reshape(-1, 2, 3)
+        motions = self.comm.bcast(blocks[len(self.free) :], root=self.comm.size - 1).reshape(-1, 2, 3)
         moved = zip(state.poses, motions, self._bodies, strict=True)
         return self.at(u, [pose.moved(t, turn / body.radius) for pose, (t, turn), body in moved])
 
     def reduced(self, forces: Floats, poses: list[Pose]) -> Floats:
-        """Forces [mN] by node, shape (n, 3), on the unknowns, shape (count, 3): torques over the RMS radius."""
+        """Forces [mN], a vector (owned, 3), on the unknowns, shape (count, 3): torques over the RMS radius."""
         result = [forces[self.free]]
         for body, pose in zip(self._bodies, poses, strict=True):
             g = forces[body.nodes]
-            torque = np.cross(pose.turn.apply(body.r), g).sum(axis=0)
-            result.append(np.stack([g.sum(axis=0), torque / body.radius]))
+            torque = np.cross(turned(pose.turn, body.r), g).sum(axis=0)
+            on_body = self._sum(np.stack([g.sum(axis=0), torque / body.radius]))
+            if self._has_bodies:
+                result.append(on_body)
         return np.concatenate(result)
 
     def project(self, hessian: PETSc.Mat, forces: Floats, poses: list[Pose], kept: float) -> PETSc.Mat:
@@ -151,30 +170,34 @@ class RigidProblem:
         self._P.assemble()
         hessian.ptap(self._P, result=self.matrix)
         for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
-            y, g = pose.turn.apply(body.r), forces[body.nodes]
-            curvature = 0.5 * (y.T @ g + g.T @ y) - np.sum(y * g) * np.eye(3)
+            y, g = turned(pose.turn, body.r), forces[body.nodes]
+            curvature = self._sum(0.5 * (y.T @ g + g.T @ y) - np.sum(y * g) * np.eye(3))
+            if not self._has_bodies:
+                continue
             values, vectors = np.linalg.eigh(curvature / body.radius**2)
             curvature = (vectors * np.maximum(values, kept * values)) @ vectors.T
-            block = np.arange(3, dtype=PETSc.IntType) + 3 * (len(self.free) + 2 * b + 1)
+            block = np.arange(3, dtype=PETSc.IntType) + 3 * (self._first + len(self.free) + 2 * b + 1)
             self.matrix.setValues(block, block, curvature, addv=PETSc.InsertMode.ADD_VALUES)
         self.matrix.assemble()
         return self.matrix
 
     def _projection(self, poses: list[Pose]) -> csr_matrix:
-        """P: how nodes (3n) follow the unknowns (3 count), its pattern the same whatever the poses."""
-        rows, columns, values = [self.free], [np.arange(len(self.free))], [np.tile(np.eye(3), (len(self.free), 1, 1))]
+        """P: how the owned nodes (3n) follow the unknowns of all, its pattern the same whatever the poses."""
+        bodies = self._total - 2 * len(self._bodies)
+        rows, values = [self.free], [np.tile(np.eye(3), (len(self.free), 1, 1))]
+        columns = [self._first + np.arange(len(self.free))]
         for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
-            y = pose.turn.apply(body.r) / body.radius
+            y = turned(pose.turn, body.r) / body.radius
             turning = np.cross(np.eye(3), y[:, None, :]).transpose(0, 2, 1)
             for block, entries in enumerate((np.tile(np.eye(3), (len(y), 1, 1)), turning)):
                 rows.append(body.nodes)
-                columns.append(np.full(len(y), len(self.free) + 2 * b + block))
+                columns.append(np.full(len(y), bodies + 2 * b + block))
                 values.append(entries)
         i, j, v = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
         component = np.arange(3)
         i, j = (3 * i[:, None] + component)[:, :, None], (3 * j[:, None] + component)[:, None, :]
         i, j = np.broadcast_to(i, v.shape), np.broadcast_to(j, v.shape)
-        P = csr_matrix((v.ravel(), (i.ravel(), j.ravel())), shape=(3 * self._n, 3 * self.count))
+        P = csr_matrix((v.ravel(), (i.ravel(), j.ravel())), shape=(3 * self._n, 3 * self._total))
         P.sort_indices()
         return P
 
@@ -184,11 +207,12 @@ class RigidProblem:
         basis = np.zeros((6, self.count, 3))
         for c, axis in enumerate(np.eye(3)):
             basis[c, : len(free), c] = 1.0
-            basis[c, len(free) :: 2, c] = 1.0
             basis[3 + c, : len(free)] = np.cross(axis, free)
-            basis[3 + c, len(free) :: 2] = np.cross(axis, np.array(self._centres))
-            basis[3 + c, len(free) + 1 :: 2] = np.outer([body.radius for body in self._bodies], axis)
-        return null_space(basis)
+            if self._has_bodies:
+                basis[c, len(free) :: 2, c] = 1.0
+                basis[3 + c, len(free) :: 2] = np.cross(axis, np.array(self._centres))
+                basis[3 + c, len(free) + 1 :: 2] = np.outer([body.radius for body in self._bodies], axis)
+        return null_space(basis, self.comm)
 
 
 class RigidState:

@@ -40,7 +40,8 @@ class Chord:
         matrix = problem.problem.matrix
         self._matrix = matrix.duplicate(copy=False)
         self._factors = Mumps(self._matrix)
-        self._mumps = Mumps(matrix)
+        mumps = Mumps(matrix)
+        self._newton = Newton(problem, held, mumps, mumps, lambda *_: False)
         self._made = False
 
     def minimise(self, state: MovingState, threshold: float) -> Minimum:
@@ -64,17 +65,17 @@ class Chord:
         return Minimum(state, Reason.CONVERGED if norm <= threshold else Reason.MAX_ITERATIONS, self._limit, factored)
 
     def spread(self, state: MovingState, jump: Floats) -> Floats:
-        """How a jump of the held dofs [mm], shape (n, 3), spreads to the others."""
-        return self._newton().extension(state, jump)[0]
+        """How a jump of the held dofs [mm], a vector (owned, 3), spreads to the others."""
+        return self._newton.extension(state, jump)[0]
 
     def _gradient(self, state: MovingState) -> tuple[Floats, float]:
         gradient = state.gradient().ravel()
         gradient[self._held] = 0.0
-        return gradient, float(np.linalg.norm(gradient))
+        return gradient, self._newton.norm(gradient)
 
     def _factor(self, state: MovingState):
         hessian = state.hessian()
-        hold(hessian, self._held, np.zeros(len(self._held)), np.zeros(hessian.getSize()[0]))
+        hold(hessian, self._held, np.zeros(len(self._held)), np.zeros(hessian.getLocalSize()[0]))
         hessian.copy(self._matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self._made = True
 
@@ -89,12 +90,9 @@ class Chord:
                 return after, *self._gradient(after)
         return None, gradient, np.inf
 
-    def _newton(self) -> Newton:
-        return Newton(self._problem, self._held, self._mumps, self._mumps, lambda *_: False)
-
     def _by_newton(self, state: MovingState, threshold: float, made: int, factored: int) -> Minimum:
-        newton = self._newton()
-        end, reason, iterations = newton.minimise(
+        before = self._newton.work.linear_solves
+        end, reason, iterations = self._newton.minimise(
             state,
             threshold=lambda _: threshold,
             max_iterations=self._limit - made,
@@ -102,4 +100,4 @@ class Chord:
         )
         self._made = False
         assert isinstance(end, MovingState)
-        return Minimum(end, reason, made + iterations, factored + newton.work.linear_solves)
+        return Minimum(end, reason, made + iterations, factored + self._newton.work.linear_solves - before)

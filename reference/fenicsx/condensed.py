@@ -43,7 +43,7 @@ class Condensed:
 
     def __init__(self, problem: Problem, laws: list[Material]):
         assert problem.pressure is not None
-        self.problem = problem
+        self.problem, self.comm = problem, problem.comm
         self.count = len(problem.pressure.x.array)
         self.centre: Floats = np.zeros(self.count)
         self.hardening = 1.0

@@ -24,10 +24,10 @@ from ..materials import (
 Density = Callable[[Any, Any], Any]
 
 
-def neo_hookean(F, p):
-    """mu/2 (I1 - 3) - mu ln J + lmbda/2 ln²J; not a number where J <= 0."""
+def neo_hookean(F, p, share=1):
+    """mu/2 (I1 - 3) - mu ln J + share lmbda/2 ln²J; not a number where J <= 0."""
     log_J = ufl.ln(ufl.det(F))
-    return p.mu / 2 * (ufl.inner(F, F) - 3) - p.mu * log_J + p.lmbda / 2 * log_J**2
+    return p.mu / 2 * (ufl.inner(F, F) - 3) - p.mu * log_J + share * p.lmbda / 2 * log_J**2
 
 
 def stable_neo_hookean(F, p):

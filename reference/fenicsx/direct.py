@@ -6,9 +6,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ...lhm.mesh import Floats
-from .dolfinx_version import COMM, PETSc
+from .dolfinx_version import ALONE, PETSc
 
-ASYMMETRY = 1e-9  # of the largest entry, below which a matrix counts as symmetric
+ASYMMETRY = 1e-9  # of a matrix' norm, below which it counts as symmetric
 ROOM = 60  # percent beyond the estimate: saddle points delay pivots
 
 
@@ -26,25 +26,34 @@ class Factorisation:
         self.negative = 0
         self.symmetric = True
 
-    def factor(self, matrix: csr_matrix, *, symmetric: bool | None = None) -> bool:
-        """Factor a matrix (n, n); give whether it is regular. Symmetry is looked for unless it is known."""
-        n = matrix.shape[0]
-        if symmetric is None:
-            symmetric = n == 0 or abs(matrix - matrix.T).max() <= ASYMMETRY * abs(matrix).max()
+    def factor(self, matrix: csr_matrix, *, symmetric: bool) -> bool:
+        """Factor a matrix (n, n) of this process; give whether it is regular."""
         if not np.isfinite(matrix.data).all():
             return False
-        if (
-            self._ksp is None
-            or self._matrix is None
-            or bool(symmetric) != self.symmetric
-            or not self._has_pattern_of(matrix)
-        ):
-            self._begin(matrix, bool(symmetric))
+        if self._matrix is None or symmetric != self.symmetric or not self._has_pattern_of(matrix):
+            self.release()
+            self._pattern = matrix
+            self._matrix = PETSc.Mat().createAIJ(matrix.shape, csr=csr_arrays(matrix), comm=ALONE)
+            self._begin(self._matrix, symmetric)
         else:
             self._matrix.setValuesCSR(*csr_arrays(matrix))
             self._matrix.assemble()
-            self._ksp.setOperators(self._matrix)  # else values that change twice between solves go unseen
-        return self._numeric()
+        return self._numeric(self._matrix)
+
+    def factor_shared(self, matrix: PETSc.Mat, *, symmetric: bool | None = None) -> bool:
+        """Factor a matrix that processes share, always the same one; symmetry is looked for unless it is known."""
+        size = matrix.norm(PETSc.NormType.FROBENIUS)
+        if not np.isfinite(size):
+            return False
+        if symmetric is None:
+            away = matrix.transpose(PETSc.Mat())
+            away.axpy(-1.0, matrix)
+            symmetric = away.norm(PETSc.NormType.FROBENIUS) <= ASYMMETRY * size
+            away.destroy()
+        if self._ksp is None or symmetric != self.symmetric:
+            self.release()
+            self._begin(matrix, symmetric)
+        return self._numeric(matrix)
 
     def _has_pattern_of(self, matrix: csr_matrix) -> bool:
         known = self._pattern
@@ -55,14 +64,12 @@ class Factorisation:
             and np.array_equal(known.indices, matrix.indices)
         )
 
-    def _begin(self, matrix: csr_matrix, symmetric: bool):
-        self.release()
-        self.symmetric, self._pattern = symmetric, matrix
-        self._matrix = PETSc.Mat().createAIJ(matrix.shape, csr=csr_arrays(matrix), comm=COMM)
-        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self._ksp = PETSc.KSP().create(COMM)
+    def _begin(self, matrix: PETSc.Mat, symmetric: bool):
+        self.symmetric = symmetric
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._ksp = PETSc.KSP().create(matrix.comm)
         self._ksp.setType(PETSc.KSP.Type.PREONLY)
-        self._ksp.setOperators(self._matrix)
+        self._ksp.setOperators(matrix)
         preconditioner = self._ksp.getPC()
         preconditioner.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
         preconditioner.setFactorSolverType("mumps")
@@ -72,8 +79,9 @@ class Factorisation:
         if not symmetric:
             factors.setMumpsIcntl(33, 1)
 
-    def _numeric(self) -> bool:
+    def _numeric(self, matrix: PETSc.Mat) -> bool:
         assert self._ksp is not None
+        self._ksp.setOperators(matrix)  # else values that change twice between solves go unseen
         factors = self._ksp.getPC().getFactorMatrix()
         try:
             self._ksp.setUp()
@@ -87,10 +95,10 @@ class Factorisation:
         return True
 
     def solve(self, b: Floats) -> Floats:
-        """Give x of A x = b, shape (n,)."""
+        """Give x of A x = b, a vector."""
         x = np.zeros_like(b)
         assert self._ksp is not None
-        right, left = (PETSc.Vec().createWithArray(values, comm=COMM) for values in (b, x))
+        right, left = (PETSc.Vec().createWithArray(values, comm=self._ksp.comm) for values in (b, x))
         self._ksp.solve(right, left)
         right.destroy()
         left.destroy()
@@ -98,8 +106,9 @@ class Factorisation:
 
     def release(self):
         """Free the factors; PETSc's objects outlive Python's until they are destroyed."""
-        if self._ksp is not None and self._matrix is not None:
+        if self._ksp is not None:
             self._ksp.destroy()
+        if self._matrix is not None:
             self._matrix.destroy()
         self._ksp = self._matrix = self._pattern = None
 

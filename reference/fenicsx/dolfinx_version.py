@@ -1,18 +1,21 @@
 """The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.9 as in Debian 13).
 
 What differs: names of spaces and of quadrature elements, options of `form`, the type of dofmaps, and how an expression
-is evaluated. Everything lives on COMM_SELF.
+is evaluated. A mesh lives on all processes of its communicator, and all of them make the same calls. `ALL` are those
+that PETSc was begun with: all that mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first
+because its processes solve each on their own.
 """
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import logging
 import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,8 @@ import numpy as np
 from ...lhm.errors import MissingDependencyError
 from ...lhm.files import cache
 from ...lhm.mesh import Floats, Ints
+from ..compiling import compiling
+from ..ranks import followers, leave
 
 for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -28,20 +33,15 @@ for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
 INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
 
 try:
-    with warnings.catch_warnings():
+    _others = followers()  # PETSc begins in all processes at once
+    with warnings.catch_warnings(), _others.import_too(__name__) if _others else nullcontext():
         warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources
-        from mpi4py import MPI
-
-        if MPI.COMM_WORLD.size > 1:
-            import petsc4py
-
-            # Of all processes it would wait for those that solve nothing. A PETSc that is there already stays.
-            petsc4py.init(comm=MPI.COMM_SELF)
         import basix
         import dolfinx
         import ufl
         from dolfinx import fem, mesh
         from dolfinx.fem import petsc
+        from mpi4py import MPI
         from petsc4py import PETSc
 except ImportError as error:
     raise MissingDependencyError(f"solver 'fenicsx' needs dolfinx ({error}); {INSTALL}") from None
@@ -56,7 +56,9 @@ def parse_version(text: str) -> tuple[int, int]:
 
 
 VERSION = parse_version(dolfinx.__version__)
-COMM = MPI.COMM_SELF
+ALONE, ALL = MPI.COMM_SELF, PETSc.COMM_WORLD.tompi4py()
+if ALL.size > 1:
+    atexit.register(leave)  # before PETSc ends, which all processes do at once
 _fem: Any = fem  # names and signatures differ by version
 
 if VERSION < (0, 6):
@@ -72,31 +74,53 @@ if not cache.can_be_written(Path(_DEFAULTS["cache_dir"][0])):
 
 
 @contextmanager
-def _compiling() -> Iterator[None]:
-    """One process at a time, and without the compiler's progress, which it logs under the root's name.
+def _compiling(comm) -> Iterator[None]:
+    """One program at a time, and without the compiler's progress, which it logs under the root's name.
 
     Of several that ask for the same form at once one compiles it, the others find it in the cache: dolfinx itself would
-    give up waiting after 10 s.
+    give up waiting after 10 s. Within a communicator the first process compiles, and dolfinx lets the others wait.
     """
     before = logging.root.manager.disable
     logging.disable(max(before, logging.INFO))
     try:
-        with _LOCK.open("a") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with compiling(), _LOCK.open("a") as lock:
+            if comm.rank == 0:
+                fcntl.flock(lock, fcntl.LOCK_EX)
             yield
     finally:
         logging.disable(before)
 
 
-def tet_mesh(vertices: Floats, tets: Ints) -> mesh.Mesh:
-    """A dolfinx mesh of affine tets; vertices in no tet are dropped, and both are renumbered."""
+def tet_mesh(vertices: Floats, tets: Ints, comm) -> mesh.Mesh:
+    """A dolfinx mesh of affine tets; vertices in no tet are dropped, and both are renumbered.
+
+    Every process gives the whole and keeps the part that the graph partitioner makes its own. No form integrates over
+    inner faces, so there are no cells of others at its border.
+    """
     if VERSION < (0, 6):
         coordinates = ufl.VectorElement("Lagrange", ufl.tetrahedron, 1)
     else:
         import basix.ufl
 
         coordinates = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
-    return mesh.create_mesh(COMM, np.ascontiguousarray(tets), np.ascontiguousarray(vertices), ufl.Mesh(coordinates))
+    cells, points = (np.ascontiguousarray(_slice(rows, comm)) for rows in (tets, vertices))
+    shared: dict[str, Any] = {}
+    if VERSION < (0, 6):
+        shared["ghost_mode"] = mesh.GhostMode.none
+    elif comm.size > 1:
+        shared["partitioner"] = mesh.create_cell_partitioner(mesh.GhostMode.none)
+    return mesh.create_mesh(comm, cells, points, ufl.Mesh(coordinates), **shared)
+
+
+def _slice(rows: np.ndarray, comm) -> np.ndarray:
+    """A process' run of rows, in the order of processes."""
+    cut = [len(rows) * rank // comm.size for rank in (comm.rank, comm.rank + 1)]
+    return rows[cut[0] : cut[1]]
+
+
+def communicator(domain) -> MPI.Intracomm:
+    """The processes that share a mesh, of dolfinx or as forms know it."""
+    return domain.comm if hasattr(domain, "comm") else domain.ufl_cargo().comm
 
 
 def _table(dofmap, columns: int) -> Ints:
@@ -110,9 +134,15 @@ def cell_dofs(space, columns: int) -> Ints:
     return _table(space.dofmap.list, columns)
 
 
-def dof_count(space) -> int:
-    """The number of a space's block dofs."""
-    return space.dofmap.index_map.size_local
+def dof_counts(space) -> tuple[int, int]:
+    """The numbers of a space's block dofs that this process owns, and of those that it shares with their owners."""
+    return space.dofmap.index_map.size_local, space.dofmap.index_map.num_ghosts
+
+
+def global_dofs(space) -> Ints:
+    """The numbers over all processes of a process' block dofs, first its own."""
+    numbering = space.dofmap.index_map
+    return np.concatenate([np.arange(*numbering.local_range), np.asarray(numbering.ghosts)]).astype(np.int64)
 
 
 def cell_vertices(domain) -> Ints:
@@ -121,13 +151,13 @@ def cell_vertices(domain) -> Ints:
 
 
 def cell_tets(domain) -> Ints:
-    """The scene's tet of each cell, shape (cells,)."""
+    """The scene's tet of each cell of this process, shape (cells,)."""
     return np.asarray(domain.topology.original_cell_index, dtype=np.int64)
 
 
 def vector_space(domain, degree: int):
     """Continuous vectors, piecewise of a degree."""
-    with _compiling():
+    with _compiling(communicator(domain)):
         if VERSION < (0, 6):
             return _fem.VectorFunctionSpace(domain, ("Lagrange", degree))
         return _fem.functionspace(domain, ("Lagrange", degree, (3,)))
@@ -135,7 +165,7 @@ def vector_space(domain, degree: int):
 
 def pressure_space(domain):
     """Continuous piecewise linear numbers."""
-    with _compiling():
+    with _compiling(communicator(domain)):
         if VERSION < (0, 6):
             return _fem.FunctionSpace(domain, ("Lagrange", 1))
         return _fem.functionspace(domain, ("Lagrange", 1))
@@ -143,7 +173,7 @@ def pressure_space(domain):
 
 def cell_vectors(domain, cells: Ints, vectors: Floats):
     """A function that is one vector per cell: vectors (3,) or (k, 3) on cells (k,), zero elsewhere."""
-    with _compiling():
+    with _compiling(communicator(domain)):
         if VERSION < (0, 6):
             space = _fem.VectorFunctionSpace(domain, ("DG", 0))
         else:
@@ -157,12 +187,12 @@ def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
     """Tensors of a shape at the points of the quadrature rule of a degree."""
     if VERSION < (0, 6):
         scalar = ufl.FiniteElement("Quadrature", ufl.tetrahedron, degree, quad_scheme="default")
-        with _compiling():
+        with _compiling(communicator(domain)):
             return fem.FunctionSpace(domain, ufl.TensorElement(scalar, shape=shape))
     import basix.ufl
 
     element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, scheme="default", degree=degree)
-    with _compiling():
+    with _compiling(communicator(domain)):
         return _fem.functionspace(domain, element)
 
 
@@ -181,13 +211,13 @@ def shapes(degree: int, points: Floats) -> tuple[Floats, Floats]:
 
 def compile_form(form: ufl.Form):
     """Compile a form, or take it from dolfinx's cache on disk."""
-    with _compiling():
+    with _compiling(communicator(form.ufl_domain())):
         return _fem.form(form, **_COMPILER)
 
 
 def evaluator(expression, points: Floats, domain) -> Callable[[Ints], Floats]:
     """A function from cells (k,) to the values of a ufl expression at reference points, shape (k, q, size)."""
-    with _compiling():
+    with _compiling(communicator(domain)):
         compiled = _fem.Expression(expression, points, **_COMPILER)
     first = () if VERSION < (0, 7) else (domain,)
     shape = (len(points), int(np.prod(expression.ufl_shape)))
@@ -212,16 +242,16 @@ def function(space):
 
 
 def assemble_scalar(form) -> float:
-    """The value of a functional; not finite where its integrand is not."""
+    """A process' part of the value of a functional; not finite where its integrand is not."""
     return float(fem.assemble_scalar(form))
 
 
 def add_vector(form, into: Floats):
-    """Add a linear form's vector to an array of dofs."""
+    """Add a linear form's vector to an array of dofs, those of others included; of this process' cells alone."""
     fem.assemble_vector(into, form)
 
 
-def free_dropped(comm=COMM):
+def free_dropped(comm=ALONE):
     """Free what Python has dropped of PETSc in all processes of a communicator: from 3.18 on, it waits for this."""
     if hasattr(PETSc, "garbage_cleanup"):
         PETSc.garbage_cleanup(comm)

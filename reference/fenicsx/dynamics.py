@@ -1,26 +1,31 @@
-"""A march through time on FEniCSx: mesh, forms and factors once, an incremental minimisation per step."""
+"""A march through time on FEniCSx: mesh, forms and factors once, an incremental minimisation per step.
+
+Of several processes every one calls `march`, and has the whole trajectory.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..march import Motion
+from ..ranks import Mirrored, followers
 from ..scene import Scene, refuse_unknown
 from ..solution import Reason
 from ..terms import Inertia, Pressure, RigidBody, Target
 from ..trajectory import Energies, Trajectory
 from .chord import Chord
 from .dolfinx_version import PETSc
-from .masses import accelerations, as_blocks, mass_matrix, times
+from .masses import accelerations, mass_matrix, times
 from .moving import MovingProblem, MovingState
 from .numbering import Numbering
-from .prepared import LAWS, VARYING
+from .prepared import LAWS, VARYING, processes_for
 from .prepared import TERMS as STATIC_TERMS
-from .shares import problem_of
+from .problem import Problem
+from .shared import anywhere, check_same, dot, norm
 
 TERMS = tuple(kind for kind in STATIC_TERMS if kind not in (RigidBody, Pressure, Inertia))
 ELEMENTS = {"P1": 1, "P2": 2}
@@ -29,7 +34,7 @@ MAX_ITERATIONS = 100
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """All that a step starts from: forces, u, v, a and gradient by node, shape (n, 3).
+    """All that a step starts from: u, a field, and forces, v, a and gradient, vectors (see `shared`).
 
     frame_forces [mN] are those of the accelerated frame; u [mm], v [mm/s], a [mm/s²]; gradient [mN] is that of the
     scene's energy with those forces, potential [µJ] that energy without them.
@@ -49,39 +54,61 @@ def march(motion: Motion, *, element: str = "P1") -> Trajectory:
     if element not in ELEMENTS:
         raise SceneError(f"march: unknown element {element!r}; there are {', '.join(ELEMENTS)}")
     refuse_unknown(motion.scene, "fenicsx, march", TERMS, LAWS)
-    return _March(motion, ELEMENTS[element]).run()
+    others = followers()
+    if others is None or processes_for(motion.scene).size == 1:
+        return _March(motion, ELEMENTS[element]).run()
+    bare = replace(motion, targets=None, fixed=None, scenes=None, acceleration=None, on_step=None)
+    return Mirrored(others, Marching, bare, ELEMENTS[element]).call("run", here={"motion": motion})
+
+
+class Marching:
+    """A march that several processes make together; those that follow know neither its courses nor its callback."""
+
+    def __init__(self, motion: Motion, degree: int):
+        self._motion, self._degree = motion, degree
+
+    def run(self, motion: Motion | None = None) -> Trajectory:
+        """All of it."""
+        return _March(self._motion if motion is None else motion, self._degree).run()
 
 
 class _March:
+    """One march. Scenes and frames are what the first process has for a step."""
+
     def __init__(self, motion: Motion, degree: int):
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
+        self.comm = processes_for(motion.scene)
+        check_same(self.comm, motion.scene)
+        self._scene = motion.scene
         scene = self._scene_at(0)
-        self.order = Numbering(scene, degree)
-        self.problem = problem_of(scene, self.order)
+        skin = motion.skin if motion.skin_density.any() else None
+        self.order = Numbering(scene, degree, comm=self.comm, skin=skin)
+        self.problem = Problem(scene, self.order)
         self.set_scene, self.dead_loads = scene, self.problem.loads
-        self.mass = mass_matrix(motion, self.order)
-        self.frame_mass = np.asarray(self.mass.sum(axis=1)).ravel()
-        matrix = self.problem.matrix
-        self.mass_blocks = as_blocks(self.mass, matrix)
+        self.mass = mass_matrix(motion, self.order, self.problem.stiffness)
+        owned = self.order.nodes.owned
+        self.frame_mass = times(self.mass, np.ones((owned, 3)))[:, 0]
         self.damper = self._damper()
-        held = self.order.held(scene.dirichlet()[0])
-        massless = self.mass.diagonal() == 0.0
-        self.held = held | (self.problem.unsupported & massless)[:, None]
+        self.fixed = self.order.held(scene.dirichlet()[0])[:owned]
+        massless = (self.mass.getDiagonal().array_r == 0.0).reshape(owned, 3)
+        self.held = self.fixed | (self.problem.unsupported[:owned, None] & massless)
         beta, gamma = self.rule.by_acceleration[1], self.rule.to_velocity[1]
-        added = self.mass_blocks.copy()
+        added = self.mass.copy()
         added.scale((1.0 - self.rule.alpha_m) / ((1.0 - self.rule.alpha_f) * beta * self.h**2))
         if self.damper is not None:
             added.axpy(gamma / (beta * self.h), self.damper, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.moving = MovingProblem(self.problem, added)
+        self.moving = MovingProblem(self.problem, added, float(np.cbrt(scene.volumes).sum()))
         self.chord = Chord(self.moving, np.flatnonzero(self.held), MAX_ITERATIONS)
-        self.floor = 1e-14 * (scene.force_scale() + np.abs(added.getDiagonal().array).mean()) * len(self.order.X) ** 0.5
+        total = self.order.nodes.total
+        stiffness = float(added.getDiagonal().norm(PETSc.NormType.NORM_1)) / (3 * total)
+        self.floor = 1e-14 * (scene.force_scale() + stiffness) * total**0.5
 
     def _damper(self) -> PETSc.Mat | None:
         """The matrix a M + b K, K the tangent at rest."""
         by_mass, by_stiffness = self.motion.damping
         if not (by_mass or by_stiffness):
             return None
-        damper = self.mass_blocks.copy()
+        damper = self.mass.copy()
         damper.scale(by_mass)
         if by_stiffness:
             tangent = self.problem.at(np.zeros_like(self.order.X)).hessian()
@@ -89,16 +116,19 @@ class _March:
         return damper
 
     def _scene_at(self, step: int) -> Scene:
-        scene = self.motion.scene_at(step)
-        self.motion.scene.check_prepared_for(scene, varying=VARYING)
-        return scene
+        scene = self.motion.scene_at(step) if self.comm.rank == 0 else None
+        if self.comm.bcast(scene is not self._scene):
+            self._scene = self.comm.bcast(scene)
+            self.motion.scene.check_prepared_for(self._scene, varying=VARYING)
+        return self._scene
 
     def _set(self, scene: Scene, step: int) -> Floats:
         """Put the problem at a step's scene and forces of the frame; give the latter."""
         if scene is not self.set_scene:
             self.problem.set(scene)
             self.set_scene, self.dead_loads = scene, self.problem.loads
-        forces = -self.frame_mass[:, None] * self.motion.acceleration_at(step)
+        acceleration = self.comm.bcast(self.motion.acceleration_at(step))
+        forces = -self.frame_mass[:, None] * acceleration
         self.problem.loads = self.dead_loads + forces
         return forces
 
@@ -112,14 +142,14 @@ class _March:
         frame_forces = self._set(scene, 0)
         held, places = scene.dirichlet()
         u = order.to_dofs(np.where(held, places, motion.positions)) - order.X
-        moves = motion.fixed is not None or motion.scenes is not None
-        v = np.where(self.held & (not moves), 0.0, order.to_dofs(motion.velocities))
+        moves = self.comm.bcast(motion.fixed is not None or motion.scenes is not None)
+        v = np.where(self.held & (not moves), 0.0, order.to_dofs(motion.velocities)[: order.nodes.owned])
         state = self.problem.at(u)
         if not np.isfinite(state.energy):
             raise SceneError("march: the energy is not finite at the start; some tet is flat or inverted")
         gradient = state.gradient()
         a = accelerations(self.mass, -gradient - self._damped(v), ~self.held)
-        return Moment(scene, frame_forces, u, v, a, gradient, state.energy + float((frame_forces * u).sum()))
+        return Moment(scene, frame_forces, u, v, a, gradient, state.energy + self._work(frame_forces, u))
 
     def run(self) -> Trajectory:
         """All steps, or those before one that fails."""
@@ -132,14 +162,14 @@ class _March:
             changed = scene if scene is not now.scene else None
             frame_forces = self._set(scene, step)
             r, v_still, a_still = self._asked(now)
-            self.moving.begin(now.u, r)
+            self.moving.begin(self._own(now.u), r)
             scale = max(scale, self._free_norm(now.gradient - r))
             state = self._begin(now, before, scene)
             if state is None:
                 reason = Reason.NOT_FINITE
                 break
             scale = max(scale, self._free_norm(state.gradient())) if step == 1 or changed else scale
-            rounding = max(self.floor, 1e-15 * float(np.linalg.norm(r)))
+            rounding = max(self.floor, 1e-15 * norm(self.comm, r))
             minimum = self.chord.minimise(state, max(self.motion.tolerance * scale, rounding))
             if minimum.reason is not Reason.CONVERGED:
                 reason = minimum.reason
@@ -156,7 +186,7 @@ class _March:
         a = -(now.v / h + rule.by_acceleration[0] * now.a) / rule.by_acceleration[1]
         v = now.v + h * (rule.to_velocity[0] * now.a + rule.to_velocity[1] * a)
         kept = 1.0 - rule.alpha_f
-        pulls = times(self.mass_blocks, (1.0 - rule.alpha_m) * a + rule.alpha_m * now.a) / kept
+        pulls = times(self.mass, (1.0 - rule.alpha_m) * a + rule.alpha_m * now.a) / kept
         pulls += self._damped(v + rule.alpha_f / kept * now.v)
         pulls += rule.alpha_f / kept * now.gradient
         return -pulls, v, a
@@ -165,51 +195,61 @@ class _March:
         """The best of some starts: going on, only held nodes moving, and held nodes that take the others along."""
         places = self.order.to_dofs(scene.dirichlet()[1]) - self.order.X
         fixed = self.order.held(scene.dirichlet()[0])
-        on = 2.0 * now.u - before.u if before is not now else now.u + self.h * now.v
+        on = 2.0 * now.u - before.u if before is not now else now.u + self.h * self.order.nodes.spread(now.v)
         starts = [self.moving.at(np.where(fixed, places, u)) for u in (on, now.u)]
         starts = [state for state in starts if np.isfinite(state.energy)]
         if starts:
             return min(starts, key=lambda state: state.energy)
-        jump = np.where(fixed, places - now.u, 0.0)
-        state = self.moving.at(now.u + self.chord.spread(self.moving.at(now.u), jump))
+        jump = np.where(fixed, places - now.u, 0.0)[: self.order.nodes.owned]
+        spread = self.order.nodes.spread(self.chord.spread(self.moving.at(now.u), jump))
+        state = self.moving.at(now.u + spread)
         return state if np.isfinite(state.energy) else None
 
     def _end(self, now: Moment, state: MovingState, scene, frame_forces, v_still, a_still) -> Moment:
-        d = state.u - now.u
+        d = self._own(state.u - now.u)
         beta, gamma = self.rule.by_acceleration[1], self.rule.to_velocity[1]
         a = a_still + d / (beta * self.h**2)
         v = v_still + gamma * d / (beta * self.h)
-        potential = state.static.energy + float((frame_forces * state.u).sum())
+        potential = state.static.energy + self._work(frame_forces, state.u)
         return Moment(scene, frame_forces, state.u, v, a, state.static.gradient(), potential)
 
     def _free_norm(self, forces: Floats) -> float:
-        return float(np.linalg.norm(forces[~self.held]))
+        return norm(self.comm, forces[~self.held])
+
+    def _own(self, u: Floats) -> Floats:
+        """The vector of a field."""
+        return u[: self.order.nodes.owned]
+
+    def _work(self, forces: Floats, u: Floats) -> float:
+        """The work [µJ] of forces, a vector, on a field of displacements."""
+        return dot(self.comm, forces, self._own(u))
 
     def kinetic(self, now: Moment) -> float:
         """v·M v / 2 [µJ]."""
-        return 0.5 * float((now.v * (self.mass @ now.v)).sum())
+        return 0.5 * dot(self.comm, now.v, times(self.mass, now.v))
 
     def dissipated(self, before: Moment, now: Moment) -> float:
         """The damper's work in a step [µJ], by the mean velocity."""
         v = 0.5 * (before.v + now.v)
-        return self.h * float((v * self._damped(v)).sum())
+        return self.h * dot(self.comm, v, self._damped(v))
 
     def put_in(self, before: Moment, now: Moment) -> float:
         """The work of the frame, held nodes and targets in a step [µJ], by the mean of their forces."""
-        moved = now.u - before.u
+        moved = self._own(now.u - before.u)
         work = 0.5 * float(((before.frame_forces + now.frame_forces) * moved).sum())
         reactions = 0.5 * (self._reactions(before) + self._reactions(now))
         work += float((reactions * moved)[self.held].sum())
         for old, new in zip(before.scene.of(Target), now.scene.of(Target), strict=True):
             if new is not old:
-                dofs = self.order.dof[new.vertices]
-                away = self.order.X[dofs] + 0.5 * (before.u + now.u)[dofs] - 0.5 * (old.positions + new.positions)
-                stiffness = np.broadcast_to(new.stiffness, len(dofs))
-                work -= float((stiffness[:, None] * away * (new.positions - old.positions)).sum())
-        return work
+                mine, dofs = self.order.own_dofs(new.name, new.vertices)
+                places = 0.5 * (old.positions + new.positions)[mine]
+                away = self.order.X[dofs] + 0.5 * (before.u + now.u)[dofs] - places
+                stiffness = np.broadcast_to(new.stiffness, len(new.vertices))[mine]
+                work -= float((stiffness[:, None] * away * (new.positions - old.positions)[mine]).sum())
+        return self.comm.allreduce(work)
 
     def _reactions(self, now: Moment) -> Floats:
-        return times(self.mass_blocks, now.a) + self._damped(now.v) + now.gradient
+        return times(self.mass, now.a) + self._damped(now.v) + now.gradient
 
 
 class _Record:
@@ -241,7 +281,8 @@ class _Record:
         self._places.append(x[motion.vertices])
         self._speeds.append(v[motion.vertices])
         step = len(self._counts)
-        return not first and motion.on_step is not None and bool(motion.on_step(step, step * owner.h, x))
+        stop = not first and motion.on_step is not None and bool(motion.on_step(step, step * owner.h, x))
+        return anywhere(owner.comm, stop)
 
     def trajectory(self, reason: Reason) -> Trajectory:
         rows = np.array(self._rows)

@@ -9,6 +9,7 @@ import numpy as np
 from ...lhm.mesh import Floats
 from . import dolfinx_version as seam
 from .numbering import Numbering
+from .shared import gathered
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,23 +41,20 @@ class Sampling:
         self._linear = seam.shapes(1, points)[0]
 
     def load(self, density: Floats) -> Floats:
-        """Nodal forces (n, 3) of a force per volume at the points, shape (q, 3)."""
+        """Nodal forces, a vector (owned, 3), of a force per volume at the points here, shape (q, 3)."""
         weighted = (density * self.weights[:, None]).reshape(len(self._jacobian), -1, 3)
         parts = np.einsum("qk,mqc->mkc", self._values, weighted)
         result = np.zeros(self._order.X.shape)
         for c in range(3):
             result[:, c] = np.bincount(self._order.cell_dofs.ravel(), parts[:, :, c].ravel(), minlength=len(result))
-        return result
+        return self._order.nodes.summed(result)
 
     def fields(self, u: Floats, pressure: Floats | None) -> Fields:
-        """Nodal displacements (n, 3) and pressures, shape (cells, 4), at the points."""
+        """Nodal displacements (n, 3) and pressures, shape (cells, 4), at the points of all processes."""
         nodal = u[self._order.cell_dofs]
         local = np.einsum("mkc,qkd->mqcd", nodal, self._derivatives)
         gradient = local @ np.linalg.inv(self._jacobian)[:, None]
-        return Fields(
-            self.X,
-            self.weights,
-            (self._values @ nodal).reshape(-1, 3),
-            gradient.reshape(-1, 3, 3),
-            None if pressure is None else (pressure @ self._linear.T).ravel(),
-        )
+        at_points = (self._values @ nodal).reshape(-1, 3)
+        here = self.X, self.weights, at_points, gradient.reshape(-1, 3, 3)
+        pressures = None if pressure is None else gathered(self._order.comm, (pressure @ self._linear.T).ravel())
+        return Fields(*(gathered(self._order.comm, values) for values in here), pressures)

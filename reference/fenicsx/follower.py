@@ -31,8 +31,8 @@ class FollowerPressure:
     derivatives: Floats
 
     @classmethod
-    def of(cls, term: Pressure, nodes: Ints) -> FollowerPressure:
-        """The term on its triangles' nodes (m, 3) or (m, 6), corners first."""
+    def of(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
+        """The term on its triangles that are `here`, by default all, with nodes (m, 3) or (m, 6), corners first."""
         k = nodes.shape[1]
         points, weights = seam.quadrature_rule(DEGREES[k], "triangle")
         barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
@@ -40,7 +40,9 @@ class FollowerPressure:
         if k == 6:
             shapes, by_barycentric = quadratic_shapes(barycentric)
         derivatives = by_barycentric @ np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-        return cls(nodes, np.broadcast_to(term.value, len(nodes)), weights, shapes, derivatives)
+        value = np.broadcast_to(term.value, len(term.triangles))
+        value = value if here is None else value[here]
+        return cls(nodes, value, weights, shapes, derivatives)
 
     def _tangents(self, x: Floats) -> tuple[Floats, Floats]:
         """x_ξ and x_η [mm] at the points, shape (m, q, 3)."""

@@ -99,12 +99,12 @@ class HyperelasticForms:
         return cls(cells, *compiled, P, dP_dF)
 
     def assemble_energy(self) -> float:
-        """Energy [µJ]; infinite where the law does not hold in any cell."""
+        """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""
         value = seam.assemble_scalar(self.energy)
         return value if np.isfinite(value) else np.inf
 
     def add_gradient(self, into: Floats):
-        """Add the gradient [mN] to an array of dofs (3n,)."""
+        """Add the gradient [mN] of this process' cells to a field of dofs (3n,)."""
         seam.add_vector(self.gradient, into)
 
     def point_stress(self) -> Floats:

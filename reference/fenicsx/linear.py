@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ...lhm.mesh import Floats, Ints
-from .dolfinx_version import COMM, PETSc, free_dropped
+from .dolfinx_version import PETSc, free_dropped
 
 # The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,
 # and Newton stalls without a word.
@@ -27,7 +27,7 @@ INDEFINITE = ("DIVERGED_INDEFINITE_MAT", "DIVERGED_INDEFINITE_PC")  # CG blames 
 
 @dataclass(frozen=True, eq=False)
 class LinearAnswer:
-    """x (3n,), whether it was found, the iterations it took, and a word on why not."""
+    """x, a vector, whether it was found, the iterations it took, and a word on why not."""
 
     x: Floats
     found: bool
@@ -36,15 +36,15 @@ class LinearAnswer:
 
 
 class LinearSolver(Protocol):
-    """Solves A x = b with the present values of the matrix that it was made for."""
+    """Solves A x = b with the present values of the matrix that it was made for, by all processes that share it."""
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """Give x with a residual below `relative` times b's norm, if A is positive definite."""
         ...
 
 
-def _vector(values: Floats, comm=COMM) -> PETSc.Vec:
-    return PETSc.Vec().createWithArray(values, bsize=3, comm=comm)
+def _vector(values: Floats, comm, size: int = 3) -> PETSc.Vec:
+    return PETSc.Vec().createWithArray(values, bsize=size, comm=comm)
 
 
 def set_options(prefix: str, values: Mapping[str, object]):
@@ -170,9 +170,21 @@ LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": Conjugat
 
 
 def hold(matrix: PETSc.Mat, held: Ints, values: Floats, b: Floats):
-    """Replace held dofs' equations (k,) by x = values (k,), in matrix and right-hand side (3n,), symmetrically."""
+    """Replace held dofs' equations (k,) by x = values (k,), in matrix and right-hand side, symmetrically.
+
+    Each process names those that it owns, counted from its first.
+    """
     x = np.zeros_like(b)
     x[held] = values
     scale = matrix.getDiagonal().norm(PETSc.NormType.INFINITY) or 1.0
-    rows = held.astype(PETSc.IntType)
-    matrix.zeroRowsColumns(rows, diag=scale, x=_vector(x), b=_vector(b))
+    rows = (matrix.getOwnershipRange()[0] + held).astype(PETSc.IntType)
+    known, right = (_vector(each, matrix.comm, matrix.getBlockSize()) for each in (x, b))
+    matrix.zeroRowsColumns(rows, diag=scale, x=known, b=right)
+
+
+def product(matrix: PETSc.Mat, x: Floats) -> Floats:
+    """A matrix times a vector."""
+    result = np.zeros(matrix.getLocalSize()[0])
+    size = matrix.getBlockSize()
+    matrix.mult(_vector(x, matrix.comm, size), _vector(result, matrix.comm, size))
+    return result

@@ -15,12 +15,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import diags
 
 from ...lhm.mesh import Floats
 from ..solution import Reason
 from .direct import Factorisation
+from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
+from .linear import hold, product
+from .shared import largest, norm
 
 SMALLEST_DAMPING = 1 / 32
 STEP_ITERATIONS = 25
@@ -52,7 +54,7 @@ class Equilibrated:
 
 @dataclass(eq=False)
 class LoadPath:
-    """Equations, where held unknowns go (3n + n_p,), and who is told of each iteration and may stop.
+    """Equations, where held unknowns go, a vector, and who is told of each iteration and may stop.
 
     A body that `drifts` has rigid motions left; a trace of stiffness keeps its tangent regular. `descend` goes from
     unknowns to a minimum of the energy at a share of the loads, and gives it, why it stopped, and its iterations.
@@ -87,11 +89,6 @@ class LoadPath:
         if whole.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS, Reason.STAGNATED):
             return whole.point, whole.reason
         return self._grow()
-
-    def stable_at(self, z: Floats) -> bool:
-        """Whether the tangent under the whole load is regular and stable."""
-        derivative = self.equations.derivative(self.equations.at(z, 1.0))
-        return self._factor(derivative) and self._stable
 
     def _grow(self) -> tuple[Point, Reason]:
         """Follow the path from the start."""
@@ -131,14 +128,14 @@ class LoadPath:
 
     def _aside(self, saddle: Point) -> Floats:
         """Unknowns beside an unstable equilibrium, whose tangent is factored, where the tangent is softest."""
-        mode = np.random.default_rng(0).standard_normal(len(self.equations.free))
+        equations = self.equations
+        mode = self._free(equations.irregular())
         for _ in range(MODE_ITERATIONS):
             mode = self.factors.solve(mode)
-            mode /= np.abs(mode).max()
-        in_space = slice(0, self.equations.displacements)
-        z = saddle.z.copy()
-        z[self.equations.free] += ASIDE * np.abs((saddle.z - self._origin)[in_space]).max() * mode
-        return z
+            mode /= largest(equations.comm, mode)
+        mode[equations.held] = 0.0
+        in_space = slice(0, equations.displacements)
+        return saddle.z + ASIDE * largest(equations.comm, (saddle.z - self._origin)[in_space]) * mode
 
     def _snapped(self, guess: Floats, here: Point, share: float) -> Equilibrated:
         """The stable equilibrium at a share to which descent leads from an unstable one or a guess, if that is near."""
@@ -153,8 +150,7 @@ class LoadPath:
         self.iterations += made
         if reason is Reason.INTERRUPTED:
             return Equilibrated(here, reason, made, False)
-        in_space = slice(0, equations.displacements)
-        far = np.linalg.norm((down - begin)[in_space]) > SNAP * np.linalg.norm((here.z - self._origin)[in_space])
+        far = self._length(down - begin) > SNAP * self._length(here.z - self._origin)
         if far or reason not in (Reason.CONVERGED, Reason.STAGNATED):
             return Equilibrated(here, Reason.LIMIT_POINT, made, False)
         return self._correct(down, share, final=final)
@@ -172,23 +168,30 @@ class LoadPath:
         """The norm of the displacement's change by the share of load and motion [mm]."""
         equations = self.equations
         derivative = equations.derivative(point)
+        motion = np.zeros(equations.count)
+        motion[equations.held] = (self.goal - self.start)[equations.held]
+        forces = equations.by_share(point) + product(derivative, motion)
         if not self._factor(derivative):
             return np.inf
-        held, free = equations.held, equations.free
-        motion = self.goal[held] - self.start[held]
-        forces = equations.by_share(point)[free] + derivative[free][:, held] @ motion
-        change = np.zeros(equations.count)
-        change[free] = -self.factors.solve(forces)
-        change[held] = motion
-        return float(np.linalg.norm(change[: equations.displacements]))
+        forces[equations.held] = 0.0
+        return self._length(motion - self.factors.solve(forces))
 
-    def _factor(self, derivative) -> bool:
-        free = self.equations.free
+    def _length(self, z: Floats) -> float:
+        """The norm of the displacements of a vector [mm]."""
+        return norm(self.equations.comm, z[: self.equations.displacements])
+
+    def _factor(self, derivative: PETSc.Mat) -> bool:
+        """Factor a derivative whose held unknowns are left out, which it loses."""
+        equations = self.equations
         self.factored += 1
-        matrix = derivative[free][:, free]
         if self.drifts:
-            matrix = matrix + diags(DRIFT * abs(matrix).max() * (free < self.equations.displacements))
-        return self.factors.factor(matrix.tocsr(), symmetric=self.equations.symmetric)
+            trace = np.zeros(equations.count)
+            free = equations.free[equations.free < equations.displacements]
+            trace[free] = DRIFT * derivative.getDiagonal().norm(PETSc.NormType.INFINITY)
+            added = PETSc.Vec().createWithArray(trace, comm=derivative.comm)
+            derivative.setDiagonal(added, addv=PETSc.InsertMode.ADD_VALUES)
+        hold(derivative, equations.held, np.zeros(len(equations.held)), np.zeros(equations.count))
+        return self.factors.factor_shared(derivative, symmetric=equations.symmetric)
 
     @property
     def _stable(self) -> bool:
@@ -199,7 +202,7 @@ class LoadPath:
     def _correct(self, z: Floats, share: float, *, final: bool = False) -> Equilibrated:
         """Newton's method from z at a share of load and motion."""
         equations = self.equations
-        held, free = equations.held, equations.free
+        held = equations.held
         target = self._at_share(share)[held]
         point = equations.at(z, share)
         damping, last = 1.0, 0.0
@@ -207,49 +210,54 @@ class LoadPath:
             derivative = equations.derivative(point)
             if iteration == 0:
                 equations.scale_volumes(derivative)
-            jump = target - point.z[held]
-            forces = point.residual[free] + derivative[free][:, held] @ jump
+            jump = np.zeros(equations.count)
+            jump[held] = target - point.z[held]
+            moves = equations.unknowns.any(jump)
+            forces = self._free(point.residual + product(derivative, jump))
             norm = equations.norm(forces)
             if iteration == 0:
-                first = max(norm, equations.norm(point.residual[free]))
+                first = max(norm, equations.norm(self._free(point.residual)))
                 if final and self._first == 0.0:
                     self._first = first
                 last = self.threshold(self._first) if final else max(PATH_TOLERANCE * first, self.threshold(first))
             if self.report(point, norm):
                 return Equilibrated(point, Reason.INTERRUPTED, iteration, False)
             regular = self._factor(derivative)
-            if norm <= last and not jump.any():
+            if norm <= last and not moves:
                 return Equilibrated(point, Reason.CONVERGED, iteration, regular and self._stable)
             if not regular:
                 return Equilibrated(point, Reason.LINEAR_SOLVER, iteration, False)
             if self.iterations >= self.max_iterations:
                 return Equilibrated(point, Reason.MAX_ITERATIONS, iteration, False)
             self.iterations += 1
-            correction = np.zeros(equations.count)
-            correction[free] = -self.factors.solve(forces)
-            correction[held] = jump
+            correction = jump - self.factors.solve(forces)
             damping = min(1.0, 2.0 * damping)
             following = self._damped(point, correction, damping)
             if following is None:
-                stagnated = norm <= 1e3 * last and not jump.any()
+                stagnated = norm <= 1e3 * last and not moves
                 return Equilibrated(point, Reason.STAGNATED if stagnated else Reason.LINE_SEARCH, iteration, False)
             point, damping = following
         return Equilibrated(point, Reason.LINE_SEARCH, STEP_ITERATIONS, False)
 
+    def _free(self, z: Floats) -> Floats:
+        """A vector without what is held."""
+        result = np.array(z)
+        result[self.equations.held] = 0.0
+        return result
+
     def _damped(self, point: Point, correction: Floats, damping: float) -> tuple[Point, float] | None:
         """The point after as much of a correction as the one that would follow allows, and how much that is."""
-        equations, free = self.equations, self.equations.free
-        in_space = free < equations.displacements
-        length = np.linalg.norm(correction[free][in_space])
-        size = 1e-14 * np.linalg.norm(point.z[: equations.displacements] + 1e-300)
+        equations = self.equations
+        length = self._length(self._free(correction))
+        size = 1e-14 * self._length(point.z + 1e-300)
         while damping >= SMALLEST_DAMPING:
             z = point.z + damping * correction
             if damping == 1.0:
                 z[equations.held] = point.z[equations.held] + correction[equations.held]
             after = equations.at(z, point.share)
             if after.finite:
-                simplified = -self.factors.solve(after.residual[free])
-                if np.linalg.norm(simplified[in_space]) <= (1.0 - damping / 4.0) * length + size:
+                simplified = self.factors.solve(self._free(after.residual))
+                if self._length(simplified) <= (1.0 - damping / 4.0) * length + size:
                     return after, damping
             damping *= 0.5
         return None

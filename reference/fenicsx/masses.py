@@ -7,74 +7,48 @@ ones all positive, which row sums are not (Hinton, Rock and Zienkiewicz 1976).
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.linalg import spsolve
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..march import Motion
 from . import dolfinx_version as seam
-from .dolfinx_version import COMM, PETSc
+from .assembly import Stiffness
+from .dolfinx_version import PETSc
+from .linear import Mumps, hold, product
 from .membrane import quadratic_shapes
 from .numbering import EDGES, Numbering
+from .shared import anywhere
 
 
-def mass_matrix(motion: Motion, order: Numbering) -> csr_matrix:
-    """The masses of a march [kg] between nodes, shape (n, n), the same for each component.
+def mass_matrix(motion: Motion, order: Numbering, stiffness: Stiffness) -> PETSc.Mat:
+    """The masses of a march [kg] between nodes, the same for each component, in the pattern of a stiffness matrix.
 
-    Raises SceneError for skin on a triangle that is no face of a tet.
+    Raises SceneError for skin whose consistent mass lies on a triangle that is no face of a tet.
     """
-    scene, n = motion.scene, len(order.X)
+    scene = motion.scene
     volume_mass = (motion.density * scene.volumes)[order.tet]
     parts = [(order.cell_dofs, volume_mass[:, None, None] * _tet_shares(order.degree))]
     if motion.skin_density.any():
-        a, b, c = (scene.vertices[motion.skin[:, k]] for k in range(3))
+        here, nodes = order.faces("skin", motion.skin)
+        a, b, c = (scene.vertices[motion.skin[here, k]] for k in range(3))
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
         shares = _triangle_shares(order.degree)
-        parts.append((order.face_dofs("skin", motion.skin), (motion.skin_density * area)[:, None, None] * shares))
-    total = csr_matrix((n, n))
+        parts.append((nodes, (motion.skin_density[here] * area)[:, None, None] * shares))
+    stiffness.clear()
     for nodes, blocks in parts:
         if motion.mass == "lumped":
             own = np.einsum("mkk->mk", blocks)
             own = own * (blocks.sum(axis=(1, 2)) / np.maximum(own.sum(axis=1), 1e-300))[:, None]
-            total = total + diags(np.bincount(nodes.ravel(), own.ravel(), minlength=n))
-            continue
-        k = nodes.shape[1]
-        rows, columns = np.repeat(nodes, k, axis=1).ravel(), np.tile(nodes, (1, k)).ravel()
-        total = total + coo_matrix((blocks.ravel(), (rows, columns)), shape=(n, n)).tocsr()
-    return csr_matrix(total)
-
-
-def as_blocks(mass: csr_matrix, like: PETSc.Mat) -> PETSc.Mat:
-    """A mass matrix (n, n) for all three components, in a matrix of the pattern of another one (3n, 3n).
-
-    Raises SceneError where that pattern has no room.
-    """
-    matrix = like.duplicate(copy=False)
-    matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-    matrix.setOption(PETSc.Mat.Option.NEW_NONZERO_LOCATION_ERR, True)
-    mass = mass.copy()
-    mass.eliminate_zeros()
-    mass.sort_indices()
-    blocks = (mass.data[:, None, None] * np.eye(3)).reshape(-1, 9)
-    try:
-        matrix.setValuesBlockedIJV(
-            mass.indptr.astype(PETSc.IntType), mass.indices.astype(PETSc.IntType), blocks.ravel()
-        )
-    except PETSc.Error:
-        raise SceneError("skin: a triangle is no face of a tet; consistent mass needs its edges") from None
-    matrix.assemble()
-    return matrix
+            nodes, blocks = nodes.reshape(-1, 1), own.reshape(-1, 1, 1)
+        elif anywhere(order.comm, ~stiffness.has_room(nodes)):
+            raise SceneError("skin: a triangle is no face of a tet; consistent mass needs its edges")
+        stiffness.add(nodes, stiffness.slots(nodes), blocks[..., None, None] * np.eye(3))
+    return stiffness.assembled().copy()
 
 
 def times(matrix: PETSc.Mat, values: Floats) -> Floats:
-    """The product of a matrix (3n, 3n) with values by node, shape (n, 3)."""
-    result = np.empty(values.size)
-    matrix.mult(
-        PETSc.Vec().createWithArray(np.ascontiguousarray(values).ravel(), comm=COMM),
-        PETSc.Vec().createWithArray(result, comm=COMM),
-    )
-    return result.reshape(values.shape)
+    """The product of a matrix (3n, 3n) with a vector (owned, 3)."""
+    return product(matrix, np.ascontiguousarray(values).ravel()).reshape(values.shape)
 
 
 def _tet_shares(degree: int) -> Floats:
@@ -100,12 +74,10 @@ def _shares(shapes: Floats, weights: Floats) -> Floats:
     return np.einsum("q,qa,qb->ab", weights / weights.sum(), shapes, shapes)
 
 
-def accelerations(mass: csr_matrix, forces: Floats, free: np.ndarray) -> Floats:
-    """M⁻¹ forces [mm/s²] at the free components of nodes that have mass, zero elsewhere, shape (n, 3)."""
-    result = np.zeros_like(forces)
-    heavy = mass.diagonal() > 0.0
-    for c in range(3):
-        nodes: Ints = np.flatnonzero(heavy & free[:, c])
-        if nodes.size:
-            result[nodes, c] = spsolve(mass[nodes][:, nodes].tocsc(), forces[nodes, c])
-    return result
+def accelerations(mass: PETSc.Mat, forces: Floats, free: np.ndarray) -> Floats:
+    """M⁻¹ forces [mm/s²] at the free components of nodes that have mass, zero elsewhere, a vector (owned, 3)."""
+    heavy = mass.getDiagonal().array_r.reshape(forces.shape) > 0.0
+    still: Ints = np.flatnonzero(~(heavy & free))
+    matrix, b = mass.copy(), np.array(forces).ravel()
+    hold(matrix, still, np.zeros(len(still)), b)
+    return Mumps(matrix).solve(b, relative=0.0).x.reshape(forces.shape)

@@ -31,22 +31,23 @@ class Membrane:
     stretch: Floats
 
     @classmethod
-    def of(cls, term: SurfaceStrain, vertices: Floats, nodes: Ints) -> Membrane:
-        """The term on rest vertices [mm], shape (n, 3), and its triangles' nodes (t, 3), or (t, 6) of quadratic ones.
+    def of(cls, term: SurfaceStrain, vertices: Floats, here: Ints, nodes: Ints) -> Membrane:
+        """The term on rest vertices [mm], shape (n, 3), and on those of its triangles (t,) that are `here`.
 
-        Nodes on edges are numbered by the opposite corner.
+        Of these the nodes are (t, 3), or (t, 6) of quadratic ones, those on edges numbered by the opposite corner.
         """
-        _, area = _plane(vertices, term.triangles)
-        gradients, _ = _plane(vertices if term.rest is None else term.rest, term.triangles)
+        triangles = term.triangles[here]
+        _, area = _plane(vertices, triangles)
+        gradients, _ = _plane(vertices if term.rest is None else term.rest, triangles)
         shares, shapes = _linear() if nodes.shape[1] == 3 else _quadratic()
         q = len(shares)
 
         def at_points(values) -> Floats:
-            return np.repeat(np.broadcast_to(values, len(nodes)), q)
+            return np.repeat(np.broadcast_to(values, len(term.triangles))[here], q)
 
         return cls(
             np.repeat(nodes, q, axis=0),
-            (shapes[None] @ gradients[:, None]).reshape(len(nodes) * q, -1, 2),
+            (shapes[None] @ gradients[:, None]).reshape(len(nodes) * q, nodes.shape[1], 2),
             np.outer(area, shares).ravel(),
             at_points(term.stiffness),
             np.sqrt(at_points(term.growth)),

@@ -24,6 +24,7 @@ from ..materials import (
     StVenantKirchhoff,
     Volumetric,
 )
+from . import densities
 from .densities import ISOCHORIC, Density, isochoric_neo_hookean
 
 MixedDensity = Callable[[Any, Any, Any], Any]
@@ -36,10 +37,9 @@ def neo_hookean(F, p, law):
     That share, mu/lmbda or a half, stays at the points: alone a tension p > mu would beat -mu ln J as J falls to 0, and
     crush single points.
     """
-    log_J = ufl.ln(ufl.det(F))
     share = ufl.conditional(ufl.lt(2 * law.mu, law.lmbda), law.mu / law.lmbda, 0.5)
-    at_points = law.mu / 2 * (ufl.inner(F, F) - 3) - law.mu * log_J + share * law.lmbda / 2 * log_J**2
-    return at_points + (1 - share) * (p * log_J - p**2 / (2 * law.lmbda))
+    at_points = densities.neo_hookean(F, law, share)
+    return at_points + (1 - share) * (p * ufl.ln(ufl.det(F)) - p**2 / (2 * law.lmbda))
 
 
 def stable(F, p, law):

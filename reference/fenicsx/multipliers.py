@@ -1,4 +1,4 @@
-"""Mixed elements by descent: minimise the condensed energy, correct the pressure that it starts from, and repeat.
+"""The strategy "augmented Lagrangian": minimise the condensed energy, correct the pressure it starts from, and repeat.
 
 Each minimisation is Newton's with line search and projection, so that large motions and crushed elements do no harm;
 Newton's method on displacement and pressure at once follows as soon as its full steps work, and converges fast.
@@ -10,13 +10,13 @@ import numpy as np
 
 from ...lhm.mesh import Floats
 from ..scene import Scene
-from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..solution import Reason
 from ..terms import Hyperelastic
 from .block_saddle import saddle_of
 from .condensed import Condensed, CondensedState
 from .newton import AnyState, Newton, Work
-from .numbering import Numbering
 from .problem import Problem
+from .run import Attempt, Run
 
 MAX_ITERATIONS = 300
 ROUNDS = 40
@@ -29,43 +29,23 @@ LOAD_STEP_TOLERANCE = 1e-2
 
 
 class MultiplierDescent:
-    """One solve on a mixed problem from start [mm], shape (scene vertices, 3), for energies without follower loads.
+    """A run on a mixed problem, for energies without follower loads.
 
     `linear_solver` is as in `saddle_of`; with `warm` the pressure begins where the condensed problem's last solve
     ended.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        numbering: Numbering,
-        condensed: Condensed,
-        start: Floats,
-        tolerance: float,
-        max_iterations: int | None,
-        on_iteration: OnIteration | None,
-        *,
-        warm: bool,
-        linear_solver: str = "cg",
-    ):
-        self._scene, self._numbering, self._condensed = scene, numbering, condensed
-        self._tolerance = tolerance
-        self._limit = MAX_ITERATIONS if max_iterations is None else max_iterations
-        fixed, positions = scene.dirichlet()
-        self._elsewhere = np.where(fixed, positions, start)
-        held = numbering.held(fixed)
-        self._u = numbering.to_dofs(start) - numbering.X
-        self._goal = np.where(held, numbering.to_dofs(positions) - numbering.X, self._u)
-        self._held = np.flatnonzero(held | condensed.problem.unsupported[:, None])
-        self._recorder = Recorder(on_iteration)
+    def __init__(self, run: Run, condensed: Condensed, *, warm: bool, linear_solver: str = "cg"):
+        self._run, self._condensed = run, condensed
+        self._held = np.flatnonzero(run.held | condensed.problem.unsupported[:, None])
         self._assemblies = condensed.problem.assemblies
         self._saddle = saddle_of(linear_solver, condensed, self._held)
-        self._work = Work()
-        self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, self._work)
+        self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, Work())
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
+        self._limit = run.record.left(MAX_ITERATIONS)
         self._warm = warm
 
-    def run(self) -> Solution:
+    def attempt(self) -> Attempt:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
         self._condensed.hardening = 1.0
         if not self._warm:
@@ -75,26 +55,15 @@ class MultiplierDescent:
         finally:
             self._saddle.release()
             self._condensed.release()
-        self.end = state.u, state.p
-        positions = self._positions(state.u)
-        fixed, values = self._scene.dirichlet()
-        if reason is Reason.CONVERGED:
-            positions[fixed] = values[fixed]
-        detail: dict[str, float] = {
-            "linear_solves": self._saddle.factored,
-            "linear_iterations": self._saddle.iterations,
-            "assemblies": self._condensed.problem.assemblies - self._assemblies,
-            "load_share": float(reason is Reason.CONVERGED),
-        }
-        return Solution(
-            positions,
-            reason,
+        record = self._run.record
+        record.add(
             self._iterations,
-            state.energy,
-            self._recorder.history(),
-            volume_ratio(self._scene, positions),
-            detail,
+            linear_solves=self._saddle.factored,
+            linear_iterations=self._saddle.iterations,
+            assemblies=self._condensed.problem.assemblies - self._assemblies,
         )
+        record.detail["load_share"] = int(reason is Reason.CONVERGED)
+        return Attempt(reason, self._run.numbering, state.u, state.p, state.energy)
 
     def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
         """See `balance.Descent`: what is held stays where it is."""
@@ -110,14 +79,11 @@ class MultiplierDescent:
         made, self._iterations = self._iterations, 0
         return state.u, np.array(state.p), reason, made
 
-    def _positions(self, u: Floats) -> Floats:
-        return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)
-
     def _report(self, state: AnyState, norm: float) -> bool:
-        return self._recorder.record(self._positions(state.u), state.energy, norm)
+        return self._run.tell(state.u, state.energy, norm)
 
     def _descend(self) -> tuple[CondensedState, Reason]:
-        state = self._condensed.at(self._u)
+        state = self._condensed.at(self._run.u)
         if not np.isfinite(state.energy):
             self._report(state, np.inf)
             return state, Reason.NOT_FINITE
@@ -134,7 +100,7 @@ class MultiplierDescent:
     def _lift(self, state: CondensedState) -> tuple[CondensedState | None, float]:
         """Move what is held as far to its goal as keeps the energy finite; the state, and the share of the way."""
         jump = np.zeros_like(state.u)
-        jump.flat[self._held] = self._goal.flat[self._held] - state.u.flat[self._held]
+        jump.flat[self._held] = self._run.goal.flat[self._held] - state.u.flat[self._held]
         if not jump.any():
             return state, 1.0
         spread, force = self._newton.extension(state, jump)
@@ -142,7 +108,7 @@ class MultiplierDescent:
         while fraction >= SMALLEST_FRACTION:
             u = state.u + fraction * spread
             if fraction == 1.0:
-                u.flat[self._held] = self._goal.flat[self._held]
+                u.flat[self._held] = self._run.goal.flat[self._held]
             lifted = self._condensed.at(u)
             if np.isfinite(lifted.energy):
                 self._first = max(self._first, fraction * force)
@@ -163,7 +129,7 @@ class MultiplierDescent:
         condensed = self._condensed
         self._scale_volumes(state)
         self._first = max(self._first, float(np.linalg.norm(self._newton.free_gradient(state))))
-        last = stop_threshold(self._scene, self._first, self._tolerance)
+        last = self._run.threshold(self._first)
         before = np.inf
         for turn in range(ROUNDS):
             share = SHARE if turn else FIRST_SHARE
@@ -228,7 +194,7 @@ class MultiplierDescent:
     def _scale_volumes(self, state: CondensedState):
         """See Equilibrium.scale_volumes."""
         stiffness = state.hessian().getDiagonal().array.mean()
-        self._per_volume = float(stiffness / np.cbrt(self._numbering.cell_volumes.mean()) ** 2)
+        self._per_volume = float(stiffness / np.cbrt(self._run.numbering.cell_volumes.mean()) ** 2)
 
 
 def laws_of(problem: Problem, scene: Scene) -> list:

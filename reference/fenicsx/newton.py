@@ -22,6 +22,7 @@ from .dolfinx_version import PETSc
 from .linear import LinearSolver, hold
 from .moving import MovingProblem, MovingState
 from .problem import Problem, State
+from .shared import dot, norm
 
 AnyState = State | RigidState | MovingState | CondensedState
 
@@ -50,6 +51,7 @@ class Work:
 class Newton:
     """A problem, the dofs that are held (sorted, flat), the usual linear solver and the one that it falls back to.
 
+    Steps and gradients are vectors: every process has what it owns, and all decide by the same products and norms.
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
 
@@ -63,15 +65,20 @@ class Newton:
     _successes: int = 0
 
     def free_gradient(self, state: AnyState) -> Floats:
-        """The gradient [mN], zero at held dofs, shape (3n,)."""
+        """The gradient [mN], a vector, zero at held dofs."""
         gradient = state.gradient().ravel()
         gradient[self.held] = 0.0
         return gradient
 
-    def extension(self, state: State | MovingState | CondensedState, jump: Floats) -> tuple[Floats, float]:
-        """How a jump of the held dofs [mm], shape (n, 3), spreads by the projected Hessian, and the norm of its forces.
+    def norm(self, vector: Floats) -> float:
+        """The norm of a vector that the processes share."""
+        return norm(self.problem.comm, vector)
 
-        The displacement (n, 3) equals the jump at held dofs. A direct lift would crush the elements next to them.
+    def extension(self, state: State | MovingState | CondensedState, jump: Floats) -> tuple[Floats, float]:
+        """How a jump of the held dofs [mm], a vector (owned, 3), spreads by the projected Hessian; its forces' norm.
+
+        The displacement, a vector too, equals the jump at held dofs. A direct lift would crush the elements next to
+        them.
         """
         values = jump.ravel()[self.held]
         forces = np.zeros(jump.size)
@@ -85,11 +92,11 @@ class Newton:
 
         spread = self._solve(set_up, relative=1e-6)
         forces[self.held] = 0.0
-        norm = float(np.linalg.norm(forces))
+        force = self.norm(forces)
         if spread is None:
-            return jump, norm
+            return jump, force
         spread[self.held] = values  # an iterative solver leaves its residual there
-        return spread.reshape(jump.shape), norm
+        return spread.reshape(jump.shape), force
 
     def minimise(
         self, state: AnyState, *, threshold: Callable[[float], float], max_iterations: int, near: bool = False
@@ -100,7 +107,7 @@ class Newton:
         from the beginning.
         """
         gradient = self.free_gradient(state)
-        norm = first = float(np.linalg.norm(gradient))
+        norm = first = self.norm(gradient)
         last = threshold(first)
         for iteration in range(max_iterations + 1):
             if self.report(state, norm):
@@ -114,11 +121,18 @@ class Newton:
             if isinstance(after, Reason):
                 return state, after, iteration
             gradient = self.free_gradient(after)
-            norm_after = float(np.linalg.norm(gradient))
+            norm_after = self.norm(gradient)
             if state.energy - after.energy <= self._rounding(state) and norm_after >= norm:
                 return state, Reason.STAGNATED, iteration
             state, norm = after, norm_after
         return state, Reason.MAX_ITERATIONS, max_iterations
+
+    def stable(self, state: AnyState, shift: float = 0.0) -> bool:
+        """Whether the exact Hessian, with a share of its largest diagonal entry added, is positive definite."""
+        matrix = self._shifted(state.hessian(), shift)
+        b = np.zeros(matrix.getLocalSize()[0])
+        hold(matrix, self.held, np.zeros(len(self.held)), b)
+        return self._try(self.fallback, b, 0.0) is not None
 
     def _step(self, state: AnyState, gradient: Floats, *, exact: bool, relative: float) -> AnyState | Reason:
         """The next state, or why there is none."""
@@ -159,7 +173,7 @@ class Newton:
     def _along(self, state: AnyState, gradient: Floats, direction: Floats) -> tuple[AnyState | None, float]:
         """The state after a step along a direction, and the energy's slope along it; None where it leads nowhere."""
         direction[self.held] = 0.0
-        slope = float(gradient @ direction)
+        slope = dot(self.problem.comm, gradient, direction)
         return (self._line_search(state, direction, slope) if slope < 0.0 else None), slope
 
     def _damped(

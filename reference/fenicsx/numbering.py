@@ -1,4 +1,9 @@
-"""The scene's mesh in dolfinx, and the maps between both numberings of vertices and tets, and of the nodes on edges."""
+"""The scene's mesh in dolfinx, and the maps between both numberings of vertices and tets, and of the nodes on edges.
+
+Of several processes each has the cells that the partitioner gives it, their nodes, and the triangles and rings of
+vertices that it integrates over: a triangle goes to the first process that has all its nodes, a ring to the one that
+owns the vertex in its middle, which takes other nodes as ghosts for it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,10 @@ import numpy as np
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..scene import Scene
+from ..terms import Bending, Pressure, SurfaceStrain, Traction
 from . import dolfinx_version as seam
+from .dolfinx_version import ALONE, MPI
+from .shared import Shared, gathered
 
 CORNERS = np.repeat(np.arange(4)[:, None], 2, axis=1)
 EDGES = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
@@ -19,42 +27,119 @@ FACE_SHARES = {1: np.full(3, 1 / 3), 2: np.repeat([0.0, 1 / 3], 3)}
 
 
 class Numbering:
-    """A space of degree 1 or 2 on the scene's tets.
+    """A space of degree 1 or 2 on the scene's tets, and on `skin`, triangles (k, 3) that no term has.
 
     `ends` (n, 2) are the scene's vertices between which a node lies in the middle, twice the same at a corner;
     `corners` (k,) are the nodes at vertices, `vertex` (k,) theirs, and `dof` (scene vertices,) the inverse, -1 for a
     vertex in no tet; `tet` (m,) is the scene's tet per cell, `cell` its inverse; `X` [mm], shape (n, 3), are rest
-    positions by node.
+    positions by node. Of several processes these are what each knows of, -1 what it does not; `nodes` says what it
+    owns, and `function_nodes` counts the nodes of its cells.
     """
 
-    def __init__(self, scene: Scene, degree: int = 1):
-        domain = seam.tet_mesh(scene.vertices, scene.tets)
-        self.degree = degree
+    def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE, skin: Ints | None = None):
+        domain = seam.tet_mesh(scene.vertices, scene.tets, comm)
+        self.degree, self.comm = degree, comm
         self.space = seam.vector_space(domain, degree)
         local = CORNERS if degree == 1 else np.concatenate([CORNERS, EDGES])
         self.cell_vertices = seam.cell_vertices(domain)
         self.cell_dofs = seam.cell_dofs(self.space, len(local))
-        self.ends = np.full((seam.dof_count(self.space), 2), -1, dtype=np.int64)
-        self.ends[self.cell_dofs] = np.sort(self.cell_vertices[:, local], axis=2)
-        self.corners = np.flatnonzero(self.ends[:, 0] == self.ends[:, 1])
-        self.vertex = self.ends[self.corners, 0]
-        self.dof = np.full(len(scene.vertices), -1, dtype=np.int64)
-        self.dof[self.vertex] = self.corners
         self.tet = seam.cell_tets(domain)
-        self.cell = np.empty_like(self.tet)
+        self.cell = np.full(len(scene.tets), -1, dtype=np.int64)
         self.cell[self.tet] = np.arange(len(self.tet))
         self.cell_volumes = scene.volumes[self.tet]
+        self._in_tets = np.zeros(len(scene.vertices), dtype=bool)
+        self._in_tets[scene.tets] = True
+        self._tets = scene.tets
+        owned, ghosts = seam.dof_counts(self.space)
+        self.function_nodes = owned + ghosts
+        ends = np.full((self.function_nodes, 2), -1, dtype=np.int64)
+        ends[self.cell_dofs] = np.sort(self.cell_vertices[:, local], axis=2)
+        self._number(ends)
+        ids = seam.global_dofs(self.space)
+        self._own_vertices = ends[:owned][ends[:owned, 0] == ends[:owned, 1], 0]
+        if comm.size > 1:
+            ids = self._with_distant(scene, skin, ids, owned)
+        self.nodes = Shared(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
-        keys = self.ends @ [len(scene.vertices), 1]
+        self._all_vertices = gathered(comm, self._own_vertices)
+        self.own_corners = self.dof[self._own_vertices]
+
+    def _number(self, ends: Ints):
+        """Number nodes by their ends (n, 2)."""
+        self.ends = ends
+        self.corners = np.flatnonzero(ends[:, 0] == ends[:, 1])
+        self.vertex = ends[self.corners, 0]
+        self.dof = np.full(len(self._in_tets), -1, dtype=np.int64)
+        self.dof[self.vertex] = self.corners
+        keys = ends @ [len(self.dof), 1]
         self._by_key = np.argsort(keys)
         self._keys = keys[self._by_key]
 
+    def _with_distant(self, scene: Scene, skin: Ints | None, ids: Ints, owned: int) -> Ints:
+        """Take vertices of triangles and rings that no cell here has; the numbers over all processes, theirs too."""
+        vertices = gathered(self.comm, self._own_vertices)
+        owner = np.full(len(self.dof), -1)
+        owner[vertices] = np.repeat(np.arange(self.comm.size), self.comm.allgather(len(self._own_vertices)))
+        number = np.full(len(self.dof), -1, dtype=np.int64)
+        number[vertices] = gathered(self.comm, ids[self.dof[self._own_vertices]])
+        self._owner = owner
+        needed = [np.empty(0, dtype=np.int64)]
+        triangles = [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Traction, Pressure))]
+        for each in (*triangles, *([] if skin is None else [skin])):
+            if self._in_tets[each].all():
+                needed.append(each[self._here(each)].ravel())
+        for term in scene.of(Bending):
+            mine = owner[term.triangles] == self.comm.rank
+            needed.append(term.triangles[mine.any(axis=1)].ravel())
+        needed_vertices = np.unique(np.concatenate(needed))
+        distant = needed_vertices[self.dof[needed_vertices] < 0]
+        self._number(np.concatenate([self.ends, np.column_stack([distant, distant])]))
+        return np.concatenate([ids, number[distant]])
+
+    def _here(self, triangles: Ints) -> Ints:
+        """Those of triangles (k, 3) that this process integrates over; every process asks at once."""
+        if self.comm.size == 1:
+            return np.arange(len(triangles))
+        first = self._first_with(triangles)
+        return np.flatnonzero(np.where(first < self.comm.size, first, self._owner[triangles[:, 0]]) == self.comm.rank)
+
+    def _first_with(self, triangles: Ints) -> Ints:
+        """The first process whose cells have all nodes of triangles (k, 3); how many there are where none has."""
+        dofs = self.dof[triangles]
+        known = ((dofs >= 0) & (dofs < self.function_nodes)).all(axis=1)
+        if self.degree == 2:
+            known &= (self._slots(triangles)[1]).all(axis=1)
+        first = np.where(known, self.comm.rank, self.comm.size)
+        self.comm.Allreduce(MPI.IN_PLACE, first, op=MPI.MIN)
+        return first
+
     def dofs_of(self, name: str, vertices: Ints) -> Ints:
         """Dofs of a term's vertices, in their shape; SceneError for a vertex that is in no tet."""
-        dofs = self.dof[vertices]
-        if (dofs < 0).any():
-            raise SceneError(f"{name}: vertex {vertices[dofs < 0][0]} is in no tet; solver 'fenicsx' cannot move it")
-        return dofs
+        outside = ~self._in_tets[vertices]
+        if outside.any():
+            raise SceneError(f"{name}: vertex {vertices[outside][0]} is in no tet; solver 'fenicsx' cannot move it")
+        return self.dof[vertices]
+
+    def own_dofs(self, name: str, vertices: Ints) -> tuple[Ints, Ints]:
+        """Those of a term's vertices (k,) whose nodes this process owns, and the nodes; errors as of `dofs_of`."""
+        dofs = self.dofs_of(name, vertices)
+        mine = np.flatnonzero((dofs >= 0) & (dofs < self.nodes.owned))
+        return mine, dofs[mine]
+
+    def faces(self, name: str, triangles: Ints) -> tuple[Ints, Ints]:
+        """Those of a term's triangles (k, 3) that this process integrates over, and their nodes; see `face_dofs`."""
+        self.dofs_of(name, triangles)
+        if self.comm.size > 1 and self.degree == 2:
+            self._check_faces(name, self._first_with(triangles) < self.comm.size)
+        here = self._here(triangles)
+        return here, self.face_dofs(name, triangles[here])
+
+    def _slots(self, triangles: Ints) -> tuple[Ints, np.ndarray]:
+        """Where the nodes on the sides of triangles (k, 3) are in the order of keys, and which of them there are."""
+        sides = np.sort(triangles[:, [[1, 2], [0, 2], [0, 1]]], axis=2)
+        keys = sides @ [len(self.dof), 1]
+        slots = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        return slots, self._keys[slots] == keys
 
     def face_dofs(self, name: str, triangles: Ints) -> Ints:
         """Dofs of a term's triangles (k, 3), their corners first: (k, 3) or, of degree 2, (k, 6).
@@ -64,14 +149,14 @@ class Numbering:
         corners = self.dofs_of(name, triangles)
         if self.degree == 1:
             return corners
-        sides = np.sort(triangles[:, [[1, 2], [0, 2], [0, 1]]], axis=2)
-        keys = sides @ [len(self.dof), 1]
-        slots = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        missing = (self._keys[slots] != keys).any(axis=1)
-        if missing.any():
-            which = np.flatnonzero(missing)[0]
-            raise SceneError(f"{name}: triangle {which} is no face of a tet; quadratic elements need its edges' nodes")
+        slots, there = self._slots(triangles)
+        self._check_faces(name, there.all(axis=1))
         return np.concatenate([corners, self._by_key[slots]], axis=1)
+
+    def _check_faces(self, name: str, there: np.ndarray):
+        if not there.all():
+            which = np.flatnonzero(~there)[0]
+            raise SceneError(f"{name}: triangle {which} is no face of a tet; quadratic elements need its edges' nodes")
 
     def nodes_between(self, ends: Ints) -> Ints:
         """The nodes, shape (k,), of ends (k, 2) that nodes are known to have; an end twice is a vertex."""
@@ -90,18 +175,28 @@ class Numbering:
         result = held[self.ends].all(axis=1)
         if self.degree == 1:
             return result
-        faces = self.cell_vertices[:, FACES].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        faces = np.sort(self._tets[:, FACES].reshape(-1, 3), axis=1)
+        faces = faces[held[faces].all(axis=1).any(axis=1)]
+        _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
         boundary = faces[first[count == 1]]
-        nodes = self.face_dofs("boundary", boundary)[:, 3:]
+        slots, there = self._slots(boundary)
         on_held = np.zeros_like(result)
         for c in range(3):
-            on_held[nodes[held[boundary, c].all(axis=1)].ravel(), c] = True
+            all_held = held[boundary, c].all(axis=1)
+            on_held[self._by_key[slots[all_held][there[all_held]]], c] = True
         on_held[self.corners] = True
         return result & on_held
 
     def to_scene(self, values: Floats, elsewhere: Floats) -> Floats:
-        """Values by node (n, 3) per scene vertex, and `elsewhere`'s (scene vertices, 3) for vertices in no tet."""
+        """Values by node (n, 3) per scene vertex, and `elsewhere`'s (scene vertices, 3) for vertices in no tet.
+
+        Every process gives those that it owns at least, and all of them have the whole.
+        """
         result = np.array(elsewhere)
-        result[self.vertex] = values[self.corners]
+        result[self._all_vertices] = gathered(self.comm, values[self.own_corners])
         return result
+
+    def all_nodes(self, values: Floats) -> tuple[Ints, Floats]:
+        """The ends (n, 2) and values (n, 3) of all processes' nodes, from those that each owns."""
+        owned = self.nodes.owned
+        return gathered(self.comm, self.ends[:owned]), gathered(self.comm, values[:owned])

@@ -1,21 +1,22 @@
-"""prepare and solve on FEniCSx: mesh, forms and matrix once; Newton per call, in load steps where it must."""
+"""prepare and solve on FEniCSx: mesh, forms and matrix once; a plan of strategies per call."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 
 from ...lhm.checked import checked
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
+from ..compiling import Clock
 from ..materials import Corotated, Incompressible, Material
+from ..ranks import Mirrored, followers
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..solution import OnIteration, Solution
 from ..terms import (
     Bending,
     Fixed,
@@ -30,23 +31,24 @@ from ..terms import (
     Traction,
     Volume,
 )
-from .balance import Balance, Descent
+from .balance import Balance
 from .block_saddle import SADDLES
 from .bodies import Pose, RigidProblem
 from .condensed import Condensed
 from .densities import DENSITIES
+from .dolfinx_version import ALL, ALONE, MPI
 from .fields import Fields, Sampling
-from .linear import LINEAR_SOLVERS
+from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
 from .linear_start import compressible
-from .load_path import PATH_TOLERANCE
+from .minimise import LOAD_STEP_TOLERANCE, Minimisation
 from .mixed_densities import check_mixed
 from .multipliers import MultiplierDescent, laws_of
-from .newton import AnyState, Newton, Work
 from .numbering import Numbering
-from .problem import Problem, State
-from .recovery import recover
-from .shared_linear import solver_of
-from .shares import problem_of
+from .plan import BODIES, DISPLACEMENT, FOLLOWER_PRESSURE, Plan, follow, mixed
+from .problem import Problem
+from .recovery import Nodal, recover
+from .run import Attempt, Record, Run
+from .shared import check_same, gathered
 
 TERMS = (
     Hyperelastic,
@@ -77,20 +79,13 @@ VARYING = {
 }
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
-MAX_ITERATIONS = 100
-SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
-LOAD_STEP_TOLERANCE = 1e-2
-STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
-ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
 FORCE_DEGREE = 6
 LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
-# Terms whose energy may lose stiffness in directions that cost nothing, and those that the load path has no room for.
-INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
-GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
+FEW = 300  # tets per process, below which dividing them costs more than it saves
 
 
 @checked
-def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx:
+def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx | MirroredFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
@@ -103,7 +98,14 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     if element not in DEGREE_OF:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
     _check_terms(scene, element)
-    return PreparedFenicsx(scene, element, linear_solver)
+    known = SADDLES if element == "P2P1" else tuple(LINEAR_SOLVERS)
+    if linear_solver not in known:
+        names = ", ".join(known)
+        raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {names}")
+    others = followers()
+    if others is None or processes_for(scene, element).size == 1:
+        return PreparedFenicsx(scene, element, linear_solver)
+    return MirroredFenicsx(Mirrored(others, PreparedFenicsx, scene, element, linear_solver), scene)
 
 
 def _check_terms(scene: Scene, element: str):
@@ -123,36 +125,34 @@ def _check_terms(scene: Scene, element: str):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
 
 
+def processes_for(scene: Scene, element: str = "P1") -> MPI.Intracomm:
+    """Those that divide a scene: all that mpirun has started; of a small one, or by "P2P1", each has the whole."""
+    divided = element != "P2P1" and len(scene.tets) >= FEW * ALL.size
+    return ALL if divided else ALONE
+
+
 class PreparedFenicsx:
     """See `softdeca.reference.Prepared`; `detail` of a solution counts linear iterations and solves, and assemblies."""
 
-    def __init__(self, scene: Scene, element: str, linear: str):
-        known = SADDLES if element == "P2P1" else tuple(LINEAR_SOLVERS)
-        if linear not in known:
-            names = ", ".join(known)
-            raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear!r}; there are {names}")
-        self.scene = scene
-        self._numbering = Numbering(scene, DEGREE_OF[element])
-        if element == "P2P1":
-            self._problem = Problem(scene, self._numbering, mixed=True)
-        else:
-            self._problem = problem_of(scene, self._numbering)
-        self._linear_solver = linear
-        self._linear = solver_of("cg" if linear == "block" else linear, self._problem.matrix)
-        self._direct = solver_of("mumps", self._problem.matrix)
-        self._rigid = None
+    def __init__(self, scene: Scene, element: str, linear: str, *, alone: bool = False):
+        clock = Clock()
+        self.scene, self._element, self._linear_solver = scene, element, linear
+        self.comm = ALONE if alone else processes_for(scene, element)
+        check_same(self.comm, scene)
+        self._numbering = Numbering(scene, DEGREE_OF[element], comm=self.comm)
+        self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
+        make = LINEAR_SOLVERS["cg" if linear == "block" else linear]
+        self._linear, self._direct = make(self._problem.matrix), Mumps(self._problem.matrix)
+        self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
-            self._rigid = RigidProblem(scene, self._numbering, self._problem)
-            self._rigid_linear = solver_of(linear, self._rigid.matrix)
-            self._rigid_direct = solver_of("mumps", self._rigid.matrix)
-        self._force: Floats | None = None
-        self._end: _Solve | Balance | MultiplierDescent | None = None
-        self._balances = element == "P2P1" or bool(scene.of(Pressure))
+            rigid = RigidProblem(scene, self._numbering, self._problem)
+            self._rigid = rigid, make(rigid.matrix), Mumps(rigid.matrix)
         self._condensed = None
         if element == "P2P1" and not scene.of(Pressure):
             self._condensed = Condensed(self._problem, laws_of(self._problem, scene))
-        # A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable.
-        self._may_snap = bool(scene.of(Traction)) and not any(scene.of(kind) for kind in INDEFINITE)
+        self._force: Floats | None = None
+        self._end: Attempt | None = None
+        self._spent = clock.spent()
 
     @checked
     def solve(
@@ -169,107 +169,129 @@ class PreparedFenicsx:
         The first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
         See `softdeca.reference.Prepared.solve`.
         """
+        record = Record(max_iterations, on_iteration)
         scene = self.scene if scene is None else scene
-        solution = self._solve(scene, start, tolerance, max_iterations, on_iteration)
-        assert self._end is not None
-        recovery = partial(recover, scene, self._numbering.degree, *self._end.end, self._force)
-        return replace(solution, recovery=recovery)
-
-    def _solve(
-        self,
-        scene: Scene,
-        start: Floats | None,
-        tolerance: float,
-        max_iterations: int | None,
-        on_iteration: OnIteration | None,
-    ) -> Solution:
+        check_same(self.comm, scene)
         self.scene.check_prepared_for(scene, varying=VARYING)
         begin = _checked_start(scene, start)
-        limit = MAX_ITERATIONS if max_iterations is None else max_iterations
         if not 0.0 < tolerance < 1.0:
             raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
-        if limit < 0:
-            raise SceneError(f"max_iterations must be at least 0, got {limit}")
+        if max_iterations is not None and max_iterations < 0:
+            raise SceneError(f"max_iterations must be at least 0, got {max_iterations}")
+        self._set(scene)
+        without_energy = self._element == "P2P1" or bool(scene.of(Pressure))
+        check_restrained(scene, loads=None if without_energy else scene.loads())
+        run = Run(scene, self._numbering, begin, tolerance, record)
+        plan = self._plan(scene)
+        self._end = follow(plan, lambda strategy: self._attempt(strategy, run, warm=start is not None))
+        recovery = partial(recover, scene, self._numbering.degree, self._nodal(self._end))
+        return replace(run.solution(self._end, self._spent), recovery=recovery)
+
+    def _plan(self, scene: Scene) -> Plan:
+        if self._condensed is not None:
+            path_first = (bool(scene.of(Traction)) or len(scene.tets) < LARGE) and self._linear_solver != "block"
+            return mixed(path_first=path_first, loaded=bool(self._problem.loads.any()))
+        if scene.of(Pressure):
+            return FOLLOWER_PRESSURE
+        return BODIES if self._rigid is not None else DISPLACEMENT
+
+    def _attempt(self, strategy: str, run: Run, *, warm: bool) -> Attempt:
+        if strategy == "continuation":
+            return self._balance(run, warm=warm).attempt()
+        if strategy == "minimise":
+            return self._minimisation(run, warm=warm).attempt()
+        large = len(run.scene.tets) >= LARGE
+        return self._descent(self._from_linear(run) if large and not warm else run, warm=warm).attempt()
+
+    def _minimisation(self, run: Run, *, warm: bool) -> Minimisation:
+        poses: list[Pose] = []
+        if self._rigid is not None:
+            rigid = self._rigid[0]
+            rigid.set(run.scene)
+            poses = rigid.nearest(self._numbering.to_dofs(run.start)) if warm else rigid.rest()
+        return Minimisation(run, self._problem, self._linear, self._direct, self._rigid, poses)
+
+    def _descent(self, run: Run, *, warm: bool) -> MultiplierDescent:
+        assert self._condensed is not None
+        return MultiplierDescent(run, self._condensed, warm=warm, linear_solver=self._linear_solver)
+
+    def _balance(self, run: Run, *, warm: bool) -> Balance:
+        """The load path, with a descent for where a part of the body may have snapped."""
+        if run.scene.of(Pressure):
+            return Balance(run, self._problem)
+        descent = self._descent(run, warm=warm) if self._condensed is not None else self._minimisation(run, warm=warm)
+        return Balance(run, self._problem, descent.settle)
+
+    def _set(self, scene: Scene):
         self._problem.set(scene)
         if self._force is not None:
             self._problem.loads = self._problem.loads + self._force
-        check_restrained(scene, loads=None if self._balances else scene.loads())
 
-        def balance(descent: Descent | None = None) -> Balance:
-            numbering, problem = self._numbering, self._problem
-            return Balance(scene, numbering, problem, begin, tolerance, max_iterations, on_iteration, descent)
-
-        if self._condensed is not None:
-            large = len(scene.tets) >= LARGE
-            descent = MultiplierDescent(
-                scene,
-                self._numbering,
-                self._condensed,
-                self._linear_start(scene) if large and start is None else begin,
-                tolerance,
-                max_iterations,
-                on_iteration,
-                warm=start is not None,
-                linear_solver=self._linear_solver,
-            )
-            path_first = (bool(scene.of(Traction)) or not large) and self._linear_solver != "block"
-            loaded = bool(self._problem.loads.any())
-            return self._either(descent, balance(descent.settle), path_first=path_first, loaded=loaded)
-        if self._balances:
-            path = balance()
-            self._end = path
-            return path.run()
-        poses: list[Pose] = []
-        if self._rigid is not None:
-            self._rigid.set(scene)
-            poses = self._rigid.rest() if start is None else self._rigid.nearest(self._numbering.to_dofs(begin))
-        solve = _Solve(self, scene, begin, poses, tolerance, limit, on_iteration)
-        self._end = solve
-        solution = solve.run()
-        doubtful = self._may_snap and solution.converged
-        if not doubtful and (solution.reason not in GIVEN_UP or self._rigid is not None):
-            return solution
-        path = balance(solve.settle)
-        stable = doubtful and path.stable(solve.end[0])
-        if stable and solution.iterations <= STRAIGHT_ITERATIONS:
-            return solution
-        followed = path.run()
-        if stable and followed.reason in GIVEN_UP:  # a start that is no equilibrium without load begins no path
-            return solution
-        self._end = path
-        return followed
-
-    def _linear_start(self, scene: Scene) -> Floats:
-        """Positions (n, 3) [mm] from linear tets of compressible tissue, or at rest where they find none."""
-        near = PreparedFenicsx(compressible(scene), "P1", "cg").solve(tolerance=LOAD_STEP_TOLERANCE)
+    def _from_linear(self, run: Run) -> Run:
+        """From where linear tets of compressible tissue end, if they find a sound answer."""
+        linear = PreparedFenicsx(compressible(run.scene), "P1", "cg", alone=self.comm is ALONE)
+        near = linear.solve(tolerance=LOAD_STEP_TOLERANCE)
+        run.record.add(near.iterations, **near.detail)
         sound = near.converged and near.volume_ratio.min() > 0.0
-        return near.positions if sound else scene.vertices
+        return run.from_start(near.positions) if sound else run.from_start(run.scene.vertices)
 
-    def _either(self, descent: MultiplierDescent, balance: Balance, *, path_first: bool, loaded: bool) -> Solution:
-        """Descend or follow the load path, and the other one where the first gives up or finds a limit without load."""
-        first, second = (balance, descent) if path_first else (descent, balance)
-        self._end = first
-        solution = first.run()
-        if solution.reason not in GIVEN_UP and (loaded or solution.reason is not Reason.LIMIT_POINT):
-            return solution
-        again = second.run()
-        if again.reason in GIVEN_UP:
-            return solution
-        self._end = second
-        return again
+    def _nodal(self, end: Attempt) -> Nodal:
+        """An answer by node."""
+        ends, values = end.numbering.all_nodes(end.u)
+        force = None if self._force is None else self._numbering.all_nodes(self._force)
+        return Nodal(ends, values, force, end.pressure)
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""
+        self.set_forces(density(self.force_points()))
+
+    def force_points(self) -> Floats:
+        """The places (q, 3) [mm] in all tets at which a force per volume is taken."""
+        return gathered(self.comm, Sampling(self._numbering, FORCE_DEGREE).X)
+
+    def set_forces(self, density: Floats):
+        """Load every later solve by a force per rest volume [mN/mm³], shape (q, 3), at `force_points`."""
         sampling = Sampling(self._numbering, FORCE_DEGREE)
-        self._force = sampling.load(density(sampling.X))
+        counts = self.comm.allgather(len(sampling.X))
+        begin = sum(counts[: self.comm.rank])
+        self._force = sampling.load(density[begin : begin + len(sampling.X)])
 
     def fields(self, degree: int) -> Fields:
         """The last solve's finite-element functions at the points of a quadrature rule; SceneError before a solve."""
         if self._end is None:
             raise SceneError("fields: nothing is solved yet")
-        u, pressure = self._end.end
+        pressure = self._end.pressure
         at_cells = None if pressure is None else pressure[self._problem.pressure_dofs]
-        return Sampling(self._numbering, degree).fields(u, at_cells)
+        return Sampling(self._end.numbering, degree).fields(self._end.u, at_cells)
+
+
+class MirroredFenicsx:
+    """A PreparedFenicsx of all processes, as the one has it that runs a command: see `ranks`."""
+
+    def __init__(self, everywhere: Mirrored, scene: Scene):
+        self._everywhere, self.scene = everywhere, scene
+
+    @checked
+    def solve(
+        self,
+        scene: Scene | None = None,
+        *,
+        start: Floats | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int | None = None,
+        on_iteration: OnIteration | None = None,
+    ) -> Solution:
+        """See PreparedFenicsx."""
+        given = {"start": start, "tolerance": tolerance, "max_iterations": max_iterations}
+        return self._everywhere.call("solve", scene, here={"on_iteration": on_iteration}, **given)
+
+    def set_body_force(self, density: Callable[[Floats], Floats]):
+        """See PreparedFenicsx."""
+        self._everywhere.call("set_forces", density(self._everywhere.call("force_points")))
+
+    def fields(self, degree: int) -> Fields:
+        """See PreparedFenicsx."""
+        return self._everywhere.call("fields", degree)
 
 
 def _checked_start(scene: Scene, start: Floats | None) -> Floats:
@@ -277,132 +299,3 @@ def _checked_start(scene: Scene, start: Floats | None) -> Floats:
     if start.shape != scene.vertices.shape or not np.isfinite(start).all():
         raise SceneError(f"start: expected finite positions of shape {scene.vertices.shape}, got shape {start.shape}")
     return start
-
-
-class _Solve:
-    """One call of solve: from start towards the held positions, in as few load steps as keep the energy finite.
-
-    Rigid bodies are brought to their first poses like held vertices, and set free once all that is held is in place.
-    """
-
-    def __init__(
-        self,
-        prepared: PreparedFenicsx,
-        scene: Scene,
-        start: Floats,
-        poses: list[Pose],
-        tolerance: float,
-        limit: int,
-        on_iteration,
-    ):
-        self._numbering, self._problem = prepared._numbering, prepared._problem
-        self._scene, self._tolerance, self._limit = scene, tolerance, limit
-        held, positions = scene.dirichlet()
-        self._elsewhere = np.where(held, positions, start)
-        held = self._numbering.held(held)
-        self._u = self._numbering.to_dofs(start) - self._numbering.X
-        self._goal = np.where(held, self._numbering.to_dofs(positions) - self._numbering.X, self._u)
-        held = held | self._problem.unsupported[:, None]
-        self._recorder = Recorder(on_iteration)
-        self._assemblies = self._problem.assemblies
-        rigid, self._work = prepared._rigid, Work()
-        if rigid is not None:
-            linear = prepared._rigid_linear, prepared._rigid_direct
-            self._freed = Newton(rigid, rigid.held(held), *linear, self._report, self._work)
-            held[rigid.nodes] = True
-            places = self._numbering.X + self._goal
-            rigid.place(poses, places)
-            self._goal[rigid.nodes] = (places - self._numbering.X)[rigid.nodes]
-        near = np.abs(self._goal - self._u) <= ROUNDING * np.abs(self._numbering.X).max(initial=1.0)
-        self._goal[near] = self._u[near]
-        self._rigid, self._poses = rigid, poses
-        linear = prepared._linear, prepared._direct
-        self._newton = Newton(self._problem, np.flatnonzero(held), *linear, self._report, self._work)
-
-    def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
-        """See `balance.Descent`: what is held stays where it is."""
-        state = self._at(u)
-        if not np.isfinite(state.energy):
-            return u, p, Reason.NOT_FINITE, 0
-        end, reason, made = self._newton.minimise(
-            state, threshold=lambda first: PATH_TOLERANCE * first, max_iterations=self._limit
-        )
-        return end.u, p, reason, made
-
-    def _positions(self, u: Floats) -> Floats:
-        return self._numbering.to_scene(self._numbering.X + u, self._elsewhere)
-
-    def _at(self, u: Floats) -> State:
-        self._work.energies += 1
-        return self._problem.at(u)
-
-    def _report(self, state: AnyState, norm: float) -> bool:
-        return self._recorder.record(self._positions(state.u), state.energy, norm)
-
-    def run(self) -> Solution:
-        """Lift, take load steps if need be, and minimise."""
-        state = self._at(self._u)
-        if not np.isfinite(state.energy):
-            self._report(state, np.inf)
-            return self._solution(state, Reason.NOT_FINITE, 0)
-        iterations = 0
-        while True:
-            lifted, fraction, force = self._lift(state)
-            if lifted is None:
-                return self._solution(state, Reason.LINE_SEARCH, iterations)
-            tolerance = self._tolerance if fraction == 1.0 else LOAD_STEP_TOLERANCE
-
-            def threshold(first: float, force: float = force, tolerance: float = tolerance) -> float:
-                return stop_threshold(self._scene, max(first, force), tolerance)
-
-            newton, begin = self._newton, cast(AnyState, lifted)
-            if fraction == 1.0 and self._rigid is not None:
-                newton, begin = self._freed, self._rigid.at(lifted.u, self._poses)
-            end, reason, made = newton.minimise(begin, threshold=threshold, max_iterations=self._limit - iterations)
-            iterations += made
-            if fraction == 1.0 or reason is not Reason.CONVERGED:
-                return self._solution(end, reason, iterations)
-            state = cast(State, end)
-
-    def _lift(self, state: State) -> tuple[State | None, float, float]:
-        """Move held dofs towards their goal while the energy stays finite; give the state, how far, and the force."""
-        jump = np.zeros_like(state.u)
-        held = self._newton.held
-        jump.flat[held] = self._goal.flat[held] - state.u.flat[held]
-        if not jump.any():
-            return state, 1.0, 0.0
-        spread, force = self._newton.extension(state, jump)
-        fraction = 1.0
-        while fraction >= SMALLEST_FRACTION:
-            u = state.u + fraction * spread
-            if fraction == 1.0:
-                u.flat[held] = self._goal.flat[held]
-            lifted = self._at(u)
-            if np.isfinite(lifted.energy):
-                return lifted, fraction, fraction * force
-            fraction *= 0.5
-        return None, 0.0, 0.0
-
-    def _solution(self, state: AnyState, reason: Reason, iterations: int) -> Solution:
-        self.end = state.u, None
-        positions = self._positions(state.u)
-        held, values = self._scene.dirichlet()
-        if reason is Reason.CONVERGED:
-            positions[held] = values[held]
-        work = self._work
-        detail: dict[str, float] = {
-            "linear_iterations": work.linear_iterations,
-            "linear_solves": work.linear_solves,
-            "fallback_solves": work.fallback_solves,
-            "assemblies": self._problem.assemblies - self._assemblies,
-            "energies": work.energies,
-        }
-        return Solution(
-            positions,
-            reason,
-            iterations,
-            state.energy,
-            self._recorder.history(),
-            volume_ratio(self._scene, positions),
-            detail,
-        )

@@ -17,7 +17,7 @@ from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .densities import DENSITIES
-from .dolfinx_version import PETSc
+from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
 from .laws import (
     CorotatedLaw,
@@ -34,6 +34,8 @@ from .membrane import Membrane
 from .mixed_forms import MixedForms
 from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
+from .shared import anywhere
+from .solids import Solid
 
 Law = tuple[Ints, PrincipalLaw]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
@@ -48,7 +50,10 @@ LAWS: dict[type[Material], Callable[[Floats, Floats], PrincipalLaw]] = {
 
 @dataclass(frozen=True, eq=False)
 class Spring:
-    """Springs of targets or of inertia: dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,)."""
+    """Springs of targets or of inertia at nodes that this process owns.
+
+    dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
+    """
 
     dofs: Ints
     positions: Floats
@@ -58,120 +63,130 @@ class Spring:
 class Problem:
     """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
 
-    Vectors are of shape (n, 3), by dof. `matrix` is the one that every Hessian is assembled into. The laws of a
-    mixed problem have the pressure [kPa] of linear elements, a function that is given from outside.
+    Fields are of shape (n, 3), by node, vectors (owned, 3): see `shared`. The laws of a mixed problem have the pressure
+    [kPa] of linear elements, a function that is given from outside.
     """
 
     def __init__(self, scene: Scene, numbering: Numbering, *, mixed: bool = False):
-        self.numbering = numbering
+        self.numbering, self.comm = numbering, numbering.comm
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
         self.pressure = seam.function(seam.pressure_space(numbering.space.mesh)) if mixed else None
         self.pressure_dofs: Ints = np.empty((0, 4), dtype=np.int64)
         if self.pressure is not None:
             self.pressure_dofs = seam.cell_dofs(self.pressure.function_space, 4)
-        own = self._own(scene)
-        cells = self._solid_cells(own)
+        solids = self._solids(scene)
         self._degree = DEGREES[numbering.degree]
+        cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
         self._quadrature = Quadrature(numbering, cells, self._degree)
-        self._hyperelastic = [self._forms(term, self._cells(own, term)) for term in self._by_ufl(own)]
+        by_ufl = [solid for solid in solids if self._is_by_ufl(solid.term)]
+        self._hyperelastic = [self._forms(solid) for solid in by_ufl]
         self._tensors = [
             (self._points(forms.cells), forms)
-            for forms, term in zip(self._hyperelastic, self._by_ufl(own), strict=True)
-            if mixed or not isinstance(term.material, BY_STRETCHES)
+            for forms, solid in zip(self._hyperelastic, by_ufl, strict=True)
+            if mixed or not isinstance(solid.term.material, BY_STRETCHES)
         ]
-        n = len(numbering.X)
-        self._faces = [numbering.face_dofs(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
+        self._faces = [numbering.faces(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._surfaces = self._surfaces_of(scene)
         nodes = [surface.nodes for surface in self._surfaces]
-        self.stiffness = Stiffness([numbering.cell_dofs, *nodes], n)
+        self.stiffness = Stiffness([numbering.cell_dofs, *nodes], numbering.nodes)
         self._slots = [self.stiffness.slots(surface) for surface in nodes]
-        self.matrix = self.stiffness.matrix
-        self.matrix.setNearNullSpace(rigid_motions(numbering.X))
-        springs = [numbering.dofs_of(term.name, term.vertices) for term in scene.of(Target)]
-        springs.append(numbering.dofs_of("Inertia", np.flatnonzero(scene.inertia()[0])))
-        self.unsupported = np.ones(n, dtype=bool)
-        for dofs in (numbering.cell_dofs[self._solid_cells(scene)], *nodes, *springs):
-            self.unsupported[dofs.ravel()] = False
+        owned = numbering.nodes.owned
+        self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
+        springs = [numbering.own_dofs(term.name, term.vertices)[1] for term in scene.of(Target)]
+        springs.append(numbering.own_dofs("Inertia", np.flatnonzero(scene.inertia()[0]))[1])
+        supported = np.zeros(len(numbering.X), dtype=bool)
+        for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
+            supported[dofs.ravel()] = True
+        self.unsupported = ~numbering.nodes.marked(supported)
         for body in scene.of(RigidBody):
-            dofs = numbering.dofs_of(body.name, body.vertices)
-            self.unsupported[dofs] = self.unsupported[dofs].all()
+            dofs = numbering.own_dofs(body.name, body.vertices)[1]
+            self.unsupported[dofs] = not anywhere(self.comm, ~self.unsupported[dofs])
         self.set(scene)
 
-    def _own(self, scene: Scene) -> Scene:
-        """The scene with those of its solids that are integrated here: all, unless other processes share the work."""
-        return scene
+    @property
+    def matrix(self) -> PETSc.Mat:
+        """The matrix that every Hessian is assembled into."""
+        return self.stiffness.matrix
 
-    def _solid_cells(self, scene: Scene) -> Ints:
-        """The cells that some solid acts on, sorted."""
-        solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
-        empty = np.empty(0, dtype=np.int64)
-        return np.unique(np.concatenate([empty, *(self._cells(scene, term) for term in solids)]))
-
-    def _cells(self, scene: Scene, term) -> Ints:
-        return self.numbering.cell[scene.tets_of(term)]
+    def _solids(self, scene: Scene) -> list[Solid]:
+        return [
+            Solid.of(scene, term, self.numbering)
+            for term in scene.terms
+            if isinstance(term, (Strain, Volume, Hyperelastic))
+        ]
 
     def _points(self, cells: Ints) -> Ints:
         """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
         q = self._quadrature.per_cell
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
-    def _by_ufl(self, scene: Scene) -> list[Hyperelastic]:
-        solids = scene.of(Hyperelastic)
-        return solids if self.pressure is not None else [t for t in solids if type(t.material) in DENSITIES]
+    def _is_by_ufl(self, term) -> bool:
+        return isinstance(term, Hyperelastic) and (self.pressure is not None or type(term.material) in DENSITIES)
 
-    def _forms(self, term: Hyperelastic, cells: Ints) -> HyperelasticForms:
+    def _forms(self, solid: Solid) -> HyperelasticForms:
+        cells, material, growth = solid.cells, solid.term.material, solid.term.growth
         if self.pressure is not None:
-            return MixedForms.of_both(
-                self._displacement, self.pressure, cells, term.material, self._degree, term.growth
-            )
-        return HyperelasticForms.of(self._displacement, cells, term.material, self._degree, term.growth)
+            return MixedForms.of_both(self._displacement, self.pressure, cells, material, self._degree, growth)
+        return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
         order = self.numbering
-        loads = scene.loads()
-        loose = (order.dof < 0) | self.unsupported[order.dof]
-        bad = np.flatnonzero(loose & loads.any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
-        if bad.size:
-            raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
+        self._check_loads(scene)
         self.loads = dead_loads(scene, order)
         self._surfaces = self._surfaces_of(scene)
-        self._springs = [
-            Spring(order.dof[t.vertices], t.positions, np.broadcast_to(t.stiffness, len(t.vertices)))
-            for t in scene.of(Target)
-        ]
+        self._springs = []
+        for term in scene.of(Target):
+            mine, dofs = order.own_dofs(term.name, term.vertices)
+            stiffness = np.broadcast_to(term.stiffness, len(term.vertices))
+            self._springs.append(Spring(dofs, term.positions[mine], stiffness[mine]))
         stiffness, places = scene.inertia()
         moving = np.flatnonzero(stiffness)
-        self._springs.append(Spring(order.dof[moving], places[moving], stiffness[moving]))
-        own = self._own(scene)
-        solids = own.of(Hyperelastic)
-        corotated = [term for term in solids if isinstance(term.material, Corotated)]
-        self._laws = [self._law(own, term) for term in (*own.of(Strain), *own.of(Volume), *corotated)]
-        stretched = [t for t in solids if isinstance(t.material, BY_STRETCHES) and self.pressure is None]
-        self._stretched = [self._law(own, term) for term in stretched]
+        mine, dofs = order.own_dofs("Inertia", moving)
+        self._springs.append(Spring(dofs, places[moving[mine]], stiffness[moving[mine]]))
+        solids = self._solids(scene)
+        by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
+        hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
+        self._laws = [self._law(s) for s in by_law]
+        self._laws += [self._law(s) for s in hyperelastic if isinstance(s.term.material, Corotated)]
+        stretched = [s for s in hyperelastic if isinstance(s.term.material, BY_STRETCHES) and self.pressure is None]
+        self._stretched = [self._law(s) for s in stretched]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 
+    def _check_loads(self, scene: Scene):
+        order = self.numbering
+        owned = order.own_corners
+        supported = np.zeros(len(scene.vertices), dtype=bool)
+        supported[order.vertex[np.searchsorted(order.corners, owned)][~self.unsupported[owned]]] = True
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, supported, op=MPI.LOR)
+        bad = np.flatnonzero(~supported & scene.loads().any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
+        if bad.size:
+            raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
+
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
-        strained = zip(scene.of(SurfaceStrain), self._faces, strict=True)
-        surfaces: list[Membrane | Rings] = [Membrane.of(term, scene.vertices, nodes) for term, nodes in strained]
+        surfaces: list[Membrane | Rings] = [
+            Membrane.of(term, scene.vertices, *faces)
+            for term, faces in zip(scene.of(SurfaceStrain), self._faces, strict=True)
+        ]
         for term in scene.of(Bending):
             self.numbering.dofs_of(term.name, term.triangles)
-            surfaces += Rings.of(term, scene.vertices, self.numbering.dof)
+            surfaces += Rings.of(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
         return surfaces
 
-    def _law(self, scene: Scene, term: Strain | Volume | Hyperelastic) -> Law:
-        tets = scene.tets_of(term)
-        points = self._points(self._cells(scene, term))
+    def _law(self, solid: Solid) -> Law:
+        term, points = solid.term, self._points(solid.cells)
 
         def at_points(values) -> Floats:
-            return np.repeat(np.broadcast_to(values, len(tets)), self._quadrature.per_cell).astype(np.float64)
+            count = len(solid.cells)
+            return np.repeat(np.broadcast_to(values, count), self._quadrature.per_cell).astype(np.float64)
 
         if isinstance(term, Strain):
             return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
         if isinstance(term, Volume):
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        assert isinstance(term.material, (Corotated, *BY_STRETCHES))
+        assert isinstance(term, Hyperelastic) and isinstance(term.material, (Corotated, *BY_STRETCHES))
         law = LAWS[type(term.material)](at_points(term.material.mu), at_points(term.material.lmbda))
         return points, law if np.all(term.growth == 1.0) else Grown(law, at_points(term.growth))
 
@@ -181,12 +196,12 @@ class Problem:
         return [forms for forms in self._hyperelastic if isinstance(forms, MixedForms)]
 
     def at(self, u: Floats) -> State:
-        """The problem at a displacement [mm], shape (n, 3)."""
+        """The problem at a displacement [mm], a field (n, 3)."""
         return State(self, u)
 
     def moved(self, state: State, step: Floats) -> State:
-        """The problem after a step of all dofs [mm], shape (3n,)."""
-        return State(self, state.u + step.reshape(state.u.shape))
+        """The problem after a step of all dofs [mm], a vector (3 owned,)."""
+        return State(self, state.u + self.numbering.nodes.spread(step.reshape(-1, 3)))
 
 
 class State:
@@ -203,7 +218,8 @@ class State:
         self.energy = self._energy()
 
     def _place(self):
-        self._problem._displacement.x.array[:] = self.u.ravel()
+        problem = self._problem
+        problem._displacement.x.array[:] = self.u[: problem.numbering.function_nodes].ravel()
 
     def _svd(self) -> tuple[Floats, Floats, Floats]:
         """U, s, V of F at the quadrature points."""
@@ -220,7 +236,7 @@ class State:
 
     def _energy(self) -> float:
         problem = self._problem
-        energy = -float(np.sum(problem.loads * self.u))
+        energy = -float(np.sum(problem.loads * self.u[: len(problem.loads)]))
         if problem._laws:
             energy += float(self._psi @ problem._quadrature.volume)
         energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
@@ -228,13 +244,14 @@ class State:
         for spring in problem._springs:
             away = self._x[spring.dofs] - spring.positions
             energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
-        return energy
+        return problem.comm.allreduce(energy)
 
     def gradient(self) -> Floats:
-        """The energy's gradient [mN], shape (n, 3), held components included."""
+        """The energy's gradient [mN], a vector (owned, 3), held components included."""
         problem = self._problem
         self._place()
-        total = -problem.loads
+        total = np.zeros_like(self.u)
+        total[: len(problem.loads)] = -problem.loads
         flat = total.reshape(-1)
         if problem._laws:
             U, _, V = self._svd()
@@ -245,10 +262,10 @@ class State:
             surface.add_gradient(self._x, total)
         for spring in problem._springs:
             total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
-        return total
+        return problem.numbering.nodes.summed(total)
 
     def stresses(self) -> tuple[Floats, Floats, Quadrature]:
-        """F and P [kPa] at the quadrature's points, shape (k q, 3, 3), of all laws together, and the quadrature."""
+        """F and P [kPa] at the points of this process, shape (k q, 3, 3), of all laws together, and the quadrature."""
         problem = self._problem
         self._place()
         F = problem._quadrature.deformation_gradient(self.u)
@@ -264,7 +281,7 @@ class State:
         """The exact Hessian [mN/mm], in the problem's matrix."""
         self._begin()
         for _, forms in self._problem._tensors:
-            seam.add_matrix(forms.tangent, self._problem.matrix)
+            seam.add_matrix(forms.tangent, self._problem.stiffness.local)
         return self._finish(kept=1.0)
 
     def softened_hessian(self, kept: float) -> PETSc.Mat:
@@ -286,7 +303,7 @@ class State:
     def _finish(self, kept: float) -> PETSc.Mat:
         """Add what does not come from UFL."""
         problem, stiffness = self._problem, self._problem.stiffness
-        problem.matrix.assemble()
+        stiffness.local.assemble()
         if problem._laws or problem._stretched:
             U, s, V = self._svd()
             p, h = self._curvature()
@@ -296,8 +313,7 @@ class State:
         for spring in problem._springs:
             nodes = spring.dofs[:, None]
             stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])
-        problem.matrix.assemble()
-        return problem.matrix
+        return stiffness.assembled()
 
     def _curvature(self) -> tuple[Floats, Floats]:
         """Gradient and Hessian of all laws of the singular values."""

@@ -1,10 +1,15 @@
-"""Stresses and reactions of an answer on finite elements: P at the points of the rule, and the gradient where held."""
+"""Stresses and reactions of an answer on finite elements: P at the points of the rule, and the gradient where held.
+
+Any process may ask for them, alone: it integrates over the whole mesh once.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.mesh import Floats, Ints
 from ..recovered import Recovered
 from ..scene import Scene
 from ..terms import Pressure
@@ -13,12 +18,29 @@ from .numbering import Numbering
 from .problem import Problem
 
 
-def recover(scene: Scene, degree: int, u: Floats, pressure: Floats | None, force: Floats | None) -> Recovered:
-    """Of a displacement by node [mm], shape (n, 3), a mixed element's pressure [kPa], and a force [mN] beside loads."""
+@dataclass(frozen=True, eq=False)
+class Nodal:
+    """An answer by node, of all processes.
+
+    Ends (n, 2) of nodes, displacement [mm] (n, 3), a force beside loads [mN] with the ends of its nodes, and a mixed
+    element's pressure [kPa].
+    """
+
+    ends: Ints
+    u: Floats
+    force: tuple[Ints, Floats] | None
+    pressure: Floats | None
+
+
+def recover(scene: Scene, degree: int, answer: Nodal) -> Recovered:
+    """The stresses and reactions of an answer to a scene, by elements of a degree."""
     numbering = Numbering(scene, degree)
+    node, pressure = numbering.nodes_between(answer.ends), answer.pressure
     problem = Problem(scene, numbering, mixed=pressure is not None)
-    if force is not None:
-        problem.loads = problem.loads + force
+    if answer.force is not None:
+        problem.loads[numbering.nodes_between(answer.force[0])] += answer.force[1]
+    u = np.empty_like(numbering.X)
+    u[node] = answer.u
     if problem.pressure is not None and pressure is not None:
         problem.pressure.x.array[:] = pressure
     state = problem.at(u)

@@ -14,6 +14,7 @@ from ...lhm.checked import checked
 from ...lhm.errors import SceneError
 from ...lhm.geometry.factor import LinearSolver
 from ...lhm.mesh import Floats
+from ..compiling import Clock, Spent
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
 from ..terms import (
@@ -129,6 +130,7 @@ class ProjectivePrepared:
     energy: Energy
     system: System
     contact: Following | None
+    spent: Spent
 
     @checked
     def solve(
@@ -160,13 +162,13 @@ class ProjectivePrepared:
         Raises SceneError if `scene` needs a new preparation, if start, tolerance or `absolute` are out of range, if the
         metric is of other unknowns, or if loads push a part that nothing holds.
         """
+        recorder = Recorder(on_iteration)
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
         limit = _checked_limits(tolerance, absolute, max_iterations)
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
         place = coordinates.start(np.where(held, values, _checked_start(scene, start, warm)) - scene.vertices)
-        recorder = Recorder(on_iteration)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         problem = self._problem(work := _Work(self.system), scene, energy, metric, self._remembered(warm))
@@ -193,6 +195,7 @@ class ProjectivePrepared:
             detail=work.counts() | outcome,
             memory=problem.memory if remember else None,
             recovery=partial(recover, scene, positions),
+            times=recorder.times(self.spent),
         )
 
     def tangent(
@@ -259,11 +262,13 @@ def prepare(
     refuse_unknown(scene, "projective", TERMS, rules=get_args(StrainRule))
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
         raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
+    clock = Clock()
     energy = Energy.of(scene, threads)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
     known = None if like is None else like.system
     system = System.of(matrix, anchored, Coordinates.of(scene), linear_solver=linear_solver, like=known)
-    return ProjectivePrepared(scene, method, energy, system, _following(scene, system))
+    following = _following(scene, system)
+    return ProjectivePrepared(scene, method, energy, system, following, clock.spent())
 
 
 def _following(scene: Scene, system: System) -> Following | None:

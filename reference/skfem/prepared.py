@@ -11,6 +11,7 @@ from ...lhm.checked import checked
 from ...lhm.errors import MeshError, SceneError
 from ...lhm.mesh import Floats, Ints, as_points
 from .. import terms
+from ..compiling import Clock, Spent
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import OnIteration, Recorder, Solution, volume_ratio
@@ -56,6 +57,7 @@ class Prepared:
 
     scene: Scene
     discretisation: Discretisation
+    spent: Spent
 
     @checked
     def solve(
@@ -75,6 +77,7 @@ class Prepared:
         Raises SceneError if `scene` needs a new preparation, if the tolerance or start is out of range, or if loads
         push a part that nothing holds.
         """
+        recorder = Recorder(on_iteration)
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene, varying=VARYING)
         if not 0 < tolerance < 1:
@@ -82,7 +85,6 @@ class Prepared:
         limit = MAX_ITERATIONS if max_iterations is None else max_iterations
         if limit < 0:
             raise SceneError(f"max_iterations must be at least 0, got {limit}")
-        recorder = Recorder(on_iteration)
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
         check_restrained(scene, loads=scene.loads())
@@ -108,6 +110,7 @@ class Prepared:
             history,
             volume_ratio(scene, answer),
             recovery=partial(recover, scene, at.element, x),
+            times=recorder.times(self.spent),
         )
 
 
@@ -126,7 +129,8 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there are {', '.join(DEGREES)}")
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
-    return Prepared(scene, Discretisation(scene, element))
+    clock = Clock()
+    return Prepared(scene, Discretisation(scene, element), clock.spent())
 
 
 def _begin(energy: Energy, start: Floats, goal: Floats, free: Ints, scales: Scales) -> tuple[Floats, float]:

@@ -8,12 +8,14 @@ pytest.importorskip("dolfinx")
 from scipy.sparse import csr_matrix, random
 
 from softdeca.reference import Reason, Scene, materials, solve, terms
+from softdeca.reference.compiling import Spent
 from softdeca.reference.fenicsx import prepared
 from softdeca.reference.fenicsx.condensed import Condensed
 from softdeca.reference.fenicsx.direct import Factorisation
 from softdeca.reference.fenicsx.multipliers import MultiplierDescent, laws_of
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.problems import meshes
 
 NEO_HOOKEAN = materials.NeoHookean(2.0, 5.0)
@@ -36,10 +38,8 @@ def descend(scene, *, start=None, tolerance=1e-9, max_iterations=None, on_iterat
     problem = Problem(scene, Numbering(scene, 2), mixed=True)
     condensed = Condensed(problem, laws_of(problem, scene))
     begin = scene.vertices if start is None else start
-    descent = MultiplierDescent(
-        scene, problem.numbering, condensed, begin, tolerance, max_iterations, on_iteration, warm=False
-    )
-    return descent.run(), condensed
+    run = Run(scene, problem.numbering, begin, tolerance, Record(max_iterations, on_iteration))
+    return run.solution(MultiplierDescent(run, condensed, warm=False).attempt(), Spent(0.0, 0.0)), condensed
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
@@ -72,8 +72,8 @@ def test_a_warm_start_needs_fewer_factorisations():
     first, condensed = descend(scene)
     problem = condensed.problem
     problem.set(further)
-    start = first.positions
-    warm = MultiplierDescent(further, problem.numbering, condensed, start, 1e-9, None, None, warm=True).run()
+    run = Run(further, problem.numbering, first.positions, 1e-9, Record(None, None))
+    warm = run.solution(MultiplierDescent(run, condensed, warm=True).attempt(), Spent(0.0, 0.0))
     assert cold.converged and warm.converged
     assert np.abs(warm.positions - cold.positions).max() < 1e-6
     assert warm.detail["linear_solves"] < cold.detail["linear_solves"]

@@ -85,11 +85,11 @@ def test_stiffness_is_the_forms(setting):
     at_points = tensors(order, cells, C.reshape(len(cells), -1, 9, 9))
     v, du = ufl.TestFunction(order.space), ufl.TrialFunction(order.space)
     form = seam.compile_form(ufl.inner(ufl.dot(at_points, flat(du)), flat(v)) * dx)
-    assembled = Stiffness([order.cell_dofs], len(order.X))
+    assembled = Stiffness([order.cell_dofs], order.nodes)
     seam.add_matrix(form, assembled.matrix)
     assembled.matrix.assemble()
     expected = dense(assembled.matrix)
-    by_modes, by_arrays = (Stiffness([order.cell_dofs], len(order.X)) for _ in range(2))
+    by_modes, by_arrays = (Stiffness([order.cell_dofs], order.nodes) for _ in range(2))
     quadrature.add_modes(U, V, modes, by_modes)
     quadrature.add_tangent(np.arange(len(C)), C, by_arrays)
     for found in (by_modes, by_arrays):

@@ -1,0 +1,159 @@
+"""The strategy "minimise": Newton's method on the energy, in as few load steps as keep it finite."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..restraint import drifts
+from ..solution import Reason, stop_threshold
+from ..terms import Bending, RigidBody, Strain, SurfaceStrain, Traction, Volume
+from .bodies import Pose, RigidProblem
+from .linear import LinearSolver
+from .load_path import DRIFT, PATH_TOLERANCE
+from .newton import AnyState, Newton, Work
+from .problem import Problem, State
+from .run import Attempt, Run
+from .shared import anywhere
+
+MAX_ITERATIONS = 100
+SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
+LOAD_STEP_TOLERANCE = 1e-2
+STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
+ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
+# Terms whose energy may lose stiffness in directions that cost nothing, and those that the load path has no room for.
+INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
+
+
+class Minimisation:
+    """From a run's start towards what is held.
+
+    `linear` and `direct` are the usual linear solver of the problem's matrix and the one that it falls back to, `rigid`
+    the problem with bodies and its two. Bodies are brought to their first `poses` like held vertices, and set free once
+    all that is held is in place.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        problem: Problem,
+        linear: LinearSolver,
+        direct: LinearSolver,
+        rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
+        poses: list[Pose] | None = None,
+    ):
+        self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
+        self._poses = poses or []
+        self._goal = np.array(run.goal)
+        held = run.held | problem.unsupported[:, None]
+        self._assemblies = problem.assemblies
+        self._work = Work()
+        self._rigid: RigidProblem | None = None
+        if rigid is not None:
+            self._rigid = rigid[0]
+            self._freed = Newton(*rigid[:1], rigid[0].held(held), *rigid[1:], self._report, self._work)
+            held[rigid[0].nodes] = True
+            places = run.numbering.X + self._goal
+            rigid[0].place(self._poses, places)
+            self._goal[rigid[0].nodes] = (places - run.numbering.X)[rigid[0].nodes]
+            self._goal = self._nodes.spread(self._own(self._goal))
+        near = np.abs(self._goal - run.u) <= ROUNDING * np.abs(run.scene.vertices).max(initial=1.0)
+        self._goal[near] = run.u[near]
+        self._newton = Newton(problem, np.flatnonzero(self._own(held)), linear, direct, self._report, self._work)
+
+    def attempt(self) -> Attempt:
+        """Minimise.
+
+        A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable, or have snapped.
+        """
+        before = self._run.record.iterations
+        state, reason = self._descend()
+        end = Attempt(reason, self._run.numbering, state.u, None, state.energy, sound=False)
+        scene = self._run.scene
+        if reason is Reason.CONVERGED:
+            end = replace(end, sound=True)
+            if scene.of(Traction) and not any(scene.of(kind) for kind in INDEFINITE):
+                stable = self._newton.stable(self._at(state.u), DRIFT if drifts(scene) else 0.0)
+                many = self._run.record.iterations - before > STRAIGHT_ITERATIONS
+                end = replace(end, sound=stable, doubtful=many or not stable)
+        work = self._work
+        self._run.record.add(
+            0,
+            linear_iterations=work.linear_iterations,
+            linear_solves=work.linear_solves,
+            fallback_solves=work.fallback_solves,
+            assemblies=self._problem.assemblies - self._assemblies,
+            energies=work.energies,
+        )
+        return end
+
+    def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
+        """See `balance.Descent`: what is held stays where it is."""
+        state = self._at(u)
+        if not np.isfinite(state.energy):
+            return u, p, Reason.NOT_FINITE, 0
+        end, reason, made = self._newton.minimise(
+            state, threshold=lambda first: PATH_TOLERANCE * first, max_iterations=self._run.record.left(MAX_ITERATIONS)
+        )
+        return end.u, p, reason, made
+
+    def _own(self, field):
+        """The vector of a field: see `shared`."""
+        return field[: self._nodes.owned]
+
+    def _at(self, u: Floats) -> State:
+        self._work.energies += 1
+        return self._problem.at(u)
+
+    def _report(self, state: AnyState, norm: float) -> bool:
+        return self._run.tell(state.u, state.energy, norm)
+
+    def _descend(self) -> tuple[AnyState, Reason]:
+        """Lift, take load steps if need be, and minimise."""
+        run = self._run
+        left = run.record.left(MAX_ITERATIONS)
+        state = self._at(run.u)
+        if not np.isfinite(state.energy):
+            self._report(state, np.inf)
+            return state, Reason.NOT_FINITE
+        while True:
+            lifted, fraction, force = self._lift(state)
+            if lifted is None:
+                return state, Reason.LINE_SEARCH
+            tolerance = run.tolerance if fraction == 1.0 else LOAD_STEP_TOLERANCE
+
+            def threshold(first: float, force: float = force, tolerance: float = tolerance) -> float:
+                return stop_threshold(run.scene, max(first, force), tolerance)
+
+            newton, begin = self._newton, cast(AnyState, lifted)
+            if fraction == 1.0 and self._rigid is not None:
+                newton, begin = self._freed, self._rigid.at(lifted.u, self._poses)
+            end, reason, made = newton.minimise(begin, threshold=threshold, max_iterations=left)
+            left -= made
+            run.record.add(made)
+            if fraction == 1.0 or reason is not Reason.CONVERGED:
+                return end, reason
+            state = cast(State, end)
+
+    def _lift(self, state: State) -> tuple[State | None, float, float]:
+        """Move held dofs towards their goal while the energy stays finite; give the state, how far, and the force."""
+        begin, goal = self._own(state.u), self._own(self._goal)
+        jump = np.zeros_like(begin)
+        held = self._newton.held
+        jump.flat[held] = goal.flat[held] - begin.flat[held]
+        if not anywhere(self._problem.comm, jump):
+            return state, 1.0, 0.0
+        spread, force = self._newton.extension(state, jump)
+        fraction = 1.0
+        while fraction >= SMALLEST_FRACTION:
+            u = begin + fraction * spread
+            if fraction == 1.0:
+                u.flat[held] = goal.flat[held]
+            lifted = self._at(self._nodes.spread(u))
+            if np.isfinite(lifted.energy):
+                return lifted, fraction, fraction * force
+            fraction *= 0.5
+        return None, 0.0, 0.0

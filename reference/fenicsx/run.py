@@ -1,0 +1,108 @@
+"""One call of solve: what is asked, and what all attempts at it have found and spent together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.mesh import Floats
+from ..compiling import Spent
+from ..scene import Scene
+from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from .numbering import Numbering
+from .shared import anywhere
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """Where a strategy ended, and why: displacement [mm] and pressure [kPa] by node of a numbering, energy [µJ].
+
+    `sound` is whether it is worth keeping where the next strategy finds nothing, `doubtful` whether the next one has to
+    look in spite of its reason.
+    """
+
+    reason: Reason
+    numbering: Numbering
+    u: Floats
+    pressure: Floats | None
+    energy: float
+    sound: bool = True
+    doubtful: bool = False
+
+
+class Record:
+    """Who is told of each iteration, and what all attempts may spend and have spent.
+
+    `limit` are the iterations that the caller allows, None for what each strategy takes as its own; `detail` counts
+    what `Solution.detail` says.
+    """
+
+    def __init__(self, limit: int | None, on_iteration: OnIteration | None):
+        self.recorder, self.limit = Recorder(on_iteration), limit
+        self.told = on_iteration is not None
+        self.iterations = 0
+        self.detail: Counter[str] = Counter()
+
+    def left(self, most: int) -> int:
+        """How many iterations a strategy may make, which by itself would make `most`."""
+        return most if self.limit is None else self.limit - self.iterations
+
+    def add(self, iterations: int, **counts: float):
+        """Count what an attempt has cost."""
+        self.iterations += iterations
+        self.detail.update(counts)  # type: ignore[arg-type]
+
+
+class Run:
+    """A scene to be solved on a numbering, from start [mm], shape (scene vertices, 3), and its record.
+
+    `held` says which components of nodes (n, 3) keep their place; `u` is the displacement [mm] by node at the start,
+    and `goal` the one that what is held has to reach.
+    """
+
+    def __init__(self, scene: Scene, numbering: Numbering, start: Floats, tolerance: float, record: Record):
+        self.scene, self.numbering, self.tolerance, self.record = scene, numbering, tolerance, record
+        self.start = start
+        held, positions = scene.dirichlet()
+        self._elsewhere = np.where(held, positions, start)
+        self.held = numbering.held(held)
+        self.u = numbering.to_dofs(start) - numbering.X
+        self.goal = np.where(self.held, numbering.to_dofs(positions) - numbering.X, self.u)
+        self._watched = anywhere(numbering.comm, record.told)
+
+    def from_start(self, start: Floats) -> Run:
+        """The same from elsewhere."""
+        return Run(self.scene, self.numbering, start, self.tolerance, self.record)
+
+    def threshold(self, first: float) -> float:
+        """The gradient norm [mN] at which to stop: see `stop_threshold`."""
+        return stop_threshold(self.scene, first, self.tolerance)
+
+    def tell(self, u: Floats, energy: float, norm: float) -> bool:
+        """Record an iteration; whether any process' caller asks to stop."""
+        positions = self.positions(u) if self._watched else u
+        return anywhere(self.numbering.comm, self.record.recorder.record(positions, energy, norm))
+
+    def positions(self, u: Floats) -> Floats:
+        """Positions [mm], shape (scene vertices, 3), of a displacement by node."""
+        return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
+
+    def solution(self, end: Attempt, preparation: Spent) -> Solution:
+        """The answer that an attempt has found."""
+        positions = end.numbering.to_scene(end.numbering.X + end.u, self._elsewhere)
+        held, values = self.scene.dirichlet()
+        if end.reason is Reason.CONVERGED:
+            positions[held] = values[held]
+        record = self.record
+        return Solution(
+            positions,
+            end.reason,
+            record.iterations,
+            end.energy,
+            record.recorder.history(),
+            volume_ratio(self.scene, positions),
+            dict(record.detail),
+            times=record.recorder.times(preparation),
+        )

@@ -1,0 +1,93 @@
+"""Honest times: compilation apart, callbacks left out, every attempt counted once and out of one budget."""
+
+import time
+
+import numpy as np
+import pytest
+from numba import njit
+
+from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
+from softdeca.reference.compiling import Clock, compiling
+from softdeca.reference.problems import stretched_bars
+from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
+
+NAP = 0.05
+
+
+def pulled(*solids):
+    X, tets = box((3, 3, 3))
+    low, high = vertices_at(X, 2, 0.0), vertices_at(X, 2, 1.0)
+    ends = np.concatenate([low, high])
+    return Scene(X, tets, (*solids, terms.Fixed(ends, X[ends] + (X[ends, 2:] > 0.5) * [0.0, 0.0, 0.3])))
+
+
+def test_what_compiles_is_told_from_what_works():
+    clock = Clock()
+    with compiling(), compiling():
+        time.sleep(NAP)
+    time.sleep(2 * NAP)
+    spent = clock.spent()
+    assert NAP <= spent.compilation < 2 * NAP <= spent.work
+
+
+def test_kernels_are_compiled_and_not_worked_at():
+    clock = Clock()
+    kernel = njit(lambda x: x * x + 1.0)
+    assert kernel(2.0) == 5.0
+    first = clock.spent()
+    again = Clock()
+    assert kernel(3.0) == 10.0
+    assert first.compilation > 10 * first.work and again.spent().compilation == 0.0
+
+
+@pytest.mark.parametrize("solver", ["projective", "fenicsx", "skfem"])
+def test_callbacks_cost_nothing(solver):
+    if solver == "fenicsx":
+        pytest.importorskip("dolfinx")
+    prepared = prepare(pulled(terms.Strain(5.0), terms.Volume(10.0)), solver=solver)
+    plain = prepared.solve()
+    slept = []
+
+    def sleep(iteration, *_):
+        begin = time.perf_counter()
+        time.sleep(20 * NAP if iteration < 2 else 0.0)
+        slept.append(time.perf_counter() - begin)
+
+    begin = time.perf_counter()
+    watched = prepared.solve(on_iteration=sleep)
+    whole = time.perf_counter() - begin
+    assert watched.times.solve <= whole - sum(slept)
+    assert watched.times.preparation == plain.times.preparation > 0.0
+    assert (np.diff(watched.history.time) >= 0.0).all()
+    assert 0.0 < watched.history.time[-1] <= watched.times.solve
+
+
+def test_a_first_solve_has_the_compilation_of_its_own():
+    """The second of two equal solves has no form to make."""
+    pytest.importorskip("dolfinx")
+    law = materials.MooneyRivlin(0.3, 0.2, 5.0)
+    first, second = (solve(pulled(terms.Hyperelastic(law)), solver="fenicsx") for _ in range(2))
+    assert first.times.compilation > 0.0 and second.times.compilation > 0.0  # forms are loaded from a cache
+    assert first.times.preparation < 1.0
+
+
+def far(cells=(12, 2, 2)):
+    """A bar to five times its length: descent leaves the path that the load grows along, and is not the answer."""
+    X, tets = box(cells, (6.0, 1.0, 1.0))
+    stress = stretched_bars.neo_hookean(5.0)[1]
+    pull = terms.Traction(triangles_at(X, tets, 0, 6.0), stress * np.eye(3)[0])
+    law = materials.NeoHookean.from_young(stretched_bars.YOUNG, stretched_bars.POISSON)
+    return Scene(X, tets, (terms.Hyperelastic(law), terms.Fixed(vertices_at(X, 0, 0.0)), pull))
+
+
+def test_attempts_share_one_history_and_one_budget():
+    pytest.importorskip("dolfinx")
+    prepared = prepare(far(), solver="fenicsx")
+    told = []
+    whole = prepared.solve(on_iteration=lambda i, *_: told.append(i))
+    assert whole.converged and told == list(range(len(whole.history.time)))
+    assert {"energies", "load_share"} <= set(whole.detail)  # of descent, and of the load path after it
+    assert whole.iterations < len(whole.history.time)
+    for limit in (5, 40):
+        cut = prepared.solve(max_iterations=limit)
+        assert cut.reason is Reason.MAX_ITERATIONS and cut.iterations == limit
