@@ -24,6 +24,7 @@ from .effect_fan import ONE_MINIMUM, fan
 from .effect_run import TOLERANCE, EffectResult, run_effect
 from .effects_pictures import effect_pictures
 from .effects_report import page
+from .effects_surrogate import surrogate_skin
 from .gates import at_most
 
 ACCURACY = 0.01
@@ -83,7 +84,8 @@ def run_effects(config: EffectsConfig, progress: OnProgress) -> dict:
             "seconds": round(time.perf_counter() - begin, 1),
         }
         write_whole(config.out / "results.json", json.dumps(results, indent=1, allow_nan=False).encode())
-        pictures = effect_pictures(head, done, progress)
+        networks = [surrogate_skin(space, code, head, effect) for effect in asked]
+        pictures = effect_pictures(head, done, shapes, networks, progress)
         for name, png in pictures.items():
             write_whole(config.out / f"{name}.png", png)
         write_whole(config.out / "index.html", page(results, pictures).encode())

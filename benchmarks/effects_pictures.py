@@ -20,18 +20,44 @@ LEAST_TOP = 0.05
 """[mm]; the colours' end where an effect moves hardly anything."""
 
 
-def effect_pictures(head: LayeredHead, done: Sequence[EffectResult], progress: OnProgress) -> Mapping[str, bytes]:
-    """PNG by the effect's name: the head from the front; NAME-side, from three quarters; NAME-close, the face of it."""
+def effect_pictures(
+    head: LayeredHead,
+    done: Sequence[EffectResult],
+    shapes: Sequence[Floats],
+    networks: Sequence[Floats | None],
+    progress: OnProgress,
+) -> Mapping[str, bytes]:
+    """PNG by the effect's name: the head from the front; NAME-side, from three quarters; NAME-close, the face of it.
+
+    NAME-surrogate, where there is a network's skin: blendshapes, simulated, network, and how far both are from the
+    simulated one.
+    """
     images, face = {}, head.skin_wrap.vertices[head.regions["face"]]
-    for i, result in enumerate(done):
+    for i, (result, shape, network) in enumerate(zip(done, shapes, networks, strict=False)):
         name = result.record["name"]
         progress(f"pictures: {name}", i / len(done))
         panels = _panels(head, result)
         images[name] = strip(panels, view=FRONT)
         images[f"{name}-side"] = strip(panels, view=VIEW)
         images[f"{name}-close"] = strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face)
+        if network is not None:
+            images[f"{name}-surrogate"] = strip(_beside(head, result, shape, network), view=VIEW, framed=face)
     progress("pictures", 1.0)
     return images
+
+
+def _beside(head: LayeredHead, result: EffectResult, shape: Floats, network: Floats) -> list[Panel]:
+    """Blendshapes and network beside the simulated skin, with distances to it in the same colours."""
+    simulated = head.skin.with_vertices(result.with_it)
+    off = [distances(skin, result.with_it) for skin in (shape, network)]
+    top = max(LEAST_TOP, float(np.percentile(off[0], 99.5)))
+    return [
+        Panel("blendshapes", head.skin.with_vertices(shape)),
+        Panel("simulated (PD)", simulated),
+        Panel("surrogate", head.skin.with_vertices(network)),
+        Panel(f"blendshapes - PD, mean {off[0].mean():.2f} mm", simulated, off[0], top),
+        Panel(f"surrogate - PD, mean {off[1].mean():.2f} mm", simulated, off[1], top),
+    ]
 
 
 def _panels(head: LayeredHead, result: EffectResult) -> list[Panel]:
