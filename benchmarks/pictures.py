@@ -144,7 +144,7 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     vertices = head.vertices if positions is None else positions
     plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(3 * size, size), border=False)
     skin = head.skin_wrap.vertices
-    centre, height = (skin.max(0) + skin.min(0)) / 2, 1.1 * np.ptp(skin[:, 1])
+    centre, height = (skin.max(0) + skin.min(0)) / 2, 1.28 * np.ptp(skin[:, 1])
     middle = vertices[head.tets].mean(axis=1)[:, 0] < centre[0]
     layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
     plotter.subplot(0, 0)
@@ -153,11 +153,11 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
         cells = np.hstack([np.full((len(tets), 1), 4), tets]).ravel()
         grid = pyvista.UnstructuredGrid(cells, np.full(len(tets), pyvista.CellType.TETRA), np.asarray(vertices))
         plotter.add_mesh(grid, color=colour, show_edges=True, edge_color="#55443a", line_width=0.5)
-    plotter.add_text("soft tissue and muscle, cut at the mid-plane", position="upper_edge", font_size=9, color="black")
+    plotter.add_text("soft tissue and muscle,\ncut at the mid-plane", position="upper_edge", font_size=9, color="black")
     _look(plotter, centre, height, (1.0, 0.05, 0.15))
     n = len(head.bone)
     for column, (name, colours) in enumerate(
-        (("skin wrap", np.zeros(n)), ("skull wrap: cranium white, mandible blue, rest free", head.bone)), start=1
+        (("skin wrap", np.zeros(n)), ("skull wrap: cranium white,\nmandible blue, rest free", head.bone)), start=1
     ):
         plotter.subplot(0, column)
         first = 0 if column == 1 else 2 * n

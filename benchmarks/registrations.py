@@ -18,7 +18,7 @@ from ..lhm.fit import transferred_rig
 from ..lhm.geometry.sky import sky_seen
 from ..lhm.identities import LinearSpace
 from ..lhm.identities.space import OUTSIDE
-from ..lhm.mesh import Floats, Surface
+from ..lhm.mesh import Floats, Floats32, Surface
 from ..lhm.progress import OnProgress
 from ..lhm.registration.matching import Target
 from ..lhm.registration.registration import Registration, face_of, register
@@ -63,7 +63,7 @@ def visible_face(space: LinearSpace) -> Mask:
     return face_of(space.mean, space.parts)[1] & (sky_seen(space.mean) > SEEN)
 
 
-def agreement(found: Floats, own: Floats, visible: Mask) -> list[dict[str, Any]]:
+def agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
     """By shape that both have: cosine between displacements (52, n, 3), and their mean distance [mm], where visible."""
     rows = []
     for k, name in enumerate(ARKIT):

@@ -18,7 +18,7 @@ from ..surrogate.corpus.people import people_of
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import Split
 from ..surrogate.evaluate import Score, evaluate
-from ..surrogate.evaluate_dynamic import evaluate_dynamic
+from ..surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ..surrogate.evaluate_references import evaluate_references
 from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals import Method
@@ -30,6 +30,7 @@ from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
 from ..surrogate.surface_hash import surface_hash
 from . import plots
+from .beyond import beyond
 from .breakeven import Breakeven, breakeven
 from .surrogate_frames import frames_png
 
@@ -55,7 +56,7 @@ def compare(
     On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
     FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL. On so many of the test
     faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs people whose heads
-    can be fitted.
+    can be fitted, and the default people's network on parameters that it has not seen.
     """
     network = Surrogate.load(surrogate)
     test = _faces(corpus, "test", partial, network)
@@ -67,17 +68,20 @@ def compare(
         Linearised(responses=False),
         Blendshapes(),
     ]
+    content = read_manifest(corpus)["content"]
     scores = evaluate(ready, test, on_progress=progress)
     if rivals:
         # torch, which these need, is an extra.
         from ..surrogate.rivals.face_wise import FaceWise
+        from ..surrogate.rivals.snp import SubspacePhysics
         from ..surrogate.rivals.softsmpl import SoftSMPL
         from ..surrogate.rivals.vertices_only import VerticesOnly
 
         learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")]
         learning += [SoftSMPL("small"), SoftSMPL("large"), VerticesOnly(), FaceWise()]
         scores += evaluate(learning, test, Faces(corpus, "train", partial=partial), on_progress=progress)
-    content = read_manifest(corpus)["content"]
+        if content["sequences"]:
+            scores.append(evaluate_sequences(SubspacePhysics(), corpus, partial=partial, on_progress=progress))
     known = network.weights.looseness
     if content["sequences"] and known is not None:
         scores += evaluate_dynamic(ready, corpus, "test", known, partial=partial, on_progress=progress)
@@ -88,6 +92,7 @@ def compare(
         scores += [replace(score, kind=EXTERNAL) for score in others if score.kind == "all"]
     if simulated:
         scores += _beside_simulation(ready, test, simulated, progress)
+        scores += beyond(network, progress) if network.space == "anny" else []
     paid = breakeven(corpus, network.weights.note, scores[0])
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:

@@ -23,6 +23,12 @@ from .written_file import FOLDER
 @click.option("--steps", type=click.IntRange(min=1), help="instead of the network's own number")
 @click.option("--device", default="cpu", help="as torch names it: cpu, cuda")
 @click.option(
+    "--precision",
+    type=click.Choice(["float32", "bfloat16"]),
+    default="float32",
+    help="of products of matrices; GPUs do bfloat16 faster",
+)
+@click.option(
     "--neutrals", type=click.Path(path_type=Path), help="another corpus, of settled neutral faces: preset neutral"
 )
 @click.option("--partial", is_flag=True, help="learn from the people that are there, of a corpus not yet complete")
@@ -32,19 +38,22 @@ def train(
     network: str,
     steps: int | None,
     device: str,
+    precision: str,
     neutrals: Path | None,
     partial: bool,
 ) -> int:
     """Train a surrogate on CORPUS, a folder of `softdeca corpus generate`; a training that was stopped goes on.
 
     Writes OUT/modal.safetensors, which `Surrogate.load` and `softdeca study --surrogate` read, or OUT/paper.npz, and
-    the learning curve as OUT/curve.json and curve.png.
+    the learning curve as OUT/curve.json and curve.png. Several processes, a device each, share a training of the modal
+    network under `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
     """
     from ..benchmarks.plots import learning_curve
 
     with shown() as progress:
         if network == "modal":
-            path, curve = _modal(corpus, neutrals, out, steps, device, partial, progress)
+            config = {"steps": steps, "device": device, "precision": precision}
+            path, curve = _modal(corpus, neutrals, out, config, partial, progress)
         else:
             path, curve = _paper(corpus, out, steps, progress)
     with replaced(out / "curve.json") as temporary:
@@ -55,14 +64,13 @@ def train(
     return 0
 
 
-def _modal(corpus: Path, neutrals: Path | None, out: Path, steps: int | None, device: str, partial: bool, progress):
+def _modal(corpus: Path, neutrals: Path | None, out: Path, options: dict, partial: bool, progress):
     from ..surrogate.corpus.people import people_of
     from ..surrogate.modal.faces import Faces, Neutrals
     from ..surrogate.modal.looseness import Looseness
     from ..surrogate.modal.training import ModalTraining, train_modal
 
-    config = ModalTraining(device=device)
-    config = config if steps is None else replace(config, steps=steps)
+    config = ModalTraining(**{name: value for name, value in options.items() if value is not None})
     faces = Faces(corpus, "train", partial=partial)
     more = None if neutrals is None else Neutrals(neutrals, "train", partial=partial)
     out.mkdir(parents=True, exist_ok=True)
@@ -97,7 +105,7 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     "--simulated",
     type=click.IntRange(0),
     default=0,
-    help="faces on which rivals that simulate are run, too: minutes each",
+    help="faces on which rivals that simulate run, too, and unseen parameters: minutes",
 )
 @click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
 @click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
@@ -141,7 +149,7 @@ def evaluate(
         if (
             score.kind in ("all", "dynamic", "external")
             or score.kind.startswith("against")
-            or score.kind.endswith("faces")
+            or score.kind.endswith(("faces", "clamped"))
         ):
             figures = f"mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"
             click.echo(f"{score.method:<36} {score.kind:<32} {figures}")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
+from typing import Protocol
 
 import numpy as np
 
@@ -19,10 +20,23 @@ from .corpus.mixture import NAMES
 from .corpus.plan import RATE, Split
 from .corpus.reading import Row, Table
 from .dynamics import OSCILLATION, DynamicRig, Swing
-from .evaluate import Score, score_of
+from .evaluate import Named, Score, score_of
 from .modal.faces import Face, Faces
 from .modal.looseness import Looseness
 from .rivals import Method
+
+
+class PlaysSequences(Named, Protocol):
+    """A method that learns from sequences, and plays them."""
+
+    def fit(self, table: Table) -> None:
+        """Learn from a corpus' sequences."""
+        ...
+
+    def play(self, row: Row) -> Floats32:
+        """T - S [mm], shape (L, n, 3), of a sequence."""
+        ...
+
 
 DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
 
@@ -57,6 +71,31 @@ def evaluate_dynamic(
             scores.append(score_of(method, kind, errors, motion, (None, bind, frame)))
         on_progress(f"evaluate, dynamic: {method.name}", (number + 1) / len(methods))
     return scores
+
+
+def evaluate_sequences(
+    method: PlaysSequences, folder: str | PathLike[str], *, partial: bool = False, on_progress: OnProgress = silent
+) -> Score:
+    """The score, of kind DYNAMIC, of a method that learns sequences alone: fitted to those of training people.
+
+    It begins with the two skins that the simulation had before. Raises what `Table` raises.
+    """
+    begin = time.perf_counter()
+    method.fit(Table(folder, "sequences", "train", partial=partial))
+    fitted = time.perf_counter() - begin
+    table = Table(folder, "sequences", "test", partial=partial)
+    errors, motions, times = [], [], []
+    for k in range(len(table)):
+        row = table[k]
+        begin = time.perf_counter()
+        found = method.play(row)
+        times.append((time.perf_counter() - begin) / len(found))
+        truth = row["corrected"].astype(np.float32)
+        errors.append(np.linalg.norm(found - truth, axis=2))
+        motions.append(np.linalg.norm(truth, axis=2))
+    on_progress(f"evaluate, dynamic: {method.name}", 1.0)
+    costs = fitted, None, 1e3 * float(np.median(times))
+    return score_of(method, DYNAMIC, np.concatenate(errors), np.concatenate(motions), costs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from .pulls import Pulls
 STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
 TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
 """[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
-STEPS = 6
+STEPS = np.where(TURNED > 0, 10, 4)
 LATE = 8  # From this stage on matches are taken from lips and lids that cross.
 REPAIRS = 8
 LANDMARK, FADES = 5.0, 20.0
@@ -35,7 +35,7 @@ def laid_onto(
 
     `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
     Visible vertices are drawn to their matches, and by the skin's own (`Pulls`); those in hidden `parts`, those that
-    see no sky, and those without a match are carried along.
+    see no sky but at the lips, and those without a match are carried along.
     Facing points of the two lips keep their gap. Where the surface comes to cross itself its vertices lose their
     match, with more rings in each of up to 8 rounds, and the round with the fewest crossings counts.
     """
@@ -46,12 +46,14 @@ def laid_onto(
     near = pockets | (distance_to(x, x[np.append(places.rim, places.lids)]) < NEAR)
     own = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
     pulls = Pulls.of(target, start)
-    drawn = (parts == OUTSIDE) & pulls.visible
+    # Lips that touch see no sky, but have to come to lie between those of the skin.
+    lips = distance_to(x, x[places.rim]) < LIP_ZONE
+    drawn = (parts == OUTSIDE) & (pulls.visible | lips)
     best, fewest = x, -1
     for stage in range(len(STIFFNESSES) + REPAIRS):
         repair = stage - len(STIFFNESSES) + 1
         which = min(stage, len(STIFFNESSES) - 1)
-        for _ in range(STEPS):
+        for _ in range(STEPS[which]):
             goals, weights = pulls.at(x, drawn, LIMITS[which], TURNED[which])
             x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))

@@ -9,9 +9,9 @@ import numpy as np
 from ..usual import usual_expressions
 from .rig import BoundModes
 
-LEFT_OUT = 2e-4
+LEFT_OUT = 5e-4
 """[mm] Root mean square over vertices and usual expressions of what may be left out of the remainder."""
-SAMPLED = 150
+SAMPLED = 300
 
 
 def compressed(bound: BoundModes) -> BoundModes:

@@ -16,6 +16,11 @@ from .features import STATIC, Features, normalised_code
 _COLUMNS = [NAMES.index(name) for name in STATIC]
 
 
+def static_of(coefficients: Floats) -> Floats:
+    """The rows of STATIC of all parameters' coefficients."""
+    return coefficients[_COLUMNS]
+
+
 @dataclass(frozen=True, eq=False)
 class Face:
     """code (c,), coefficients of STATIC (P, 1 + WAVES), offset (n, 3) and responses (52, n, 3) of T - S [mm].
@@ -87,7 +92,7 @@ class Faces:
             identity=int(row["identity"]),
             kind=row["kind"].decode(),
             code=np.asarray(row["code"], dtype=np.float64),
-            coefficients=row["coefficients"][_COLUMNS],
+            coefficients=static_of(row["coefficients"]),
             settled=self._responses.settled(*self.groups[index]),
             offset=row["offset"],
             responses=row["expressions"],
@@ -142,7 +147,7 @@ class Neutrals:
     def face(self, index: int) -> Neutral:
         """One of them."""
         row = self._table[index]
-        return Neutral(np.asarray(row["code"], dtype=np.float64), row["coefficients"][_COLUMNS], row["settled"])
+        return Neutral(np.asarray(row["code"], dtype=np.float64), static_of(row["coefficients"]), row["settled"])
 
 
 def mirrored(displacement: np.ndarray, mirror: Ints) -> np.ndarray:

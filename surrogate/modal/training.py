@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ...lhm.errors import InputError
 from ...lhm.mesh import Floats, Floats32
 from ...lhm.progress import OnProgress, silent
 from ..learning import keep_state, kept_state, torch
+from ..processes import ALONE, Processes, processes
 from ..surface_hash import surface_hash
 from .faces import Face, Faces, Inputs, Neutral, Neutrals, mirrored
 from .features import EFFECTS, STATIC, Features
@@ -21,6 +23,7 @@ from .network import WEIGHTS, ModalConfig, ModalNetwork, start_positions
 from .principal import principal
 from .weights import ModalWeights, TrainingNote
 
+Precision = Literal["float32", "bfloat16"]
 WIDENED = 0.05
 SLOW = ("modes", "position", "effects")
 """Tables over the vertices, which start near where they end."""
@@ -43,6 +46,7 @@ class ModalTraining:
     validate_every: int = 400
     sampled: int = 240  # faces whose principal components the modes start from
     device: str = "cpu"
+    precision: Precision = "float32"  # "bfloat16": of products of matrices, which GPUs do faster
 
 
 @dataclass(frozen=True)
@@ -71,16 +75,23 @@ def train_modal(
 ) -> ModalWeights:
     """Fit the network to a corpus' training faces, and to more settled `neutrals` of the same space, where given.
 
-    With `state`, a file, the training is kept there now and then, and goes on from there when called again. Raises
+    With `state`, a file, the training is kept there now and then, and goes on from there when called again. Under
+    torchrun each process takes a batch of its own, and all end with the same weights. Raises
     InputError for fewer than ten people, a device that is not there, and a state of another training.
     """
     config = ModalTraining() if config is None else config
-    loop = _Loop(faces, config, neutrals)
+    with processes(config.device) as group:
+        return _trained(_Loop(faces, config, neutrals, group), state, on_progress if group.first else silent)
+
+
+def _trained(loop: _Loop, state: str | PathLike[str] | None, on_progress: OnProgress) -> ModalWeights:
+    config, group = loop.config, loop.group
     if state is not None and Path(state).is_file():
         loop.restore(Path(state))
+    group.wait()
     while loop.step < config.steps:
         loop.run(min(config.validate_every, config.steps - loop.step))
-        if state is not None:
+        if state is not None and group.first:
             loop.keep(Path(state))
         point = loop.curve[-1]
         on_progress(
@@ -94,8 +105,8 @@ def train_modal(
 class _Loop:
     """All that a training holds; its steps depend on seed and number alone."""
 
-    def __init__(self, faces: Faces, config: ModalTraining, neutrals: Neutrals | None = None):
-        self.faces, self.config, self.neutrals = faces, config, neutrals
+    def __init__(self, faces: Faces, config: ModalTraining, neutrals: Neutrals | None = None, group: Processes = ALONE):
+        self.faces, self.config, self.neutrals, self.group = faces, config, neutrals, group
         if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
             raise InputError("training: the neutral faces are of another space or level than the corpus")
         if faces.personal:
@@ -103,12 +114,9 @@ class _Loop:
         people = np.unique(faces.groups[:, 0])
         if len(people) < 10:
             raise InputError(f"training: {len(people)} people have derivatives; at least 10 are needed")
-        try:
-            self.device = torch.device(config.device)
-            torch.zeros(1, device=self.device)
-        except (RuntimeError, AssertionError) as error:
-            said = str(error).splitlines()[0][:80]
-            raise InputError(f"training: no device {config.device!r} ({said})") from None
+        if config.precision not in get_args(Precision):
+            raise InputError(f"training precision {config.precision!r}: there are {', '.join(get_args(Precision))}")
+        self.device = group.device
         rng = np.random.default_rng([config.seed, 0])
         held = rng.permutation(people)[: max(1, round(config.validation * len(people)))]
         enough = np.array([len(rows) >= config.frames for rows in faces.frames_of])
@@ -142,13 +150,17 @@ class _Loop:
 
     def _step(self) -> float:
         config = self.config
-        rng = np.random.default_rng([config.seed, 1, self.step])
+        # The first of several processes draws what one alone would.
+        own = [self.group.number] if self.group.number else []
+        rng = np.random.default_rng([config.seed, 1, self.step, *own])
         batch = rng.choice(self.training, min(config.faces, len(self.training)), replace=False)
         n = len(self.faces.mean.vertices)
         vertices = np.sort(rng.choice(n, min(config.vertices, n), replace=False))
-        loss = self._loss(batch, rng, vertices)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16"):
+            loss = self._loss(batch, rng, vertices)
         self.optimiser.zero_grad()
         loss.backward()
+        self.group.average(self.network.parameters())
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimiser.step()
         self.schedule.step()
@@ -177,7 +189,8 @@ class _Loop:
             corrected = frames.corrected[:, vertices].reshape(len(chosen), -1).astype(np.float32)
             remainders.append(corrected - face.offset[vertices].ravel().astype(np.float32))
         weights = self._tensor(weights)
-        remainder = self._tensor(remainders) - weights @ responses
+        with torch.autocast(self.device.type, enabled=False):  # the little that large numbers leave
+            remainder = self._tensor(remainders) - weights @ responses
         return loss + 3.0 * _distance(network.remainder_amplitudes(summary, weights) @ remainder_basis - remainder)
 
     def _settled_loss(self, faces, rng, vertices):

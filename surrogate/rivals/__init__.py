@@ -7,8 +7,9 @@
 | responses     | both learned by kernel ridge regression            | no                          |
 | ridge         | ridge regression of frames, raw or dimensionless   | no                          |
 | softsmpl      | one perceptron of w, p and h to all vertices       | no                          |
-| vertices_only | z(w) L(p, h) at each vertex                      | no                          |
+| vertices_only | z(w) L(p, h) at each vertex                        | no                          |
 | face_wise     | a network at each vertex, in each frame            | no                          |
+| snp           | sequences alone, step by step in one subspace      | no                          |
 | simulated     | PD of few iterations a frame; 52 shapes simulated  | yes                         |
 | modal         | the shipped network, alone or with exact responses | no, or yes                  |
 """

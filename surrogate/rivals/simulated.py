@@ -14,8 +14,8 @@ from ..modal.faces import Face, Faces
 from ..modal.features import Features
 from .protocol import Bound
 
-TOLERANCE = 5e-4
-"""Of a frame that is simulated to the end, as a corpus asks it."""
+TOLERANCE, MOST = 5e-4, 200
+"""Of a frame that is simulated to the end, as a corpus asks it, and after how many iterations it ends at the latest."""
 
 
 class _Face:
@@ -30,14 +30,17 @@ class _Face:
         )
 
     def corrected(self, weights, *, iterations: int | None = None) -> Floats:
-        """T - S [mm], shape (n, 3), from the first-order answer by so many iterations, or to TOLERANCE."""
+        """T - S [mm], shape (n, 3), from the first-order answer by so many iterations, or to the end."""
         expression = self.skin.vertices + np.tensordot(weights, self.shapes, axes=1)
         neutral = self.linear.face
         scene = neutral.scene(expression)
-        solution = self.linear.prepared.solve(
-            scene, start=self.linear.start(expression), absolute=TOLERANCE * spring_norm(scene),
-            max_iterations=iterations, untangle=False,
-        )  # fmt: skip
+        if iterations is None:
+            solution = self.linear.solve(expression, accuracy=TOLERANCE, max_iterations=MOST)
+        else:
+            start, norm = self.linear.start(expression), spring_norm(scene)
+            solution = self.linear.prepared.solve(
+                scene, start=start, absolute=TOLERANCE * norm, max_iterations=iterations, untangle=False
+            )
         wrap = solution.positions[: len(self.head.bone)]
         return self.head.skin_after(neutral.targets(expression), wrap) - expression
 

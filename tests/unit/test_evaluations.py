@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
+from softdeca.benchmarks import beyond as unseen
 from softdeca.benchmarks.breakeven import breakeven
+from softdeca.lhm.progress import silent
+from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.corpus.reading import Table
 from softdeca.surrogate.evaluate import evaluate
-from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic
+from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
 from softdeca.surrogate.modal.faces import Faces
 from softdeca.surrogate.modal.looseness import Looseness
@@ -46,6 +50,23 @@ def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
     assert own.share < 0.2 and found["blendshapes (T = S)", STILL].share == pytest.approx(1.0)
 
 
+def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
+    pytest.importorskip("torch")
+    from softdeca.surrogate.rivals.snp import SubspacePhysics
+
+    score = evaluate_sequences(SubspacePhysics(steps=5), corpus)
+    assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
+    # Nine people tell little of a tenth; what it was shown it has learned.
+    train = Table(corpus, "sequences", "train")
+    method = SubspacePhysics(steps=150)
+    method.fit(train)
+    row = dict(train[0])
+    assert np.abs(method.play(row) - row["corrected"]).mean() < 0.3 * np.abs(row["corrected"]).mean()
+    before = method.play(row)
+    row["corrected"] = 0.0 * row["corrected"]  # what it has to find it does not see
+    np.testing.assert_array_equal(before, method.play(row))
+
+
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
     scores = evaluate_references(METHODS, corpus, None)
     assert {score.kind for score in scores} <= set(KINDS.values())
@@ -79,3 +100,11 @@ def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
         "PD, 1 iteration a frame",
         "PD, 200 iterations a frame",
     ]
+
+
+def test_clamped_parameters_are_scored_beside_simulation(monkeypatch):
+    monkeypatch.setattr(unseen, "CASES", unseen.CASES[1:2])
+    monkeypatch.setattr(unseen, "EXPRESSIONS", unseen.EXPRESSIONS[:1])
+    own, nothing = unseen.beyond(Surrogate.load(), silent, level=1)
+    assert own.kind == nothing.kind == unseen.KIND and nothing.share == pytest.approx(1.0)
+    assert own.frames == 1 and own.share < 1.0

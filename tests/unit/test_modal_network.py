@@ -1,6 +1,11 @@
 """The modal surrogate, its rivals and its run time, on a small corpus of layered spheres."""
 
+import os
+import pickle
+import subprocess
+import sys
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +23,7 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.evaluate import VARYING, evaluate
 from softdeca.surrogate.modal.faces import Faces
 from softdeca.surrogate.modal.features import STATIC, Features
+from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.network import ModalConfig
 from softdeca.surrogate.modal.rig import Modal
 from softdeca.surrogate.modal.training import ModalTraining, _Loop, train_modal
@@ -119,6 +125,45 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
         train_modal(faces["train"], CONFIG, state=state)
     with pytest.raises(InputError, match="no device 'abacus'"):
         train_modal(faces["train"], ModalTraining(device="abacus"))
+
+
+PARALLEL = """
+import os, pickle, sys
+from softdeca.surrogate.modal.faces import Faces
+from softdeca.surrogate.modal.training import train_modal
+folder, out = sys.argv[1:]
+config = pickle.load(open(out + "/config", "rb"))
+weights = train_modal(Faces(folder, "train"), config, state=out + "/state.pt")
+weights.save(f"{out}/{os.environ['RANK']}.safetensors")
+"""
+
+
+def test_processes_of_torchrun_end_with_one_network(faces, tmp_path):
+    (tmp_path / "work.py").write_text(PARALLEL)
+    config = replace(CONFIG, steps=6, validate_every=3)
+    (tmp_path / "config").write_bytes(pickle.dumps(config))
+    words = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", tmp_path / "work.py"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    folder = faces["train"]._responses.folder
+    ended = subprocess.run(
+        [sys.executable, *words, folder, tmp_path], capture_output=True, text=True, env=environment, timeout=300
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    one, two = (ModalWeights.load(tmp_path / f"{rank}.safetensors") for rank in (0, 1))
+    for name, value in one.network.items():
+        np.testing.assert_array_equal(value, two.network[name])
+    # Two batches a step teach something else than one.
+    alone = train_modal(faces["train"], config)
+    assert any(np.abs(value - one.network[name]).max() > 1e-6 for name, value in alone.network.items())
+
+
+def test_bfloat16_learns_alike(faces):
+    config = replace(CONFIG, steps=60, validate_every=60)
+    fine, rough = (train_modal(faces["train"], replace(config, precision=p)) for p in ("float32", "bfloat16"))
+    errors = [weights.note.curve[-1]["network"] for weights in (fine, rough)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.1)
+    with pytest.raises(InputError, match="precision 'float8'"):
+        train_modal(faces["train"], replace(config, precision="float8"))
 
 
 def test_run_time_equals_torch(faces):
@@ -320,6 +365,22 @@ def test_files_that_are_no_weights_are_named(weights, tmp_path):
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(InputError, match="no weights of softdeca"):
         ModalWeights.load(path)
+
+
+def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
+    with pytest.raises(InputError, match="dynamic: the weights do not tell where faces are loose"):
+        bound(surrogate).dynamic()
+    known = Looseness.of(OfSpace(SPACE, SPACE.mean, SPACE.fit), count=8)
+    path = tmp_path / "modal.safetensors"
+    replace(weights, looseness=known).save(path)
+    rig = bound(Surrogate.load(path), parameters=Parameters(frequency=3.0))
+    assert rig.swing.loose == pytest.approx(np.ones(N), abs=1e-3) and (rig.swing.frequency == 3.0).all()
+    moving = rig.dynamic()
+    moving.frame(np.zeros(52))
+    assert 0.0 < np.abs(moving.frame(np.full(52, 0.1)) - rig.frame(np.full(52, 0.1))).max()
+    replace(weights, looseness=replace(known, shares=known.shares[:, 1:])).save(path)
+    with pytest.raises(InputError, match="damaged.*looseness of shape"):
+        Surrogate.load(path)
 
 
 def test_combinations_leave_out_what_is_zero():

@@ -1,5 +1,7 @@
 """The surrogate's dynamics (Eq. 21): rest, shifts, stability, frequency, beside the simulator's own."""
 
+import json
+import struct
 from dataclasses import replace
 
 import numpy as np
@@ -146,3 +148,26 @@ def test_bad_parameters_are_named(head, changes, message):
 def test_bad_frames_are_named(rig, act, message):
     with pytest.raises(InputError, match=message):
         act(rig)
+
+
+def test_a_baked_rig_as_gltf_plays_the_take(rig, tmp_path):
+    weights = 0.5 * np.random.default_rng(0).random((6, 52))
+    baked = rig.bake(40)
+    baked.write_gltf(tmp_path / "rig.glb", expressions.Take(weights, 60.0, np.arange(6) / 60))
+    content = (tmp_path / "rig.glb").read_bytes()
+    (size,) = struct.unpack("<I", content[12:16])
+    about, binary = json.loads(content[20 : 20 + size]), content[28 + size :]
+
+    def read(number):
+        accessor = about["accessors"][number]
+        begin = about["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        width = 3 if accessor["type"] == "VEC3" else 1
+        return np.frombuffer(binary, np.float32, width * accessor["count"], begin).reshape(-1, width)
+
+    (primitive,) = about["meshes"][0]["primitives"]
+    neutral = read(primitive["attributes"]["POSITION"])
+    targets = np.array([read(target["POSITION"]) for target in primitive["targets"]])
+    played = read(about["animations"][0]["samplers"][0]["output"]).reshape(6, len(targets))
+    assert np.abs(played).max() <= 1.0 + 1e-6
+    for w, mixed in zip(weights, played, strict=True):
+        assert 1e3 * (neutral + np.tensordot(mixed, targets, axes=1)) == pytest.approx(baked.frame(w), abs=1e-3)

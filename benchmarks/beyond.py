@@ -1,0 +1,56 @@
+"""Parameters beyond what the network has seen, clamped to the nearest, beside simulation under what was asked for."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm.progress import OnProgress
+from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Parameters, settled
+from ..reference.linearised import DIRECT, linearised
+from ..reference.settling import FOR_TARGETS
+from ..surrogate import Surrogate
+from ..surrogate.evaluate import Score, score_of
+
+KIND = "p beyond what was seen, clamped"
+CASES = (
+    Parameters(skin_growth=1.5, skin_bending=10.0),
+    Parameters(muscle_strain_ratio=0.05),
+    Parameters(strain_limit=1.2),
+)
+EXPRESSIONS = ({"jawOpen": 0.7}, {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8}, {"mouthPucker": 0.8, "jawOpen": 0.2})
+
+
+@dataclass
+class _Named:
+    name: str
+    simulates: bool = False
+
+
+def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_LEVEL) -> list[Score]:
+    """Scores of the network and of blendshapes on CASES of the mean person, half a minute each; kind KIND."""
+    space = identities.Anny()
+    skin, code = space.mean, np.zeros(space.code_size)
+    head = fit_head(load_template(space, level=level), skin)
+    rows = [expressions.weights_of(one) for one in EXPRESSIONS]
+    own, nothing = [], []
+    for number, parameters in enumerate(CASES):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            rig = surrogate.bind(skin, code, parameters, beyond="clamp")
+        face = settled(head, parameters, **FOR_TARGETS)
+        linear = linearised(face, accuracy=DIRECT)
+        for weights in rows:
+            drawn = skin.vertices + np.tensordot(weights, space.expressions, axes=1)
+            wrap = linear.solve(drawn).positions[: len(head.bone)]
+            truth = head.skin_after(face.targets(drawn), wrap)
+            own.append(np.linalg.norm(rig.frame(weights) - truth, axis=1))
+            nothing.append(np.linalg.norm(drawn - truth, axis=1))
+        progress(f"evaluate, {KIND}", (number + 1) / len(CASES))
+    moved = np.stack(nothing)
+    methods = (("network", own), ("blendshapes (T = S)", nothing))
+    return [score_of(_Named(name), KIND, np.stack(rows), moved, (None, None, None)) for name, rows in methods]

@@ -1,0 +1,117 @@
+"""Subspace Neural Physics (Holden et al. 2019) as SoftDECA compares with it: sequences alone, in one linear subspace.
+
+    z̄_t = a z_{t-1} + b (z_{t-1} - z_{t-2}),    z_t = z̄_t + MLP(z̄_t, z_{t-1}, w_t, p, h)
+
+z are the principal components of T - S. What a turning head does to flesh is no input, as in the paper.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...lhm.mesh import Floats, Floats32
+from ..corpus.mixture import NAMES
+from ..corpus.reading import Row, Table
+from ..dynamics import OSCILLATION
+from ..learning import torch
+from ..modal.faces import Inputs, static_of
+from ..modal.features import Features
+from ..modal.principal import principal
+from .trained import SEED, STEPS, perceptron
+
+MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3
+_SWINGING = [NAMES.index(name) for name in OSCILLATION]
+
+
+class SubspacePhysics:
+    """A step of a sequence from the two before it; trained on whole sequences, so that its errors are its own."""
+
+    name = "SNP"
+    simulates = False
+
+    def __init__(self, steps: int = STEPS):
+        self._steps = steps
+
+    def fit(self, table: Table) -> None:
+        """Train on a corpus' sequences."""
+        rng = np.random.default_rng(SEED)
+        torch.manual_seed(SEED)
+        rows = [table[k] for k in range(len(table))]
+        codes = np.array([row["code"] for row in rows], dtype=np.float64)
+        scale = np.maximum(codes.std(axis=0), 1e-6)
+        self._inputs = Inputs(Features(table.template.mean), codes.mean(axis=0), scale)
+        motion = np.stack([_motion(row) for row in rows])
+        count, length = motion.shape[:2]
+        flat = motion.reshape(count * length, -1)
+        self._mean = flat.mean(axis=0)
+        self._modes = principal(flat - self._mean, min(MODES, len(flat)), rng)[0]
+        z = ((flat - self._mean) @ self._modes.T).reshape(count, length, -1)
+        self._size = np.maximum(z.std(axis=(0, 1)), 1e-6)
+        z /= self._size
+        self._before = _momentum(z)
+        known = np.stack([self._known(row) for row in rows])
+        self._middle, self._spread = known.mean(axis=(0, 1)), np.maximum(known.std(axis=(0, 1)), 1e-3)
+        known = ((known - self._middle) / self._spread).astype(np.float32)
+        self._network = perceptron(2 * z.shape[2] + known.shape[2], WIDTH, WIDTH, z.shape[2])
+        self._train(torch.from_numpy(z.astype(np.float32)), torch.from_numpy(known), rng)
+
+    def _train(self, z, known, rng: np.random.Generator) -> None:
+        optimiser = torch.optim.Adam(self._network.parameters(), lr=RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, self._steps)
+        weight = torch.from_numpy((self._size / self._size.max()).astype(np.float32))
+        for _ in range(self._steps):
+            rows = torch.from_numpy(rng.integers(len(z), size=min(BATCH, len(z))))
+            found = self._rolled(z[rows, 0], z[rows, 1], known[rows])
+            loss = (weight * (found - z[rows, 2:])).square().sum(dim=-1).add(1e-8).sqrt().mean()
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
+            optimiser.step()
+            schedule.step()
+
+    def _rolled(self, earlier, last, known):
+        """Steps (b, L, k) after two states (b, k) under inputs (b, L, ...)."""
+        kept, momentum = (torch.from_numpy(part.astype(np.float32)) for part in self._before)
+        found = []
+        for now in known.unbind(dim=1):
+            ahead = kept * last + momentum * (last - earlier)
+            earlier, last = last, ahead + self._network(torch.cat([ahead, last, now], dim=1))
+            found.append(last)
+        return torch.stack(found, dim=1)
+
+    def _known(self, row: Row) -> Floats:
+        """Inputs of each frame: weights, the summary of p and h, and p's frequency and damping."""
+        features = self._inputs.features
+        summary = self._inputs.summary(row["code"], features.at_vertices(static_of(row["coefficients"])))
+        always = np.concatenate([summary, row["coefficients"][_SWINGING, 0]])
+        weights = np.asarray(row["weights"], dtype=np.float64)
+        return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
+
+    def play(self, row: Row) -> Floats32:
+        """T - S [mm], shape (L, n, 3), of a sequence after the two skins that were before it."""
+        known = ((self._known(row) - self._middle) / self._spread).astype(np.float32)
+        flat = _motion(row)[:2].reshape(2, -1)
+        z = ((flat - self._mean) @ self._modes.T / self._size).astype(np.float32)
+        with torch.no_grad():
+            found = self._rolled(torch.from_numpy(z[:1]), torch.from_numpy(z[1:]), torch.from_numpy(known)[None])
+        moved: Floats32 = (found[0].numpy() * self._size.astype(np.float32)) @ self._modes + self._mean
+        return moved.reshape(len(known), -1, 3)
+
+
+def _motion(row: Row) -> Floats32:
+    """The two skins before a sequence, the earlier first, and its own, less S, shape (2 + L, n, 3) [mm]."""
+    before = np.asarray(row["before"], dtype=np.float32)
+    return np.concatenate([before[::-1], np.asarray(row["corrected"], dtype=np.float32)])
+
+
+def _momentum(z: Floats) -> tuple[Floats, Floats]:
+    """A and b of each component, by least squares over all steps."""
+    last, moving, now = z[:, 1:-1], z[:, 1:-1] - z[:, :-2], z[:, 2:]
+    aa, ab, bb = (
+        np.einsum("qtk,qtk->k", one, other) for one, other in ((last, last), (last, moving), (moving, moving))
+    )
+    an, bn = (np.einsum("qtk,qtk->k", one, now) for one in (last, moving))
+    ridge = 1e-6 * (aa + bb) + 1e-12
+    matrix = np.stack([np.stack([aa + ridge, ab], axis=-1), np.stack([ab, bb + ridge], axis=-1)], axis=-2)
+    found = np.linalg.solve(matrix, np.stack([an, bn], axis=-1)[..., None])[..., 0]
+    return found[:, 0], found[:, 1]
