@@ -55,6 +55,9 @@ class Sampling:
         local = np.einsum("mkc,qkd->mqcd", nodal, self._derivatives)
         gradient = local @ np.linalg.inv(self._jacobian)[:, None]
         at_points = (self._values @ nodal).reshape(-1, 3)
-        here = self.X, self.weights, at_points, gradient.reshape(-1, 3, 3)
+        X, weights, displacement, by_place = (
+            gathered(self._order.comm, values)
+            for values in (self.X, self.weights, at_points, gradient.reshape(-1, 3, 3))
+        )
         pressures = None if pressure is None else gathered(self._order.comm, (pressure @ self._linear.T).ravel())
-        return Fields(*(gathered(self._order.comm, values) for values in here), pressures)
+        return Fields(X, weights, displacement, by_place, pressures)

@@ -84,7 +84,7 @@ class Problem:
         self._tensors = [
             (self._points(forms.cells), forms)
             for forms, solid in zip(self._hyperelastic, by_ufl, strict=True)
-            if mixed or not isinstance(solid.term.material, BY_STRETCHES)
+            if mixed or not isinstance(solid.hyperelastic.material, BY_STRETCHES)
         ]
         self._faces = [numbering.faces(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._surfaces = self._surfaces_of(scene)
@@ -125,7 +125,7 @@ class Problem:
         return isinstance(term, Hyperelastic) and (self.pressure is not None or type(term.material) in DENSITIES)
 
     def _forms(self, solid: Solid) -> HyperelasticForms:
-        cells, material, growth = solid.cells, solid.term.material, solid.term.growth
+        cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
         if self.pressure is not None:
             return MixedForms.of_both(self._displacement, self.pressure, cells, material, self._degree, growth)
         return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth)
@@ -149,8 +149,10 @@ class Problem:
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
         self._laws = [self._law(s) for s in by_law]
-        self._laws += [self._law(s) for s in hyperelastic if isinstance(s.term.material, Corotated)]
-        stretched = [s for s in hyperelastic if isinstance(s.term.material, BY_STRETCHES) and self.pressure is None]
+        self._laws += [self._law(s) for s in hyperelastic if isinstance(s.hyperelastic.material, Corotated)]
+        if self.pressure is not None:
+            hyperelastic = []
+        stretched = [s for s in hyperelastic if isinstance(s.hyperelastic.material, BY_STRETCHES)]
         self._stretched = [self._law(s) for s in stretched]
         self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
 

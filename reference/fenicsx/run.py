@@ -52,7 +52,7 @@ class Record:
     def add(self, iterations: int, **counts: float):
         """Count what an attempt has cost."""
         self.iterations += iterations
-        self.detail.update(counts)  # type: ignore[arg-type]
+        self.detail.update(counts)
 
 
 class Run:

@@ -19,6 +19,12 @@ class Solid:
     term: Strain | Volume | Hyperelastic
     cells: Ints
 
+    @property
+    def hyperelastic(self) -> Hyperelastic:
+        """The term, which is known to be one."""
+        assert isinstance(self.term, Hyperelastic)
+        return self.term
+
     @classmethod
     def of(cls, scene: Scene, term: Strain | Volume | Hyperelastic, numbering: Numbering) -> Solid:
         """The part of a scene's term on the cells of this process."""
