@@ -13,18 +13,12 @@ SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towar
 
 
 class Target:
-    """A skin that points are matched with; it may be open and of any topology. `like`: one of the same triangles."""
+    """A skin that points are matched with; it may be open and of any topology."""
 
-    tree: TriangleTree
-    rim: NDArray[np.bool_]
-
-    def __init__(self, skin: Surface, like: Target | None = None):
+    def __init__(self, skin: Surface):
         self.skin = skin
         self.normals = skin.vertex_normals
         self.faces = _unit(self.normals[skin.triangles].sum(axis=1))
-        if like is not None:
-            self.tree, self.rim = like.tree.moved(skin.vertices), like.rim
-            return
         self.tree = TriangleTree(skin.vertices, skin.triangles)
         self.rim = np.zeros(len(skin.vertices), dtype=bool)
         self.rim[open_edges(skin.triangles).ravel()] = True

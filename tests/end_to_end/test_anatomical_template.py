@@ -17,16 +17,16 @@ def test_template_and_fit(command, data, tmp_path):
     space = f"ict:{data / 'ict_facekit.npz'}"
     anatomy = data / "bodyparts3d_head.npz"
     file = tmp_path / "template.npz"
-    built = command("head", "template", "--identities", space, "--anatomy", anatomy, "--level", "1", "--out", file)
+    built = command("head", "template", "--identities", space, "--anatomy", anatomy, "--out", file)
     assert built.status == 0, built.errors
     template = read_template(file)
     n = template.columns.n
-    assert n == 1212 and template.skull is not None and template.muscles is not None
+    assert n == 4842 and template.skull is not None and template.muscles is not None
     skull_wrap = template.stack[2 * n :]
     scalp = (template.bone == CRANIUM) & (skull_wrap[:, 1] > template.marks.eyes[:, 1].mean() + 15.0)
     gap = TriangleTree(template.skull.vertices, template.skull.triangles).closest(skull_wrap[scalp])[2]
-    # Over the braincase nothing is in the way of lying on the bone; where it bends more, triangles of 15 mm leave it.
-    assert np.median(gap) < 0.1 and np.quantile(gap, 0.9) < 2.5
+    # Over the braincase nothing is in the way of lying on the bone.
+    assert np.quantile(gap, 0.9) < 0.5
     assert (template.bone == MANDIBLE).sum() >= 3
     # The muscles' surface contains the skull's, and so the wraps' order is anatomical, not a fixed share.
     share = np.linalg.norm(template.stack[n : 2 * n] - template.stack[:n], axis=1)

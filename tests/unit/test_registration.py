@@ -14,7 +14,6 @@ from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 from softdeca.lhm.registration import landmark_ids, named_landmarks, read_landmarks, register, registered_by
 from softdeca.lhm.registration.affine import SmoothAffine
 from softdeca.lhm.registration.matching import Target
-from softdeca.lhm.registration.pulls import Pulls
 from softdeca.lhm.registration.start import similarity
 from softdeca.lhm.wraps.landmarks import landmarks
 
@@ -65,26 +64,6 @@ def test_of_two_slopes_the_one_turned_alike_is_matched_where_that_counts():
     points, normals = np.array([[-2.0, 0, 3.0]]), np.array([[0.0, 0, 1]])
     near, alike = (target.located(points, normals, turned=turned)[0] for turned in (0.0, 20.0))
     assert set(near[0]) <= {0, 1, 2, 3} and set(alike[0]) <= {4, 5, 6, 7}
-
-
-def test_pulls_draw_a_ball_to_the_one_around_it_and_leave_out_what_sees_no_sky():
-    x, triangles = geodesic_sphere(8)
-    # A template with a deep dent, within a ball.
-    inner = 95 * x
-    dent = np.linalg.norm(x - [0, 0, 1], axis=1) < 0.25
-    inner[dent] -= [0, 0, 70]
-    y, others = geodesic_sphere(20)
-    pulls = Pulls.of(Target(Surface(100 * y, others)), Surface(inner, triangles))
-    assert not pulls.visible[np.argmax(x[:, 2])] and pulls.visible[~dent].mean() > 0.95
-    assert len(pulls.points) > 5000
-    drawn = pulls.visible & ~dent
-    goals, weights = pulls.at(inner, drawn, 25.0, 5.0)
-    assert np.abs(np.linalg.norm(goals[drawn & (weights > 0)], axis=1) - 100).max() < 2.0
-    assert (weights[drawn] > 0).mean() > 0.95 and weights.max() <= 1.5 and not weights[dent].any()
-    # Farther than the limit nothing is drawn, and stays where it is.
-    goals, weights = pulls.at(inner, drawn, 2.0, 5.0)
-    assert not weights.any()
-    np.testing.assert_array_equal(goals, inner)
 
 
 def test_affine_maps_carry_what_is_not_held():
