@@ -23,7 +23,7 @@ LEAST_TOP = 0.05
 def effect_pictures(
     head: LayeredHead,
     done: Sequence[EffectResult],
-    shapes: Sequence[Floats],
+    shapes: Floats,
     networks: Sequence[Floats | None],
     progress: OnProgress,
 ) -> Mapping[str, bytes]:
