@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import Field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..benchmarks.harness.study import Study
 from ..benchmarks.studies import STUDIES, study_of
 from ..lhm.errors import InputError
 from .progress import shown
 from .written_file import WrittenFolder
+
+if TYPE_CHECKING:
+    # It brings the surrogate with it, which most commands go without.
+    from ..benchmarks.harness.study import Study
 
 ONLY = ("missing", "failed", "all")
 
