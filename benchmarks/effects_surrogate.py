@@ -12,6 +12,7 @@ from ..lhm.identities.space import LinearSpace
 from ..lhm.mesh import Floats
 from ..reference import Parameters
 from ..surrogate import Surrogate
+from ..surrogate.local import around_vertices
 from .effect_cases import Effect
 
 
@@ -29,14 +30,11 @@ def surrogate_skin(space: LinearSpace, code: Floats, head: LayeredHead, effect: 
 
 def on_skin(parameters: Parameters, head: LayeredHead) -> Parameters:
     """The same parameters with local values per face of the skin in place of triangles of the wraps."""
-    wrap, faces = head.skin_wrap.triangles, head.skin.triangles
-    around = np.maximum(np.bincount(wrap.ravel(), minlength=len(head.bone)), 1)
     moved = {}
     for field in fields(parameters):
         value = np.asarray(getattr(parameters, field.name))
-        if value.shape == (len(wrap),):
-            at_vertices = np.bincount(wrap.ravel(), weights=np.repeat(value, 3), minlength=len(head.bone)) / around
+        if value.shape == (len(head.skin_wrap.triangles),):
             # Skin off the wrap's triangles is beyond their corners, and must not leave the values' range.
-            there = np.clip(head.skin_from_wrap @ at_vertices, value.min(), value.max())
-            moved[field.name] = there[faces].mean(axis=1)
+            there = np.clip(head.skin_from_wrap @ around_vertices(value, head.skin_wrap), value.min(), value.max())
+            moved[field.name] = there[head.skin.triangles].mean(axis=1)
     return replace(parameters, **moved)

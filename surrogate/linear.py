@@ -8,8 +8,16 @@ from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats32
 from ..reference import Parameters, settled
-from ..reference.linearised import DIRECT, linearised
+from ..reference.linearised import DIRECT, Linearised, linearised
 from ..reference.settling import FOR_TARGETS
+
+
+def linearised_face(head: LayeredHead, parameters: Parameters) -> Linearised:
+    """The face under p, settled and linearised; some seconds. InputError for one that does not come to rest."""
+    neutral = settled(head, parameters, **FOR_TARGETS)
+    if not neutral.converged:
+        raise InputError(f"the face does not settle under these parameters ({neutral.reason})")
+    return linearised(neutral, accuracy=DIRECT)
 
 
 def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> tuple[Floats32, Floats32]:
@@ -17,10 +25,7 @@ def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> 
 
     InputError for a face that does not settle under these parameters, and what the simulator raises.
     """
-    neutral = settled(head, parameters, **FOR_TARGETS)
-    if not neutral.converged:
-        raise InputError(f"exact: the face does not settle under these parameters ({neutral.reason})")
-    linear = linearised(neutral, accuracy=DIRECT)
+    linear = linearised_face(head, parameters)
     deltas = shapes.astype(np.float64)
-    offset = (linear.offset + neutral.displacement).astype(np.float32)
+    offset = (linear.offset + linear.face.displacement).astype(np.float32)
     return offset, (linear.of_expressions(deltas) - deltas).astype(np.float32)

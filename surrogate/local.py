@@ -13,6 +13,13 @@ from ..reference import Parameters
 from .modal.features import STATIC
 
 
+def around_vertices(values: Floats, surface: Surface) -> Floats:
+    """The mean (n,) of what the triangles around each vertex have, of values (triangles,)."""
+    corners, n = surface.triangles.ravel(), len(surface.vertices)
+    found = np.bincount(corners, weights=np.repeat(values, 3), minlength=n)
+    return found / np.maximum(np.bincount(corners, minlength=n), 1)
+
+
 def at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
     """A parameter at the vertices, shape (n,), of one number or one per face; InputError for what is out of range."""
     n, values = len(skin.vertices), np.asarray(value, dtype=np.float64)
@@ -25,9 +32,7 @@ def at_vertices(name: str, value: float | Floats, skin: Surface) -> Floats:
         raise InputError(f"parameter {name} = {worst:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
     if not values.ndim:
         return np.full(n, float(values))
-    corners = skin.triangles.ravel()
-    found = np.bincount(corners, weights=np.repeat(values, 3), minlength=n)
-    return found / np.maximum(np.bincount(corners, minlength=n), 1)
+    return around_vertices(values, skin)
 
 
 def on_wraps(parameters: Parameters, head: LayeredHead) -> Parameters:

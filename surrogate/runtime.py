@@ -22,7 +22,7 @@ from ..reference import Parameters
 from .baked import BakedRig, baked
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .linear import derivatives
-from .local import of_static, on_wraps
+from .local import around_vertices, of_static, on_wraps
 from .modal.compressed import compressed
 from .modal.features import STATIC
 from .modal.rig import BoundModes, Modal, Remainder
@@ -228,8 +228,6 @@ def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
             )
         columns = list(values.T)
     found = np.empty((n, len(STATIC)))
-    corners = mean.triangles.ravel()
-    around = np.maximum(np.bincount(corners, minlength=n), 1)
     for k, (name, column) in enumerate(zip(STATIC, columns, strict=True)):
         info = Parameters.info(name)
         outside = ~((column >= info.low) & (column <= info.high))
@@ -237,9 +235,7 @@ def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
             value = np.ravel(column)[np.ravel(outside)][0]
             raise InputError(f"parameter {name} = {value:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
         normalised = info.normalise(column)
-        if normalised.ndim:
-            normalised = np.bincount(corners, weights=np.repeat(normalised, 3), minlength=n) / around
-        found[:, k] = normalised
+        found[:, k] = around_vertices(normalised, mean) if normalised.ndim else normalised
     return found
 
 

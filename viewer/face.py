@@ -7,13 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..lhm import expressions
-from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
-from ..reference import Parameters, settled
-from ..reference.linearised import DIRECT, linearised
+from ..reference import Parameters
 from ..reference.responses import expression_responses, skin_responses
-from ..reference.settling import FOR_TARGETS
+from ..surrogate.linear import linearised_face
 from .page import Layer, Pose, Rig, page
 
 POSES = {
@@ -42,12 +40,9 @@ def face_page(
     Beside these blendshapes it has the linearised simulator (some seconds), and `rigs`. `poses` replace the usual ones.
     Raises InputError for a face that does not settle, and what the simulator raises.
     """
-    neutral = settled(head, parameters, **FOR_TARGETS)
-    if not neutral.converged:
-        raise InputError(f"viewer: the face does not settle under these parameters ({neutral.reason})")
-    linear, n = linearised(neutral, accuracy=DIRECT), len(head.bone)
+    linear, n = linearised_face(head, parameters), len(head.bone)
     moved = expression_responses(linear.tangent, head, np.asarray(shapes, dtype=np.float64))
-    simulated = Rig(LINEARISED, neutral.skin + linear.offset, skin_responses(head, moved, shapes))
+    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, skin_responses(head, moved, shapes))
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return page(
         title,

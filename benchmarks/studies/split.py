@@ -14,11 +14,11 @@ from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.mesh import Floats
 from ...lhm.template import DEFAULT_LEVEL
-from ...reference import Parameters, Scene, neo_hookean_scene, settled, solve
-from ...reference.linearised import DIRECT, TIGHT, Linearised, linearised
-from ...reference.settling import FOR_TARGETS
+from ...reference import Parameters, Scene, neo_hookean_scene, solve
+from ...reference.linearised import TIGHT, Linearised
 from ...surrogate import Surrogate
 from ...surrogate.corpus.plan import CorpusPlan
+from ...surrogate.linear import linearised_face
 from ..gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
@@ -152,10 +152,7 @@ def _person(seed: int, level: int) -> tuple[LinearSpace, Floats, LayeredHead]:
 
 @lru_cache(maxsize=1)
 def _prepared(seed: int, level: int, effect: str) -> Linearised:
-    neutral = settled(_person(seed, level)[2], EFFECTS[effect], **FOR_TARGETS)
-    if not neutral.converged:
-        raise SoftdecaError(f"the face does not settle: {neutral.reason}")
-    return linearised(neutral, accuracy=DIRECT)
+    return linearised_face(_person(seed, level)[2], EFFECTS[effect])
 
 
 def _fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:
