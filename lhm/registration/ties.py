@@ -8,6 +8,7 @@ from scipy.sparse import csr_matrix, diags
 from ..geometry.bvh import TriangleTree
 from ..geometry.factor import factorise
 from ..mesh import Floats, Ints, Surface
+from ..wraps.landmarks import Mask
 from ..wraps.shrinkwrap import neighbours
 from .matching import FACING, open_edges
 
@@ -21,11 +22,13 @@ def on_template(template: Surface, skin: Surface) -> csr_matrix:
     return _closest(template, skin)[0]
 
 
-def on_skin(template: Surface, skin: Surface) -> csr_matrix:
+def on_skin(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
     """Weights (n, skin vertices): displacements of the skin as those of the template's vertices; rows sum to one.
 
     A vertex within 4 mm of a point that faces the same way, and is not on an open edge, moves as that does. What the
-    skin lacks (the lining of a mouth, eye sockets, a neck's lid) follows harmonically what lies around it.
+    skin lacks (the lining of a mouth, eye sockets, a neck) follows harmonically what lies around it, but for the `lid`
+    (n,) of the template's neck, which moves as what is farthest from it: with the skull, however much a jaw draws at
+    the edge of a neck that ends under the chin.
     """
     weights, distance, facing = _closest(skin, template)
     rim = np.zeros(len(skin.vertices), bool)
@@ -34,6 +37,13 @@ def on_skin(template: Surface, skin: Surface) -> csr_matrix:
     lost = ~facing | (distance > MATCHED) | (on_rim & (distance > 1.0))
     if not lost.any() or lost.all():
         return weights
+    out = weights.tolil()
+    below = np.flatnonzero(lost & lid)
+    if below.size:
+        away = np.linalg.norm(template.vertices - template.vertices[below].mean(axis=0), axis=1)
+        crown = np.where(lost, -1.0, away).argmax()
+        out[below] = weights[np.full(below.size, crown)]
+        weights, lost = out.tocsr(), lost & ~lid
     edges = neighbours(template.triangles, len(template.vertices))
     laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges).tocsr()
     inner, around = laplacian[lost][:, lost], laplacian[lost][:, ~lost]
@@ -44,7 +54,6 @@ def on_skin(template: Surface, skin: Surface) -> csr_matrix:
     # A piece of the template of which nothing lies on the skin keeps its closest points.
     reached = total[:, 0] > 0.5
     follow = csr_matrix(filled[reached] / total[reached])
-    out = weights.tolil()
     ids = np.flatnonzero(lost)[reached]
     out[ids] = (follow @ weights[np.flatnonzero(~lost)[border]]).tolil()
     return out.tocsr()

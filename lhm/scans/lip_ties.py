@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..geometry.bvh import TriangleTree
-from ..identities.space import MOUTH, OUTSIDE
+from ..identities.space import CAP, MOUTH, OUTSIDE
 from ..mesh import Floats, Ints, Surface
 from ..registration.matching import FACING
 from ..registration.registration import Registration
@@ -52,7 +52,7 @@ def side_by_side(
     # Beyond the corners both lips are one skin.
     lips = np.where(np.abs(line.local(surface.vertices)[:, 0]) < line.along[-1], of_lips(template, parts, line), 0)
     to_skin = on_template(surface, skin).tolil()
-    to_template = on_skin(surface, whole).tolil()
+    to_template = on_skin(surface, whole, parts == CAP).tolil()
     of_skin = np.zeros(old)
     between = near & (np.abs(line.local(skin.vertices)[:, 0]) < line.along[-1])
     of_skin[between] = np.sign(above[between])
