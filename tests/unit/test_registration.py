@@ -67,6 +67,21 @@ def test_of_two_slopes_the_one_turned_alike_is_matched_where_that_counts():
     assert set(near[0]) <= {0, 1, 2, 3} and set(alike[0]) <= {4, 5, 6, 7}
 
 
+@pytest.mark.parametrize("turned", [0.0, 3.0])
+def test_matches_within_reach_are_those_of_an_endless_search(turned):
+    x, triangles = geodesic_sphere(6)
+    target = Target(Surface(20 * x, triangles))
+    rng = np.random.default_rng(2)
+    points, normals = 15 * rng.standard_normal((300, 3)), rng.standard_normal((300, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    endless, near = (target.match(points, normals, turned=turned, reach=reach) for reach in (np.inf, 6.0))
+    within = (endless[2] > 0) & (endless[1] < 6.0)
+    assert 20 < within.sum() < 250
+    for one, other in zip(endless, near, strict=True):
+        np.testing.assert_array_equal(one[within], other[within])
+    assert not (near[2][~within] * (near[1][~within] < 6.0)).any()
+
+
 def test_affine_maps_carry_what_is_not_held():
     x, triangles = geodesic_sphere(5)
     x = 100 * x
