@@ -16,7 +16,7 @@ from .affine import SmoothAffine
 from .landmarks import Pairs
 from .matching import FACING, Target, robust
 
-STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
+STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 12.0, 12)
 TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
 """[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
 STEPS = np.where(TURNED > 0, 10, 4)
