@@ -37,13 +37,11 @@ def on_skin(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
     lost = ~facing | (distance > MATCHED) | (on_rim & (distance > 1.0))
     if not lost.any() or lost.all():
         return weights
-    out = weights.tolil()
     below = np.flatnonzero(lost & lid)
     if below.size:
         away = np.linalg.norm(template.vertices - template.vertices[below].mean(axis=0), axis=1)
         crown = np.where(lost, -1.0, away).argmax()
-        out[below] = weights[np.full(below.size, crown)]
-        weights, lost = out.tocsr(), lost & ~lid
+        weights, lost = with_rows(weights, below, weights[np.full(below.size, crown)]), lost & ~lid
     edges = neighbours(template.triangles, len(template.vertices))
     laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges).tocsr()
     inner, around = laplacian[lost][:, lost], laplacian[lost][:, ~lost]
@@ -54,9 +52,16 @@ def on_skin(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
     # A piece of the template of which nothing lies on the skin keeps its closest points.
     reached = total[:, 0] > 0.5
     follow = csr_matrix(filled[reached] / total[reached])
-    ids = np.flatnonzero(lost)[reached]
-    out[ids] = (follow @ weights[np.flatnonzero(~lost)[border]]).tolil()
-    return out.tocsr()
+    return with_rows(weights, np.flatnonzero(lost)[reached], follow @ weights[np.flatnonzero(~lost)[border]])
+
+
+def with_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
+    """The matrix with `rows` (k, columns) in place of its own `ids` (k,)."""
+    n, k = matrix.shape[0], len(ids)
+    kept = np.setdiff1d(np.arange(n), ids)
+    places = csr_matrix((np.ones(k), (ids, np.arange(k))), shape=(n, k))
+    others = csr_matrix((np.ones(len(kept)), (kept, np.arange(len(kept)))), shape=(n, len(kept)))
+    return (others @ matrix[kept] + places @ rows).tocsr()
 
 
 def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.ndarray]:
