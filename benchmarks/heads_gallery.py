@@ -40,13 +40,13 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
     skin, report = head.skin, check_head(head)
     gap = TriangleTree(head.skin_wrap.vertices, head.skin_wrap.triangles).closest(skin.vertices)[2]
     panels = [Panel("distance to its wrap", skin, gap, LARGEST_GAP)]
-    crossings = [figure.value for figure in report.figures if figure.name.startswith("crossings")]
+    crossings = sum(figure.value or 0.0 for figure in report.figures if figure.name.startswith("crossings"))
     figures: dict[str, Any] = {
         "skin vertices": len(skin.vertices),
         "openings of the skin": len(openings(skin.triangles)),
         "wrap to skin, mean [mm]": report.wrap_to_skin_mean,
         "smallest dihedral [°]": report.smallest_dihedral,
-        "crossings of the wraps": int(sum(crossings)),
+        "crossings of the wraps": int(crossings),
         "gates missed at rest": "; ".join(report.problems) or "none",
         "skin torn by jawOpen [mm²]": report.jaw_open_torn,
         "skin torn by blinks [mm²]": report.blink_torn,
