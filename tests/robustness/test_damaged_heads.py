@@ -8,10 +8,14 @@ import zipfile
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
-from softdeca.lhm import load_template
+from softdeca.lhm import identities, load_template
+from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.files.head_file import check_file, load_head
 from softdeca.lhm.files.scan_file import read_scan
 from softdeca.lhm.geometry.bvh import TriangleTree
+from softdeca.lhm.geometry.closing import openings
 from softdeca.lhm.scans.repair import repaired
 
 RNG = np.random.default_rng(0)
@@ -150,6 +154,8 @@ REFUSED = {
     "flat.obj": (lambda x, t: obj(x * [1, 1, 0], t), "skin"),
     "spike.obj": (lambda x, t: obj(np.vstack([x[:-1], [[1e6, 0, 0]]]), t), "no face found"),
     "sliver.obj": (lambda x, t: obj(x, t[:40]), "no face found"),
+    "back.obj": (lambda x, t: obj(x, t[x[t][:, :, 2].max(axis=1) < 0]), "no face found"),
+    "left-half.obj": (lambda x, t: obj(x, t[x[t][:, :, 0].min(axis=1) > -1]), "no face found"),
     "huge.obj": (lambda x, t: obj(1e200 * x, t), "is the file damaged?"),
     "cut.ply": (lambda x, t: exported("ply", x, t)[:-4000], "ply"),
     "ascii-cut.ply": (lambda x, t: exported("ply", x, t, encoding="ascii")[:-4000], "cut off"),
@@ -201,6 +207,32 @@ def test_a_damage_is_refused_by_one_line(tmp_path, head, command, name):
     assert ended.status == 1 and len(lines) == 1 and lines[0] == ended.errors[-1], ended.errors
     assert str(path) in lines[0] and words in lines[0].replace(str(path), path.suffix), lines
     assert "Traceback" not in "".join(ended.errors) and not out.parent.exists()
+
+
+def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, command):
+    """Holes in cheek and scalp, rough skin, fins, doubles and half of the triangles turned, over shuffled vertices."""
+    space = identities.Anny()
+    x, triangles = space.mean.vertices, space.triangles
+    holes = x[cKDTree(x).query([[-50.0, -20, 50], [0, 115, 60]])[1]]
+    torn = triangles[(np.linalg.norm(x[triangles][:, :, None] - holes, axis=3) > 9.0).all(axis=(1, 2))]
+    assert len(openings(torn)) == 2
+    torn = np.vstack([np.where(RNG.random((len(torn), 1)) < 0.5, torn, torn[:, ::-1]), torn[:40], [[0, 1, 1]]])
+    order = RNG.permutation(len(x))
+    rough = x + 0.15 * RNG.standard_normal(x.shape)
+    path, out = written(tmp_path / "torn.obj", obj(rough[order] / 25.4, np.argsort(order)[torn])), tmp_path / "torn.npz"
+    ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
+    assert ended.status == 0, ended.errors
+    head = load_head(out)
+    assert check_file(out).problems == () and len(openings(head.skin.triangles)) == 2
+    assert any("taken for in" in note for note in head.notes)
+    # The same skin again, upright and in millimetres, and its expressions those of the head that it was.
+    used = np.unique(torn)
+    near = cKDTree(head.skin.vertices).query(rough[used] - rough.mean(axis=0) + head.skin.vertices.mean(axis=0))
+    assert near[0].max() < 3.0
+    for name in ("jawOpen", "mouthSmileLeft", "browInnerUp"):
+        k = ARKIT.index(name)
+        a, b = space.expressions[k][used].ravel(), head.rig.deltas[k][near[1]].astype(float).ravel()
+        assert a @ b / np.linalg.norm(a) / np.linalg.norm(b) > 0.9, name
 
 
 def areas(x, triangles):
