@@ -37,11 +37,9 @@ class Condensed:
         """See Problem."""
         return self.problem.energy_scale
 
-    def begin(self, centre: Floats | None):
-        """Begin with the first kappa and, if given, another p₀ [kPa], a vector."""
-        self.matrix.springs = 1.0 / PENALTY
-        if centre is not None:
-            self.centre = np.array(centre)
+    def begin(self, centre: Floats):
+        """Begin with the first kappa and a p₀ [kPa], a vector."""
+        self.matrix.springs, self.centre = 1.0 / PENALTY, np.array(centre)
 
     def harden(self, times: float):
         """Multiply kappa."""

@@ -124,8 +124,9 @@ class HyperelasticForms:
             by_pressure = ufl.derivative(energy, pressure, ufl.TestFunction(pressures))
             forms += [by_pressure, ufl.derivative(gradient, pressure, trial)]
             forms += [ufl.derivative(by_pressure, pressure, trial)]
-        compiled = [seam.compile_form(form) for form in forms]
-        return cls(cells, *compiled[:3], *stress_and_tangent(psi, F, degree, space.mesh), *compiled[3:])
+        by_displacement, by_both = ([seam.compile_form(form) for form in part] for part in (forms[:3], forms[3:]))
+        P, dP_dF = stress_and_tangent(psi, F, degree, space.mesh)
+        return cls(cells, by_displacement[0], by_displacement[1], by_displacement[2], P, dP_dF, *by_both)
 
     def assemble_energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""

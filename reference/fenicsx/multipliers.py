@@ -11,10 +11,11 @@ import numpy as np
 from ...lhm.mesh import Floats
 from ..solution import Reason
 from .condensed import Condensed, CondensedState
+from .minimise import LOAD_STEP_TOLERANCE
 from .newton import AnyState, Newton, Work
 from .run import Attempt, Run
 from .saddle import saddle_of
-from .shared import anywhere, norm
+from .shared import norm
 
 MAX_ITERATIONS = 300
 ROUNDS = 40
@@ -22,18 +23,15 @@ FIRST_SHARE, SHARE = 1e-2, 5e-2  # of a round's first gradient norm, that ends i
 NEAR = 0.1  # of the pressure's norm: with smaller corrections steps of displacement and pressure at once are tried
 FALL = 0.5  # of the residual's norm or of the displacement that follows, which such a step has to reach
 QUICK, HARDER = 2, 10.0  # where so few iterations leave more than FALL of the volumes, kappa grows
-SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
-LOAD_STEP_TOLERANCE = 1e-2
 
 
 class MultiplierDescent:
     """A run on a mixed problem, for energies without follower loads.
 
-    `linear_solver` is as in `saddle_of`; with `warm` the pressure begins where the condensed problem's last solve
-    ended.
+    `linear_solver` is as in `saddle_of`.
     """
 
-    def __init__(self, run: Run, condensed: Condensed, *, warm: bool, linear_solver: str = "cg"):
+    def __init__(self, run: Run, condensed: Condensed, *, linear_solver: str = "cg"):
         self._run, self._condensed, self._comm = run, condensed, condensed.comm
         self._nodes = run.numbering.nodes
         held = (run.held | condensed.problem.unsupported[:, None])[: self._nodes.owned]
@@ -43,12 +41,12 @@ class MultiplierDescent:
         self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, Work())
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
         self._limit = run.record.left(MAX_ITERATIONS)
-        self._warm = warm
 
     def attempt(self) -> Attempt:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
         condensed = self._condensed
-        condensed.begin(None if self._warm else np.zeros(condensed.matrix.pressures))
+        count, pressure = condensed.matrix.pressures, self._run.pressure
+        condensed.begin(np.zeros(count) if pressure is None else pressure[:count])
         try:
             state, reason = self._descend()
         finally:
@@ -64,7 +62,7 @@ class MultiplierDescent:
         return Attempt(reason, self._run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
-        """See `balance.Descent`: what is held stays where it is."""
+        """See `load_path.Descent`: what is held stays where it is."""
         self._condensed.begin(p)
         self._iterations = 0
         try:
@@ -86,34 +84,15 @@ class MultiplierDescent:
             self._report(state, np.inf)
             return state, Reason.NOT_FINITE
         while True:
-            lifted, fraction = self._lift(state)
-            if lifted is None:
+            lifted, fraction, force = self._newton.lift(state, self._run.goal, self._nodes, self._condensed.at)
+            if not isinstance(lifted, CondensedState):
                 return state, Reason.LINE_SEARCH
+            self._first = max(self._first, force)
             if fraction == 1.0:
                 return self._rounds(lifted)
             state, reason = self._round(lifted, lambda first: LOAD_STEP_TOLERANCE * max(first, self._first))
             if reason is not Reason.CONVERGED:
                 return state, reason
-
-    def _lift(self, state: CondensedState) -> tuple[CondensedState | None, float]:
-        """Move what is held as far to its goal as keeps the energy finite; the state, and the share of the way."""
-        begin, goal = (field[: self._nodes.owned] for field in (state.u, self._run.goal))
-        jump = np.zeros_like(begin)
-        jump.flat[self._held] = goal.flat[self._held] - begin.flat[self._held]
-        if not anywhere(self._comm, jump):
-            return state, 1.0
-        spread, force = self._newton.extension(state, jump)
-        fraction = 1.0
-        while fraction >= SMALLEST_FRACTION:
-            u = begin + fraction * spread
-            if fraction == 1.0:
-                u.flat[self._held] = goal.flat[self._held]
-            lifted = self._condensed.at(self._nodes.spread(u))
-            if np.isfinite(lifted.energy):
-                self._first = max(self._first, fraction * force)
-                return lifted, fraction
-            fraction *= 0.5
-        return None, 0.0
 
     def _round(self, state: CondensedState, threshold, *, near: bool = False) -> tuple[CondensedState, Reason]:
         """Minimise the condensed energy."""

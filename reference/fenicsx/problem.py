@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,8 @@ class Problem:
         self.numbering, self.comm = numbering, numbering.comm
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
-        self.mixed, self.pressure = mixed, None
+        self.mixed = mixed
+        self.pressure: Any = None
         owned, ids = 0, np.empty(0, dtype=np.int64)
         if mixed:
             space = seam.pressure_space(numbering.space.mesh)
