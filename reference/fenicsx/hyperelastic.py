@@ -17,8 +17,7 @@ import ufl
 from ...lhm.mesh import Floats, Ints
 from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
-from .densities import DENSITIES
-from .mixed_densities import mixed_density
+from .densities import DENSITIES, mixed_density
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:

@@ -20,10 +20,9 @@ import numpy as np
 from ...lhm.mesh import Floats
 from ..restraint import drifts
 from ..solution import Reason
-from .direct import Factorisation
 from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
-from .linear import hold, product, vector
+from .linear import Factorisation, hold, product, vector
 from .problem import Problem
 from .run import Attempt, Run
 from .shared import anywhere, largest, norm

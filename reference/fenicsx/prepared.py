@@ -33,15 +33,13 @@ from ..terms import (
     Volume,
 )
 from .bodies import Pose, RigidProblem
-from .condensed import Condensed
-from .densities import DENSITIES
+from .densities import DENSITIES, check_mixed, shear_modulus
 from .dolfinx_version import ALL, ALONE, MPI
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
-from .mixed_densities import check_mixed, shear_modulus
-from .multipliers import MultiplierDescent
+from .multipliers import Condensed, MultiplierDescent
 from .numbering import Numbering
 from .plan import BODIES, DISPLACEMENT, FOLLOWER_PRESSURE, Plan, follow, mixed
 from .problem import Problem

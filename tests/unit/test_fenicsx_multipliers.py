@@ -11,9 +11,8 @@ from scipy.sparse import csr_matrix, random
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
 from softdeca.reference.compiling import Spent
 from softdeca.reference.fenicsx import prepared
-from softdeca.reference.fenicsx.condensed import Condensed
-from softdeca.reference.fenicsx.direct import Factorisation
-from softdeca.reference.fenicsx.multipliers import MultiplierDescent
+from softdeca.reference.fenicsx.linear import Factorisation
+from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run

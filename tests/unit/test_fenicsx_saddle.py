@@ -11,9 +11,8 @@ from scipy.sparse.linalg import spsolve
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.compiling import Spent
 from softdeca.reference.fenicsx import prepared, saddle
-from softdeca.reference.fenicsx.condensed import Condensed
 from softdeca.reference.fenicsx.linear import hold
-from softdeca.reference.fenicsx.multipliers import MultiplierDescent
+from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
