@@ -112,7 +112,10 @@ def page(results: Mapping, shown: Sequence[Shown] = ()) -> str:
         failure_rows=[(f["seed"], f["reason"]) for f in results["failures"]],
         reason_rows=sorted(reasons.items(), key=lambda pair: -pair[1]),
         figure_rows=[_figure_row(name, row) for name, row in spread.items()],
-        shown=[(row.name, [_encoded(row.faces), _encoded(row.layers)], list(row.figures.items())) for row in shown],
+        shown=[
+            (row.name, row.notes, [_encoded(row.faces), _encoded(row.layers)], list(row.figures.items()))
+            for row in shown
+        ],
         histograms=plots.histograms(panels) if panels else "",
         machine_rows=machine_rows(results["machine"]),
     )

@@ -12,6 +12,7 @@ import pytest
 
 from softdeca.benchmarks import heads as campaign
 from softdeca.benchmarks.heads import HeadsConfig, run_heads, sample
+from softdeca.benchmarks.heads_gallery import Shown
 from softdeca.benchmarks.heads_report import page, summary
 from softdeca.lhm import FitError, InputError, check_head, fit_head, identities, load_template
 from softdeca.lhm.progress import silent
@@ -46,10 +47,13 @@ def test_each_head_is_that_of_its_seed(three):
 def test_the_gallery_shows_a_head_as_it_moves(three):
     out, results = three
     (row,) = results["gallery"]
-    assert row["head"] == "seed 0" and row["gates missed at rest"] == 0
+    assert row["head"] == "seed 0" and row["gates missed at rest"] == "none" and row["crossings of the wraps"] == 0
+    assert row["openings of the skin"] == 0 and 0 <= row["skin torn by jawOpen [mm²]"] < 900
     # A jaw opens by centimetres, lids close by one.
     assert 20 < row["jawOpen: farthest motion [mm]"] < 60 and 4 < row["blink: farthest motion [mm]"] < 25
     assert (out / "index.html").read_text().count("data:image/png") >= 2
+    # Of a head from a file it also says what was found and changed there.
+    assert "unit: taken for cm" in page(results, [Shown("own.npz", {}, b"", b"", ("unit: taken for cm",))])
 
 
 def test_scaled_samples_reach_further(three):
