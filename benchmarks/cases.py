@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
-from ..reference import Parameters, Reason, Scene, Solution, facial_scene, neo_hookean_scene, prepare, settled, solve
+from ..reference import Parameters, Reason, Scene, Solution, neo_hookean_scene, prepare, settled, solve
 from .differences import difference
 
 TIGHT = 1e-10
@@ -25,13 +24,6 @@ PD_ENERGY, NEO_HOOKEAN = "PD", "neo-Hookean"
 PLAIN_STOP = 0.005
 """Plain projective dynamics stops here [mm RMS], below the 0.01 mm that iterations are counted to."""
 PLAIN_LIMIT = 4000
-WARMED: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
-    PD_ENERGY: (("fenicsx", {}), ("projective", {}), ("projective", {"method": "plain"}), ("skfem", {})),
-    NEO_HOOKEAN: (("fenicsx", {}), ("skfem", {})),
-}
-"""What `run_case` times, by law."""
-WARM_ITERATIONS = 2
-"""Enough to come by every kernel: the second iteration of the accelerated method has a first to learn from."""
 
 
 @dataclass(frozen=True)
@@ -120,15 +112,6 @@ def run_case(head: LayeredHead, case: Case, expression: Floats, tell: Callable[[
     return CaseResult(record, expression, skins["pd"], skins["fenicsx"], skins["neo"], answers["pd"])
 
 
-def warm_up(head: LayeredHead, case: Case, expression: Floats, tell: Callable[[str], None]) -> None:
-    """Let every solver compile what `run_case` will time, so that the first case is as fast as the others."""
-    scene = facial_scene(head, case.parameters, expression)
-    for law, target in ((PD_ENERGY, scene), (NEO_HOOKEAN, neo_hookean_scene(scene))):
-        for solver, options in WARMED[law]:
-            tell(f"compiling: {solver}, {law}")
-            prepare(target, solver=solver, **options).solve(tolerance=TIGHT, max_iterations=WARM_ITERATIONS)
-
-
 def first_below(errors: list[float] | None, bound: float) -> int | None:
     """The first iteration whose error is at most `bound`, None if there is none."""
     return next((i for i, e in enumerate(errors or []) if e <= bound), None)
@@ -158,24 +141,23 @@ def _run(label: str, law: str, scene: Scene, how: _How) -> tuple[Solution, dict]
         errors.append(_rms(positions, how.truth))
         return errors[-1] <= how.stop_at
 
-    begin = time.perf_counter()
     options = {} if how.method is None else {"method": how.method}
-    prepared = prepare(scene, solver=how.solver, **options)
-    ready = time.perf_counter()
-    solution = prepared.solve(
+    solution = prepare(scene, solver=how.solver, **options).solve(
         tolerance=how.tolerance, start=how.start, max_iterations=how.max_iterations, on_iteration=track
     )
     if how.truth is None:
         errors = [_rms(x, solution.positions) for x in visited]
     # A solver stopped on purpose, near enough to the truth, has done what was asked.
     done = solution.converged or (solution.reason is Reason.INTERRUPTED and errors[-1] <= how.stop_at)
-    history = solution.history
+    history, times = solution.history, solution.times
+    assert times is not None
     return solution, {
         "label": label,
         "solver": how.solver,
         "start": "rest" if how.start is None else "PD's answer",
         "energy_law": law,
-        "prepare_seconds": ready - begin,
+        "compile_seconds": times.compilation,
+        "prepare_seconds": times.preparation,
         "seconds": float(history.time[-1]),
         "iterations": solution.iterations,
         "done": bool(done),

@@ -78,6 +78,7 @@ def _solver_rows(case: Mapping) -> list[Sequence]:
                 run["energy_law"],
                 run["start"],
                 run["iterations"],
+                run["compile_seconds"],
                 run["prepare_seconds"],
                 run["seconds"],
                 norms[-1] / norms[0] if norms[0] > 0 else 0.0,

@@ -23,7 +23,7 @@ from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
 from ..viewer import Pose, Rig, face_page
 from . import learned, machine
-from .cases import Case, CaseResult, run_case, warm_up
+from .cases import Case, CaseResult, run_case
 from .differences import difference, distances
 from .gates import gates
 from .harness import run
@@ -73,9 +73,6 @@ def _run(config: StudyConfig, space, network: Surrogate | None, cases: Sequence[
     head = fit_head(template, space.skin(code))
     shapes = expressions.blend(space, code, np.array([case.weights for case in cases]))
     clock.lap("head")
-    warm_up(head, cases[0], shapes[0], lambda what: progress(f"warm-up: {what}", 0.5))
-    progress("warm-up", 1.0)
-    clock.lap("warm-up, untimed")
     done: list[CaseResult] = []
     for i, (case, shape) in enumerate(zip(cases, shapes, strict=True)):
 

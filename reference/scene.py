@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -218,8 +219,11 @@ class Scene:
             raise SceneError(f"the scene has {len(found)} {kind.__name__} terms; replace them in Scene.terms by hand")
         return replace(self, terms=tuple(replace(t, **changes) if t is found[0] else t for t in self.terms))
 
-    def check_prepared_for(self, other: Scene, *, varying: dict[type[Term], tuple[str, ...]]):
-        """Raise SceneError if `other` differs from this scene in more than the `varying` fields of its terms."""
+    def check_prepared_for(self, other: Scene, *, fixed: Container[tuple[type[Term], str]] = ()):
+        """Raise SceneError if `other` differs from this scene in more than the `varying` fields of its terms.
+
+        `fixed` are those of them that a solver has prepared for all the same.
+        """
         if other is self:
             return
         if other.vertices is not self.vertices and not np.array_equal(other.vertices, self.vertices):
@@ -230,7 +234,7 @@ class Scene:
             raise SceneError("the scene's terms differ from the prepared ones: prepare it anew")
         for mine, its in zip(self.terms, other.terms, strict=True):
             for key in mine.__dataclass_fields__:
-                if key in varying.get(type(mine), ()):
+                if key in mine.varying and (type(mine), key) not in fixed:
                     continue
                 a, b = getattr(mine, key), getattr(its, key)
                 same = a is b or (np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b)

@@ -26,7 +26,6 @@ from .stack import Stack
 from .terms import Target
 
 TOLERANCE = 2.5e-5
-LOOSEST = 1.0 - 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +159,7 @@ class Sequence:
             self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
         prepared = self._prepared[dynamic]
         start = self._start(scene, _target(scene))
-        return self._minimised(prepared, scene, start, self._until(asked, prepared, scene, start)), scene
+        return self._minimised(prepared, scene, start, asked), scene
 
     def _with_inertia(self, scene: Scene, recurrence: Recurrence, state: State, base: Floats | None) -> Scene:
         """The scene with targets by Eq. 9, the base's motion in them, and their stiffness over γ."""
@@ -174,16 +173,9 @@ class Sequence:
         moving = replace(static, positions=sought, stiffness=recurrence.stiffness(static.stiffness))
         return replace(scene, terms=tuple(moving if term is static else term for term in scene.terms))
 
-    def _until(self, asked: float, prepared: Prepared, scene: Scene, start: Floats) -> dict[str, float]:
-        """What makes the solver stop at a gradient norm [mN], where it knows no such option as a share of the first."""
-        if self._solver == "projective":
-            return {"absolute": asked}
-        norm = prepared.solve(scene, start=start, on_iteration=lambda *_: True).history.gradient_norm[0]
-        return {"tolerance": asked / norm if asked < LOOSEST * norm else LOOSEST}
-
-    def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, until: dict[str, float]) -> Solution:
+    def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, absolute: float) -> Solution:
         """The scene's solution: from a sound frame to a sound one there is nothing to untangle, which costs as much."""
-        asked: dict[str, Any] = {"start": start, "max_iterations": self._limit, **until}
+        asked: dict[str, Any] = {"start": start, "max_iterations": self._limit, "absolute": absolute}
         last = self._last()
         sound = last is not None and (volume_ratio(scene, last.positions) > 0).all()
         if sound and self._solver == "projective":

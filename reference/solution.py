@@ -27,6 +27,10 @@ class Reason(str, Enum):
     LIMIT_POINT = (
         "limit point: no stable equilibrium continues beyond this load; lower it, or prescribe the motion instead"
     )
+    BIFURCATION = (
+        "bifurcation: the equilibrium loses its stability to another branch, which could not be followed; disturb the "
+        "load or the shape a little, or prescribe the motion instead"
+    )
     NOT_FINITE = "the energy is not finite at the start: start from positions without inverted tets"
     CONTACT = (
         "contact remains: surfaces still overlap deeper than allowed; move in smaller steps, or raise Contact.stiffness"
@@ -65,7 +69,8 @@ class Solution:
 
     positions [mm], shape (n, 3); `converged` is whether `reason` is Reason.CONVERGED; `iterations` made, by all
     attempts; energy [µJ], with the potential of dead loads; volume_ratio is J = det F per tet, shape (m,); `detail`
-    holds counts that only one solver has, such as linear iterations; `times` is None unless a solver made it. Stresses
+    holds counts that only one solver has, such as linear iterations; `memory` is what the same prepared scene may start
+    from, if it was to be remembered; `times` is None unless a solver made it. Stresses
     [kPa], one per tet, and reactions [mN] are worked out by the same solver when they are first asked for, from its own
     nodes and integration points.
     """
@@ -77,6 +82,7 @@ class Solution:
     history: History
     volume_ratio: Floats
     detail: dict[str, float] = field(default_factory=dict)
+    memory: object = field(default=None, repr=False)
     recovery: Callable[[], Recovered] | None = field(default=None, repr=False)
     times: Times | None = None
 
@@ -154,10 +160,42 @@ def volume_ratio(scene: Scene, positions: Floats) -> Floats:
     return tet_volumes(positions, scene.tets) / scene.volumes
 
 
-def stop_threshold(scene: Scene, first_gradient_norm: float, tolerance: float) -> float:
-    """The gradient norm [mN] at which to stop: tolerance times the start's, but not below what rounding leaves.
+@dataclass(frozen=True)
+class Limits:
+    """When a solve ends: at a gradient norm of `tolerance` times its start's or, if given, of `absolute` [mN].
 
-    Rounding is independent from vertex to vertex, so its norm grows with the root of their number.
+    Or after so many iterations, None for what a solver takes as its own. Raises SceneError for what is out of range.
     """
-    rounding = 1e-14 * scene.force_scale() * len(scene.vertices) ** 0.5
-    return max(tolerance * first_gradient_norm, rounding)
+
+    tolerance: float = 1e-6
+    absolute: float | None = None
+    iterations: int | None = None
+
+    def __post_init__(self):
+        if not 0.0 < self.tolerance < 1.0:
+            raise SceneError(f"tolerance must lie between 0 and 1, got {self.tolerance}")
+        if self.absolute is not None and not (np.isfinite(self.absolute) and self.absolute > 0.0):
+            raise SceneError(f"absolute: expected a gradient norm above 0 mN, got {self.absolute}")
+        if self.iterations is not None and self.iterations < 0:
+            raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
+
+    def threshold(self, scene: Scene, first: float) -> float:
+        """The gradient norm [mN] at which to stop, from the first one; not below what rounding leaves.
+
+        Rounding is independent from vertex to vertex, so its norm grows with the root of their number.
+        """
+        rounding = 1e-14 * scene.force_scale() * len(scene.vertices) ** 0.5
+        return max(self.tolerance * first if self.absolute is None else self.absolute, rounding)
+
+
+def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
+    """Where a solve begins [mm], shape (n, 3): at its start, after a solution, or at rest; SceneError for another."""
+    if start is None and warm is not None:
+        start = warm.positions
+    positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
+    if positions.shape != scene.vertices.shape:
+        raise SceneError(f"start: expected shape {scene.vertices.shape}, got {positions.shape}")
+    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    if bad.size:
+        raise SceneError(f"start: {bad.size} rows are not finite, the first is {bad[0]}")
+    return positions

@@ -24,14 +24,19 @@ class Prepared(Protocol):
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
+        warm: Solution | None = None,
+        remember: bool = False,
         tolerance: float = 1e-6,
+        absolute: float | None = None,
         max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
     ) -> Solution:
-        """Solve the prepared scene, or one that differs only in targets, held positions, loads and target volumes.
+        """Solve the prepared scene, or one that differs only in what terms say is `varying`.
 
-        start [mm], shape (n, 3), default rest; tolerance is the gradient norm relative to its start.
-        Raises SceneError if `scene` needs a new preparation, or the tolerance or start is out of range.
+        start [mm], shape (n, 3), default rest, or where `warm`, a solution before, ended; of that solver's own
+        unknowns and what it has learnt more is kept if the solution before was to `remember` them.
+        tolerance is the gradient norm relative to its start, `absolute` [mN] one that is not: what asks the same
+        wherever a solve starts. Raises SceneError if `scene` needs a new preparation, or any of these is out of range.
         """
         ...
 
@@ -61,11 +66,12 @@ def solve(
     solver: str = "projective",
     start: Floats | None = None,
     tolerance: float = 1e-6,
+    absolute: float | None = None,
     max_iterations: int | None = None,
     on_iteration: OnIteration | None = None,
     **options,
 ) -> Solution:
     """Prepare and solve once; see `prepare` and `Prepared.solve` for arguments and errors."""
     return prepare(scene, solver=solver, **options).solve(
-        start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=on_iteration
+        start=start, tolerance=tolerance, absolute=absolute, max_iterations=max_iterations, on_iteration=on_iteration
     )

@@ -7,7 +7,7 @@ A term without `tets` acts on all tets. Stiffnesses and the like are one number,
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -97,7 +97,12 @@ def _vector(name: str, values):
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Base of all terms; `name` is what errors and reports call it."""
+    """Base of all terms; `name` is what errors and reports call it.
+
+    `varying` are the fields in which scenes may differ that a solver is prepared for at once.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ()
 
     @property
     def name(self) -> str:
@@ -164,6 +169,8 @@ class Strain(Term):
     without stress; the stiffness stays one per volume before growth. The indicator knows no growth.
     """
 
+    varying: ClassVar[tuple[str, ...]] = ("limit", "growth")
+
     stiffness: float | np.ndarray
     limit: float | np.ndarray = 1.0
     tets: np.ndarray | None = field(default=None, repr=False)
@@ -192,6 +199,8 @@ class Volume(Term):
     SoftDECA Eq. 10. stiffness [kPa] (= 3 lmbda at small strain); target > 0 is the volume ratio sought.
     """
 
+    varying: ClassVar[tuple[str, ...]] = ("target",)
+
     stiffness: float | np.ndarray
     target: float | np.ndarray = 1.0
     tets: np.ndarray | None = field(default=None, repr=False)
@@ -213,6 +222,8 @@ class SurfaceStrain(Term):
     triangles (k, 3); stiffness [mN/mm] (= 2 mu times thickness); growth > 0 is the area ratio sought; rest [mm], shape
     (scene's vertices, 3), is the shape sought, default the scene's own; the area is that of the scene.
     """
+
+    varying: ClassVar[tuple[str, ...]] = ("growth",)
 
     triangles: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
@@ -236,6 +247,8 @@ class Target(Term):
     vertices (k,), positions (k, 3) [mm], stiffness [mN/mm] per vertex: multiply one per area by the vertex' area.
     """
 
+    varying: ClassVar[tuple[str, ...]] = ("positions",)
+
     vertices: np.ndarray = field(repr=False)
     positions: np.ndarray = field(repr=False)
     stiffness: float | np.ndarray
@@ -255,6 +268,8 @@ class Fixed(Term):
 
     vertices (k,); values [mm], shape (k, 3), None for where they are; components are out of 0, 1, 2.
     """
+
+    varying: ClassVar[tuple[str, ...]] = ("values",)
 
     vertices: np.ndarray = field(repr=False)
     values: np.ndarray | None = field(default=None, repr=False)
@@ -277,6 +292,8 @@ class Fixed(Term):
 class Gravity(Term):
     """Dead load density · acceleration per rest volume; acceleration [mm/s²], shape (3,), density [kg/mm³]."""
 
+    varying: ClassVar[tuple[str, ...]] = ("acceleration", "density")
+
     acceleration: np.ndarray
     density: float | np.ndarray
     tets: np.ndarray | None = field(default=None, repr=False)
@@ -294,6 +311,8 @@ class Gravity(Term):
 @dataclass(frozen=True, eq=False)
 class Traction(Term):
     """Dead load `vector` [kPa] per rest area on triangles (k, 3) of the scene's vertices."""
+
+    varying: ClassVar[tuple[str, ...]] = ("vector",)
 
     triangles: np.ndarray = field(repr=False)
     vector: np.ndarray
@@ -335,6 +354,8 @@ class RigidBody(Term):
     default where the scene has them: a scaled bone is a body with another rest.
     """
 
+    varying: ClassVar[tuple[str, ...]] = ("rest",)
+
     vertices: np.ndarray = field(repr=False)
     rest: np.ndarray | None = field(default=None, repr=False)
 
@@ -353,6 +374,8 @@ class Pressure(Term):
     The outer side is the one that sees the corners counter-clockwise. One number, or one per triangle; negative sucks.
     """
 
+    varying: ClassVar[tuple[str, ...]] = ("value",)
+
     triangles: np.ndarray = field(repr=False)
     value: float | np.ndarray
 
@@ -370,6 +393,8 @@ class Inertia(Term):
     density [kg/mm³] of the tets, lumped at vertices; time_step h [s]; positions X₁ [mm] and velocities v₁ [mm/s] before
     the step, shape (scene's vertices, 3), default at rest. After the step v = (x - X₁) / h.
     """
+
+    varying: ClassVar[tuple[str, ...]] = ("positions", "velocities")
 
     density: float | np.ndarray
     time_step: float

@@ -4,14 +4,14 @@ How to read it, from what is asked to what is solved:
 
 - `prepared`: prepare and solve. A `run` is one call of solve, with the one record of what all attempts spend; a `plan`
   says which strategies are tried and when the next one is. `MirroredFenicsx` is for commands under mpirun.
-- The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, over the
-  `condensed` energy of elements with a pressure), `balance` (continuation: the `load_path` of the equations of
-  `equilibrium`). `dynamics` marches through time by minimisations, with a `chord`.
+- The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, for
+  elements with a pressure), `load_path` (continuation of the equations of `equilibrium`).
+  `dynamics` marches through time by minimisations.
 - What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (`hyperelastic` laws by UFL from
-  `densities` and `mixed_densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
-  (`membrane`, `bending`, `follower`) and `loads`. `bodies` makes parts rigid, `moving` adds a time step.
+  `densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
+  (`membrane`, `bending`, `follower`) and loads. `bodies` makes parts rigid, `moving` adds a time step.
 - Where it lives: `numbering` is the scene's mesh and its nodes, `shared` how processes divide them, `assembly` the
-  matrix. `linear`, `direct` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
+  matrix. `linear` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
   that knows which dolfinx there is.
 
 Of several processes every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package

@@ -27,7 +27,6 @@ class Stiffness:
         self.columns = pattern.indices
         indptr = np.concatenate([[0], np.cumsum(np.repeat(3 * count, 3))]).astype(PETSc.IntType)
         indices = _three_rows(self.starts, self.columns).astype(PETSc.IntType)
-        self._rows = indptr, indices
         self.values: Floats = np.zeros(len(indices))
         self.local = PETSc.Mat().createAIJWithArrays((3 * nodes.count,) * 2, (indptr, indices, self.values), comm=ALONE)
         self.local.setBlockSize(3)
@@ -40,15 +39,24 @@ class Stiffness:
             matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def _distributed(self) -> PETSc.Mat:
-        self.matrix = allocated(self.nodes, *self._rows)
-        return self.assembled()
+        """The sum of all processes' `local`, which PETSc keeps as one matrix of parts."""
+        nodes, order = self.nodes, self.nodes.local_map()
+        sizes = ((3 * nodes.owned, 3 * nodes.total),) * 2
+        self._parts = PETSc.Mat().create(comm=nodes.comm)
+        self._parts.setSizes(sizes, bsize=3)
+        self._parts.setType(PETSc.Mat.Type.IS)
+        self._parts.setLGMap(order, order)
+        self._parts.setISLocalMat(self.local)
+        self._parts.assemble()
+        return self._parts.convert("aij", PETSc.Mat())
 
     def assembled(self) -> PETSc.Mat:
         """The matrix of all processes, from what each has added since `clear`."""
-        if self.matrix is self.local:
-            self.matrix.assemble()
-            return self.matrix
-        return added_up(self.matrix, *self._rows, self.values)
+        self.local.assemble()
+        if self.matrix is not self.local:
+            self._parts.assemble()
+            self._parts.convert("aij", self.matrix)
+        return self.matrix
 
     def slots(self, elements: Ints) -> Ints:
         """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
@@ -73,35 +81,6 @@ class Stiffness:
     def touch(self):
         """Tell PETSc that `values` have changed."""
         self.local.stateIncrease()
-
-
-def allocated(shared: Shared, indptr: Ints, indices: Ints) -> PETSc.Mat:
-    """A matrix of the owned rows, with room for what all processes add to them, from the rows that each knows of.
-
-    `indptr` and `indices` number rows and columns as fields do, `size` for each that is shared.
-    """
-    size, owned = shared.size, shared.size * shared.owned
-    count = np.diff(indptr)
-    rows = np.repeat(np.arange(len(count)), count)
-    inside = np.bincount(rows[indices < owned], minlength=len(count))
-    foreign = np.where(np.arange(len(count)) < owned, 0.0, count)  # added to rows of others
-    room = shared.summed(foreign.reshape(-1, size)).ravel().astype(np.int64)
-    total = size * shared.total
-    inner = np.minimum(inside[:owned] + room, owned).astype(PETSc.IntType)
-    outer = np.minimum((count - inside)[:owned] + room, total - owned).astype(PETSc.IntType)
-    matrix = PETSc.Mat().createAIJ(((owned, total),) * 2, bsize=size, nnz=(inner, outer), comm=shared.comm)
-    local = shared.local_map()
-    matrix.setLGMap(local, local)
-    return matrix
-
-
-def added_up(matrix: PETSc.Mat, indptr: Ints, indices: Ints, values: Floats) -> PETSc.Mat:
-    """The sum of what all processes have for the rows that each knows of, in a matrix of `allocated`."""
-    matrix.zeroEntries()
-    rows = np.arange(len(indptr) - 1, dtype=PETSc.IntType)
-    matrix.setValuesLocalIJV(indptr, indices, values, addv=PETSc.InsertMode.ADD_VALUES, rowmap=rows)
-    matrix.assemble()
-    return matrix
 
 
 def _pattern(elements: list[Ints], n: int) -> csr_matrix:

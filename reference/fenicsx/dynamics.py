@@ -17,12 +17,11 @@ from ..scene import Scene, refuse_unknown
 from ..solution import Reason
 from ..terms import Inertia, Pressure, RigidBody, Target
 from ..trajectory import Energies, Trajectory
-from .chord import Chord
 from .dolfinx_version import PETSc
 from .masses import accelerations, mass_matrix, times
-from .moving import MovingProblem, MovingState
+from .moving import Chord, MovingProblem, MovingState
 from .numbering import Numbering
-from .prepared import LAWS, VARYING, processes_for
+from .prepared import LAWS, processes_for
 from .prepared import TERMS as STATIC_TERMS
 from .problem import Problem
 from .shared import anywhere, check_same, dot, norm
@@ -119,7 +118,7 @@ class _March:
         scene = self.motion.scene_at(step) if self.comm.rank == 0 else None
         if self.comm.bcast(scene is not self._scene):
             self._scene = self.comm.bcast(scene)
-            self.motion.scene.check_prepared_for(self._scene, varying=VARYING)
+            self.motion.scene.check_prepared_for(self._scene)
         return self._scene
 
     def _set(self, scene: Scene, step: int) -> Floats:

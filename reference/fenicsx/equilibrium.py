@@ -57,6 +57,11 @@ class Equilibrium:
         residual = np.concatenate([state.gradient().ravel(), state.strain()])
         return Point(z, residual, state, bool(np.isfinite(state.energy + norm(self.comm, residual))))
 
+    def vector(self, u: Floats, p: Floats | None) -> Floats:
+        """The vector of a displacement, a field, and a pressure, a field or a vector, or none."""
+        m, count = self.displacements, self.count
+        return np.concatenate([u.ravel()[:m], np.zeros(count - m) if p is None else p[: count - m]])
+
     def fields(self, z: Floats) -> tuple[Floats, Floats]:
         """The displacement (n, 3) and the pressure (n_p,) of a vector z (count,), as fields."""
         problem, m = self._problem, self.displacements

@@ -17,8 +17,7 @@ import ufl
 from ...lhm.mesh import Floats, Ints
 from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
-from .densities import DENSITIES
-from .mixed_densities import mixed_density
+from .densities import DENSITIES, mixed_density
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
@@ -124,8 +123,9 @@ class HyperelasticForms:
             by_pressure = ufl.derivative(energy, pressure, ufl.TestFunction(pressures))
             forms += [by_pressure, ufl.derivative(gradient, pressure, trial)]
             forms += [ufl.derivative(by_pressure, pressure, trial)]
-        compiled = [seam.compile_form(form) for form in forms]
-        return cls(cells, *compiled[:3], *stress_and_tangent(psi, F, degree, space.mesh), *compiled[3:])
+        by_displacement, by_both = ([seam.compile_form(form) for form in part] for part in (forms[:3], forms[3:]))
+        P, dP_dF = stress_and_tangent(psi, F, degree, space.mesh)
+        return cls(cells, by_displacement[0], by_displacement[1], by_displacement[2], P, dP_dF, *by_both)
 
     def assemble_energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""

@@ -1,40 +1,49 @@
-"""Newton's method on the equations of equilibrium, and the path of equilibria that loads and motions grow along.
+"""The strategy "continuation": Newton's method on the equations of equilibrium, along the path that loads grow along.
 
 A step is damped until the simplified correction that follows it is shorter than the correction itself, a test that
 does not depend on how forces, volumes and pressures are scaled (Deuflhard 2011, "Newton Methods for Nonlinear
 Problems", Section 3.3). Where the whole load fails at once, it grows in steps of adaptive size from the start. Where
 steps get small, descent may show that a part of the body snaps, such as an element beside a clamp, and the path goes
-on behind it; what takes the body elsewhere is another answer, and no continuation. Where steps shrink to nothing, the
-last equilibrium tells why: near a limit point the displacement grows without bound with the load, or the tangent turns
-indefinite; else the steps, not the load, are at fault.
+on behind it; what takes the body elsewhere is another answer, and no continuation, unless it comes as near as the load
+to where the body lost its stability, as a column's bent shapes do: there the path branches off. Where steps shrink to
+nothing, the last equilibrium tells why: near a limit point the displacement grows without bound with the load, or the
+tangent turns indefinite; else the steps, not the load, are at fault.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...lhm.mesh import Floats
+from ..restraint import drifts
 from ..solution import Reason
-from .direct import Factorisation
 from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
-from .linear import hold, product, vector
+from .linear import Factorisation, hold, product, vector
+from .problem import Problem
+from .run import Attempt, Run
 from .shared import anywhere, largest, norm
 
+MAX_ITERATIONS = 1000
 SMALLEST_DAMPING = 1 / 32
 STEP_ITERATIONS = 25
 FIRST_SHARE = 1 / 4
 SMALLEST_SHARE = 1 / 1024
 SNAP_SHARE = 1 / 64  # the step at which descent is asked
 SNAP = 0.2  # of the displacement so far, that a snap may add to it at most
+BRANCH = 0.5  # of where descent leads from SNAP_SHARE beyond: from SMALLEST_SHARE it is nearer where a branch begins
 ASIDE, MODE_ITERATIONS = 1e-3, 5  # of the largest displacement, to leave an unstable equilibrium by
 EASY = 5  # iterations, within which the next load step may be longer
 PATH_TOLERANCE = 1e-6
 DRIFT = 1e-9  # of the tangent's largest entry
 STEEP = 4.0  # times the first rate of displacement by load, that tells a limit point
+
+Descent = Callable[[Floats, Floats, float], tuple[Floats, Floats, Reason, int]]
+"""Minimises a problem's energy at a share of its loads from displacement, a field (n, 3), and pressure, a vector, to
+both; why it stopped; iterations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,39 +61,46 @@ class Equilibrated:
         return self.reason is Reason.CONVERGED
 
 
-@dataclass(eq=False)
-class LoadPath:
-    """Equations, where held unknowns go, a vector, and who is told of each iteration and may stop.
+class Continuation:
+    """A run's load path on a problem; `descent` is asked where a part of the body may have snapped."""
 
-    A body that `drifts` has rigid motions left; a trace of stiffness keeps its tangent regular. `descend` goes from
-    unknowns to a minimum of the energy at a share of the loads, and gives it, why it stopped, and its iterations.
-    """
+    def __init__(self, run: Run, problem: Problem, descent: Descent | None = None):
+        self._run, self._problem, self._descent = run, problem, descent
+        held = (run.held | problem.unsupported[:, None])[: run.numbering.nodes.owned]
+        self.equations = Equilibrium(problem, np.flatnonzero(held))
+        self.start, self.goal = (self.equations.vector(u, run.pressure) for u in (run.u, run.goal))
+        self._drifts = drifts(run.scene)
+        self._limit = run.record.left(MAX_ITERATIONS)
+        self._assemblies = problem.assemblies
+        self.factors = Factorisation()
+        self._factored = self._iterations = 0
+        self._share = self._first = self._away = 0.0
+        self._unstable = self._branched = False
+        self._origin: Floats = np.zeros(0)
 
-    equations: Equilibrium
-    start: Floats
-    goal: Floats
-    threshold: Callable[[float], float]
-    report: Callable[[Point, float], bool]
-    max_iterations: int
-    drifts: bool = False
-    descend: Callable[[Floats, float], tuple[Floats, Reason, int]] | None = None
-    factors: Factorisation = field(default_factory=Factorisation)
-    factored: int = 0
-    iterations: int = 0
-    share: float = 0.0
-    _first: float = 0.0
-    _unstable: bool = False
-    _origin: Floats = field(default_factory=lambda: np.zeros(0))
+    def attempt(self) -> Attempt:
+        """Follow the load path to its end."""
+        point, reason = self._followed()
+        record = self._run.record
+        record.add(
+            self._iterations, linear_solves=self._factored, assemblies=self._problem.assemblies - self._assemblies
+        )
+        record.detail["load_share"] = self._share  # type: ignore[assignment]
+        pressure = point.state.p if self._problem.mixed else None
+        return Attempt(reason, self._run.numbering, point.state.u, pressure, point.state.energy)
 
-    def run(self) -> tuple[Point, Reason]:
+    def _report(self, point: Point, norm: float) -> bool:
+        return self._run.tell(point.state.u, point.state.energy, norm)
+
+    def _followed(self) -> tuple[Point, Reason]:
         """All of the load at once or, where that fails or ends unstable, in steps; the last equilibrium and why."""
         begin = self.equations.at(self.start, 0.0)
         if not begin.finite:
-            self.report(begin, np.inf)
+            self._report(begin, np.inf)
             return begin, Reason.NOT_FINITE
         whole = self._correct(self.start, 1.0, final=True)
         if whole.converged and whole.stable:
-            self.share = 1.0
+            self._share = 1.0
             return whole.point, Reason.CONVERGED
         if whole.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS, Reason.STAGNATED):
             return whole.point, whole.reason
@@ -100,28 +116,30 @@ class LoadPath:
         first_rate = self._rate(here)
         before: Point | None = None
         step = FIRST_SHARE
-        self._unstable = False
+        self._unstable = self._branched = False
         while here.share < 1.0:
             share = min(1.0, here.share + step)
             after = self._correct(self._predicted(before, here, share), share, final=share == 1.0)
             if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
                 return here, after.reason
             if after.converged and after.stable:
-                before, here, self.share = here, after.point, share
+                before, here, self._share = here, after.point, share
                 step *= 2.0 if after.iterations <= EASY else 1.0
                 continue
             self._unstable |= after.converged
             step *= 0.5
-            if step == SNAP_SHARE and self.descend is not None:
+            if step in (SNAP_SHARE, SMALLEST_SHARE) and self._descent is not None:
                 share = min(1.0, here.share + step)
                 after = self._snapped(self._predicted(before, here, share), here, share)
                 if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
                     return here, after.reason
                 if after.converged and after.stable:
-                    before, here, self.share = None, after.point, share
+                    before, here, self._share = None, after.point, share
                     step *= 2.0
                     continue
             if step < SMALLEST_SHARE:
+                if self._branched:
+                    return here, Reason.BIFURCATION
                 steep = self._rate(here) > STEEP * first_rate
                 return here, Reason.LIMIT_POINT if self._unstable or steep else Reason.LINE_SEARCH
         return here, Reason.CONVERGED
@@ -140,20 +158,26 @@ class LoadPath:
     def _snapped(self, guess: Floats, here: Point, share: float) -> Equilibrated:
         """The stable equilibrium at a share to which descent leads from an unstable one or a guess, if that is near."""
         equations, final = self.equations, share == 1.0
-        assert self.descend is not None
         unstable = self._correct(guess, share, final=final)
         if unstable.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS) or unstable.stable:
             return unstable
         begin = self._aside(unstable.point) if unstable.converged else guess.copy()
         begin[equations.held] = self._at_share(share)[equations.held]
-        down, reason, made = self.descend(begin, share)
-        self.iterations += made
+        assert self._descent is not None
+        m = equations.displacements
+        u, p, reason, made = self._descent(equations.fields(begin)[0], begin[m:], share)
+        down = equations.vector(u, p)
+        self._iterations += made
         if reason is Reason.INTERRUPTED:
             return Equilibrated(here, reason, made, False)
-        far = self._length(down - begin) > SNAP * self._length(here.z - self._origin)
-        if far or reason not in (Reason.CONVERGED, Reason.STAGNATED):
+        away = min(self._length(down - begin), self._length(down - here.z))
+        far, branches = away > SNAP * self._length(here.z - self._origin), away <= BRANCH * self._away
+        self._away = max(self._away, away)
+        if (far and not branches) or reason not in (Reason.CONVERGED, Reason.STAGNATED):
             return Equilibrated(here, Reason.LIMIT_POINT, made, False)
-        return self._correct(down, share, final=final)
+        after = self._correct(down, share, final=final)
+        self._branched |= far and after.converged and after.stable
+        return after
 
     def _predicted(self, before: Point | None, here: Point, share: float) -> Floats:
         if before is None:
@@ -183,8 +207,8 @@ class LoadPath:
     def _factor(self, derivative: PETSc.Mat) -> bool:
         """Factor a derivative whose held unknowns are left out, which it loses."""
         equations = self.equations
-        self.factored += 1
-        if self.drifts:
+        self._factored += 1
+        if self._drifts:
             trace = np.zeros(equations.count)
             free = equations.free[equations.free < equations.displacements]
             trace[free] = DRIFT * derivative.getDiagonal().norm(PETSc.NormType.INFINITY)
@@ -219,17 +243,21 @@ class LoadPath:
                 first = max(norm, equations.norm(self._free(point.residual)))
                 if final and self._first == 0.0:
                     self._first = first
-                last = self.threshold(self._first) if final else max(PATH_TOLERANCE * first, self.threshold(first))
-            if self.report(point, norm):
+                last = (
+                    self._run.threshold(self._first)
+                    if final
+                    else max(PATH_TOLERANCE * first, self._run.threshold(first))
+                )
+            if self._report(point, norm):
                 return Equilibrated(point, Reason.INTERRUPTED, iteration, False)
             regular = self._factor(derivative)
             if norm <= last and not moves:
                 return Equilibrated(point, Reason.CONVERGED, iteration, regular and self._stable)
             if not regular:
                 return Equilibrated(point, Reason.LINEAR_SOLVER, iteration, False)
-            if self.iterations >= self.max_iterations:
+            if self._iterations >= self._limit:
                 return Equilibrated(point, Reason.MAX_ITERATIONS, iteration, False)
-            self.iterations += 1
+            self._iterations += 1
             correction = jump - self.factors.solve(forces)
             damping = min(1.0, 2.0 * damping)
             following = self._damped(point, correction, damping)

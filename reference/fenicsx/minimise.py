@@ -9,7 +9,7 @@ import numpy as np
 
 from ...lhm.mesh import Floats
 from ..restraint import drifts
-from ..solution import Reason, stop_threshold
+from ..solution import Limits, Reason
 from ..terms import Bending, RigidBody, Strain, SurfaceStrain, Traction, Volume
 from .bodies import Pose, RigidProblem
 from .linear import LinearSolver
@@ -17,10 +17,8 @@ from .load_path import DRIFT, PATH_TOLERANCE
 from .newton import AnyState, Newton, Work
 from .problem import Problem, State
 from .run import Attempt, Run
-from .shared import anywhere
 
 MAX_ITERATIONS = 100
-SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
 LOAD_STEP_TOLERANCE = 1e-2
 STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
 ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
@@ -91,7 +89,7 @@ class Minimisation:
         return end
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
-        """See `balance.Descent`: what is held stays where it is."""
+        """See `load_path.Descent`: what is held stays where it is."""
         state = self._at(u, share)
         if not np.isfinite(state.energy):
             return u, p, Reason.NOT_FINITE, 0
@@ -120,15 +118,15 @@ class Minimisation:
             self._report(state, np.inf)
             return state, Reason.NOT_FINITE
         while True:
-            lifted, fraction, force = self._lift(state)
+            lifted, fraction, force = self._newton.lift(state, self._goal, self._nodes, self._at)
             if lifted is None:
                 return state, Reason.LINE_SEARCH
-            tolerance = run.tolerance if fraction == 1.0 else LOAD_STEP_TOLERANCE
+            limits = run.limits if fraction == 1.0 else Limits(LOAD_STEP_TOLERANCE)
 
-            def threshold(first: float, force: float = force, tolerance: float = tolerance) -> float:
-                return stop_threshold(run.scene, max(first, force), tolerance)
+            def threshold(first: float, force: float = force, limits: Limits = limits) -> float:
+                return limits.threshold(run.scene, max(first, force))
 
-            newton, begin = self._newton, cast(AnyState, lifted)
+            newton, begin = self._newton, lifted
             if fraction == 1.0 and self._rigid is not None:
                 newton, begin = self._freed, self._rigid.at(lifted.u, self._poses)
             end, reason, made = newton.minimise(begin, threshold=threshold, max_iterations=left)
@@ -137,23 +135,3 @@ class Minimisation:
             if fraction == 1.0 or reason is not Reason.CONVERGED:
                 return end, reason
             state = cast(State, end)
-
-    def _lift(self, state: State) -> tuple[State | None, float, float]:
-        """Move held dofs towards their goal while the energy stays finite; give the state, how far, and the force."""
-        begin, goal = self._own(state.u), self._own(self._goal)
-        jump = np.zeros_like(begin)
-        held = self._newton.held
-        jump.flat[held] = goal.flat[held] - begin.flat[held]
-        if not anywhere(self._problem.comm, jump):
-            return state, 1.0, 0.0
-        spread, force = self._newton.extension(state, jump)
-        fraction = 1.0
-        while fraction >= SMALLEST_FRACTION:
-            u = begin + fraction * spread
-            if fraction == 1.0:
-                u.flat[held] = goal.flat[held]
-            lifted = self._at(self._nodes.spread(u))
-            if np.isfinite(lifted.energy):
-                return lifted, fraction, fraction * force
-            fraction *= 0.5
-        return None, 0.0, 0.0

@@ -1,5 +1,10 @@
 """The strategy "augmented Lagrangian": minimise the condensed energy, correct the pressure it starts from, and repeat.
 
+With Π(u, p) of a mixed problem, E(u) = max over p of Π(u, p) - (p - p₀)² / (2 kappa): for J = 1 the augmented
+Lagrangian of Hestenes and Powell with multiplier p₀ (Bertsekas 1982, "Constrained Optimization and Lagrange Multiplier
+Methods", Chapter 2), for other laws their own energy with a bulk modulus cut down to what Newton's method can follow.
+E's minimiser is the problem's own once p₀ is its pressure, whatever kappa.
+
 Each minimisation is Newton's with line search and projection, so that large motions and crushed elements do no harm;
 Newton's method on displacement and pressure at once follows as soon as its full steps work, and converges fast.
 """
@@ -10,11 +15,14 @@ import numpy as np
 
 from ...lhm.mesh import Floats
 from ..solution import Reason
-from .condensed import Condensed, CondensedState
+from .dolfinx_version import PETSc
+from .linear import product
+from .minimise import LOAD_STEP_TOLERANCE
 from .newton import AnyState, Newton, Work
+from .problem import Problem, State
 from .run import Attempt, Run
-from .saddle import saddle_of
-from .shared import anywhere, norm
+from .saddle import PENALTY, PressureSolver, SaddleMatrix, saddle_of
+from .shared import dot, norm
 
 MAX_ITERATIONS = 300
 ROUNDS = 40
@@ -22,18 +30,105 @@ FIRST_SHARE, SHARE = 1e-2, 5e-2  # of a round's first gradient norm, that ends i
 NEAR = 0.1  # of the pressure's norm: with smaller corrections steps of displacement and pressure at once are tried
 FALL = 0.5  # of the residual's norm or of the displacement that follows, which such a step has to reach
 QUICK, HARDER = 2, 10.0  # where so few iterations leave more than FALL of the volumes, kappa grows
-SMALLEST_FRACTION = 1 / 64  # of the motion of the held vertices, in one load step
-LOAD_STEP_TOLERANCE = 1e-2
+SETTLED = 1e-10  # of the pressure's norm, below which a correction is rounding or of no account
+CORRECTIONS = 30
+
+
+class Condensed:
+    """Energy, gradient and Hessian of E over the displacement's dofs, as `Newton` asks for them.
+
+    `centre` is p₀ [kPa], a vector (n_p,), and `matrix` the saddle point's, whose springs are kappa's.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem, self.comm, self.matrix = problem, problem.comm, SaddleMatrix(problem)
+        self.centre: Floats = np.zeros(self.matrix.pressures)
+        self._pressures = PressureSolver(self.matrix)
+
+    @property
+    def energy_scale(self) -> float:
+        """See Problem."""
+        return self.problem.energy_scale
+
+    def begin(self, centre: Floats):
+        """Begin with the first kappa and a p₀ [kPa], a vector."""
+        self.matrix.springs, self.centre = 1.0 / PENALTY, np.array(centre)
+
+    def harden(self, times: float):
+        """Multiply kappa."""
+        self.matrix.springs /= times
+
+    def at(self, u: Floats, share: float = 1.0) -> CondensedState:
+        """The energy at a displacement [mm], a field (n, 3), and a share of loads; infinite where a law has none."""
+        p = np.array(self.centre)
+        static = self._placed(u, p, share)
+        self.matrix.assemble(static, springs=True)
+        self._pressures.take(self.matrix.D)
+        for _ in range(CORRECTIONS):
+            away = static.strain() - self.stretched(p)
+            if not np.isfinite(norm(self.comm, away)):
+                break
+            correction = self._pressures.solve(away)
+            p = p + correction
+            static = self._placed(u, p, share)
+            if not norm(self.comm, correction) > SETTLED * norm(self.comm, p):
+                break
+        return CondensedState(self, static, p, springs=True)
+
+    def beside(self, u: Floats, p: Floats, share: float = 1.0) -> CondensedState:
+        """The problem itself, without springs, at a displacement, a field, and a pressure [kPa], a vector: p₀ anew."""
+        self.centre = np.array(p)
+        return CondensedState(self, self._placed(u, p, share), p, springs=False)
+
+    def moved(self, state: CondensedState, step: Floats) -> CondensedState:
+        """The energy after a step of all dofs [mm], a vector (3 owned,)."""
+        return self.at(state.u + self.problem.numbering.nodes.spread(step.reshape(-1, 3)), state.share)
+
+    def stretched(self, p: Floats) -> Floats:
+        """What the springs hold back [mm³], a vector: the volumes by which a minimiser is not the problem's own."""
+        return self.matrix.springs * product(self.matrix.mass, p - self.centre)
+
+    def _placed(self, u: Floats, p: Floats, share: float) -> State:
+        return self.problem.at(u, self.problem.pressures.spread(p), share)
+
+
+class CondensedState:
+    """Energy, gradient and Hessian at one displacement `u`, a field (n, 3), and pressure `p`, a vector (n_p,)."""
+
+    def __init__(self, owner: Condensed, static: State, p: Floats, *, springs: bool):
+        self._owner, self._static, self._springs = owner, static, springs
+        self.u, self.p, self.share = static.u, p, static.share
+        self.energy = static.energy
+        if springs:
+            self.energy -= 0.5 * dot(owner.comm, p - owner.centre, owner.stretched(p))
+        self.energy = self.energy if np.isfinite(self.energy) else np.inf
+
+    def gradient(self) -> Floats:
+        """The energy's gradient [mN], a vector (owned, 3), held components included."""
+        return self._static.gradient()
+
+    def strain(self) -> Floats:
+        """Π's derivative by the pressure [mm³], a vector (n_p,)."""
+        return self._static.strain()
+
+    def hessian(self) -> PETSc.Mat:
+        """Π's second derivative by the displacement [mN/mm], and all blocks of the owner's matrix."""
+        self._owner.matrix.assemble(self._static, springs=self._springs)
+        return self._static.hessian()
+
+    def softened_hessian(self, kept: float) -> PETSc.Mat:
+        """The same with negative eigenvalues of points' tangents multiplied by `kept`."""
+        self._owner.matrix.assemble(self._static, springs=self._springs)
+        return self._static.softened_hessian(kept)
 
 
 class MultiplierDescent:
     """A run on a mixed problem, for energies without follower loads.
 
-    `linear_solver` is as in `saddle_of`; with `warm` the pressure begins where the condensed problem's last solve
-    ended.
+    `linear_solver` is as in `saddle_of`.
     """
 
-    def __init__(self, run: Run, condensed: Condensed, *, warm: bool, linear_solver: str = "cg"):
+    def __init__(self, run: Run, condensed: Condensed, *, linear_solver: str = "cg"):
         self._run, self._condensed, self._comm = run, condensed, condensed.comm
         self._nodes = run.numbering.nodes
         held = (run.held | condensed.problem.unsupported[:, None])[: self._nodes.owned]
@@ -43,12 +138,12 @@ class MultiplierDescent:
         self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, Work())
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
         self._limit = run.record.left(MAX_ITERATIONS)
-        self._warm = warm
 
     def attempt(self) -> Attempt:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
         condensed = self._condensed
-        condensed.begin(None if self._warm else np.zeros(condensed.matrix.pressures))
+        count, pressure = condensed.matrix.pressures, self._run.pressure
+        condensed.begin(np.zeros(count) if pressure is None else pressure[:count])
         try:
             state, reason = self._descend()
         finally:
@@ -64,7 +159,7 @@ class MultiplierDescent:
         return Attempt(reason, self._run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
-        """See `balance.Descent`: what is held stays where it is."""
+        """See `load_path.Descent`: what is held stays where it is."""
         self._condensed.begin(p)
         self._iterations = 0
         try:
@@ -86,34 +181,15 @@ class MultiplierDescent:
             self._report(state, np.inf)
             return state, Reason.NOT_FINITE
         while True:
-            lifted, fraction = self._lift(state)
-            if lifted is None:
+            lifted, fraction, force = self._newton.lift(state, self._run.goal, self._nodes, self._condensed.at)
+            if not isinstance(lifted, CondensedState):
                 return state, Reason.LINE_SEARCH
+            self._first = max(self._first, force)
             if fraction == 1.0:
                 return self._rounds(lifted)
             state, reason = self._round(lifted, lambda first: LOAD_STEP_TOLERANCE * max(first, self._first))
             if reason is not Reason.CONVERGED:
                 return state, reason
-
-    def _lift(self, state: CondensedState) -> tuple[CondensedState | None, float]:
-        """Move what is held as far to its goal as keeps the energy finite; the state, and the share of the way."""
-        begin, goal = (field[: self._nodes.owned] for field in (state.u, self._run.goal))
-        jump = np.zeros_like(begin)
-        jump.flat[self._held] = goal.flat[self._held] - begin.flat[self._held]
-        if not anywhere(self._comm, jump):
-            return state, 1.0
-        spread, force = self._newton.extension(state, jump)
-        fraction = 1.0
-        while fraction >= SMALLEST_FRACTION:
-            u = begin + fraction * spread
-            if fraction == 1.0:
-                u.flat[self._held] = goal.flat[self._held]
-            lifted = self._condensed.at(self._nodes.spread(u))
-            if np.isfinite(lifted.energy):
-                self._first = max(self._first, fraction * force)
-                return lifted, fraction
-            fraction *= 0.5
-        return None, 0.0
 
     def _round(self, state: CondensedState, threshold, *, near: bool = False) -> tuple[CondensedState, Reason]:
         """Minimise the condensed energy."""

@@ -11,21 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...lhm.mesh import Floats, Ints
 from ..solution import Reason
-from .bodies import RigidProblem, RigidState
-from .condensed import Condensed, CondensedState
-from .dolfinx_version import PETSc
+from .dolfinx_version import MPI, PETSc
 from .linear import LinearSolver, hold
-from .moving import MovingProblem, MovingState
-from .problem import Problem, State
-from .shared import dot, norm
+from .shared import Shared, anywhere, dot, norm
 
-AnyState = State | RigidState | MovingState | CondensedState
-
+SMALLEST_FRACTION = 1 / 64  # of the motion of what is held, in one load step
 EXACT_BELOW = 0.03  # of the first gradient norm
 SUFFICIENT = 1e-4  # Armijo's share of the predicted decrease
 STRAIGHT = 0.75  # of the predicted decrease (a parabola's is 1/2): beyond it a longer step pays
@@ -35,6 +31,44 @@ SHARE = 0.25  # of the negative curvature, that a Hessian which is not positive 
 SUCCESSES = 2  # with a share of it, after which more is tried
 DAMPINGS = (1e-3, 1e-2, 1e-1)  # of the largest diagonal entry: added where the projected Hessian leads nowhere
 SHIFTS = (0.0, 1e-10, 1e-6)  # of the largest diagonal entry: what a direct solver adds where nothing holds a part
+
+
+class AnyState(Protocol):
+    """An energy at one place: the displacement `u` [mm], a field (n, 3), and what Newton's method needs there."""
+
+    u: Floats
+
+    @property
+    def energy(self) -> float:
+        """The energy [µJ], infinite or not a number where there is none."""
+        ...
+
+    def gradient(self) -> Floats:
+        """Its gradient [mN] by the unknowns, a vector, held ones included."""
+        ...
+
+    def hessian(self) -> PETSc.Mat:
+        """Its Hessian [mN/mm], in a matrix that is always the same."""
+        ...
+
+    def softened_hessian(self, kept: float) -> PETSc.Mat:
+        """The Hessian with negative eigenvalues of points' tangents multiplied by `kept` in [0, 1]."""
+        ...
+
+
+class Minimised(Protocol):
+    """What has an energy."""
+
+    comm: MPI.Intracomm
+
+    @property
+    def energy_scale(self) -> float:
+        """An energy [µJ] that the scene's stiffness gives to displacements of its size."""
+        ...
+
+    def moved(self, state: Any, step: Floats) -> AnyState:
+        """The state after a step [mm], a vector."""
+        ...
 
 
 @dataclass
@@ -55,7 +89,7 @@ class Newton:
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
 
-    problem: Problem | RigidProblem | MovingProblem | Condensed
+    problem: Minimised
     held: Ints
     linear: LinearSolver
     fallback: LinearSolver
@@ -74,7 +108,7 @@ class Newton:
         """The norm of a vector that the processes share."""
         return norm(self.problem.comm, vector)
 
-    def extension(self, state: State | MovingState | CondensedState, jump: Floats) -> tuple[Floats, float]:
+    def extension(self, state: AnyState, jump: Floats) -> tuple[Floats, float]:
         """How a jump of the held dofs [mm], a vector (owned, 3), spreads by the projected Hessian; its forces' norm.
 
         The displacement, a vector too, equals the jump at held dofs. A direct lift would crush the elements next to
@@ -97,6 +131,30 @@ class Newton:
             return jump, force
         spread[self.held] = values  # an iterative solver leaves its residual there
         return spread.reshape(jump.shape), force
+
+    def lift(
+        self, state: AnyState, goal: Floats, nodes: Shared, at: Callable[[Floats], AnyState]
+    ) -> tuple[AnyState | None, float, float]:
+        """Move what is held as far to a goal [mm], a field (n, 3), as keeps the energy finite that `at` gives a field.
+
+        The state, None where there is none, the share of the way, and the norm of the forces that this causes [mN].
+        """
+        begin, end = (field[: nodes.owned] for field in (state.u, goal))
+        jump = np.zeros_like(begin)
+        jump.flat[self.held] = end.flat[self.held] - begin.flat[self.held]
+        if not anywhere(nodes.comm, jump):
+            return state, 1.0, 0.0
+        spread, force = self.extension(state, jump)
+        fraction = 1.0
+        while fraction >= SMALLEST_FRACTION:
+            u = begin + fraction * spread
+            if fraction == 1.0:
+                u.flat[self.held] = end.flat[self.held]
+            lifted = at(nodes.spread(u))
+            if np.isfinite(lifted.energy):
+                return lifted, fraction, fraction * force
+            fraction *= 0.5
+        return None, 0.0, 0.0
 
     def minimise(
         self, state: AnyState, *, threshold: Callable[[float], float], max_iterations: int, near: bool = False
@@ -215,7 +273,7 @@ class Newton:
 
     def _moved(self, state: AnyState, step: Floats) -> AnyState:
         self.work.energies += 1
-        return self.problem.moved(state, step)  # type: ignore[arg-type]
+        return self.problem.moved(state, step)
 
     def _line_search(self, state: AnyState, direction: Floats, slope: float) -> AnyState | None:
         """The state after a step that lowers the energy enough, or None."""

@@ -40,11 +40,14 @@ def mixed(*, path_first: bool, loaded: bool) -> Plan:
 
 
 def follow(plan: Plan, attempt: Callable[[str], Attempt]) -> Attempt:
-    """Try a plan's strategies until one ends the search; the last that found something worth keeping, or the first."""
+    """Try a plan's strategies until one ends the search; the last that found something worth keeping, or the first.
+
+    A path that ends where others branch off leaves what descent has found beyond it.
+    """
     best: Attempt | None = None
     for step in plan:
         end = attempt(step.strategy)
-        if best is None or not best.sound or end.reason not in GIVEN_UP:
+        if best is None or not best.sound or end.reason not in (*GIVEN_UP, Reason.BIFURCATION):
             best = end
         if end.reason not in step.leaves and not end.doubtful:
             break

@@ -12,11 +12,11 @@ from ...lhm.checked import checked
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..compiling import Clock
-from ..materials import Corotated, Incompressible, Material
+from ..materials import Corotated, Incompressible, Material, NeoHookean
 from ..ranks import Mirrored, followers
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import OnIteration, Solution
+from ..solution import Limits, OnIteration, Solution, first_positions
 from ..terms import (
     Bending,
     Fixed,
@@ -28,20 +28,18 @@ from ..terms import (
     Strain,
     SurfaceStrain,
     Target,
+    Term,
     Traction,
     Volume,
 )
-from .balance import Balance
 from .bodies import Pose, RigidProblem
-from .condensed import Condensed
-from .densities import DENSITIES
+from .densities import DENSITIES, check_mixed, shear_modulus
 from .dolfinx_version import ALL, ALONE, MPI
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
-from .linear_start import compressible
+from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
-from .mixed_densities import check_mixed
-from .multipliers import MultiplierDescent
+from .multipliers import Condensed, MultiplierDescent
 from .numbering import Numbering
 from .plan import BODIES, DISPLACEMENT, FOLLOWER_PRESSURE, Plan, follow, mixed
 from .problem import Problem
@@ -65,21 +63,10 @@ TERMS = (
     Inertia,
 )
 LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
-VARYING = {
-    Target: ("positions",),
-    Fixed: ("values",),
-    Gravity: ("acceleration", "density"),
-    Traction: ("vector",),
-    Pressure: ("value",),
-    Strain: ("limit", "growth"),
-    Volume: ("target",),
-    SurfaceStrain: ("growth",),
-    RigidBody: ("rest",),
-    Inertia: ("positions", "velocities"),
-}
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
 FORCE_DEGREE = 6
+BULK = 10.0  # lmbda by mu of a large scene's start: volumes are nearly kept, linear tets do not lock yet
 LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 FEW = 300  # tets per process, below which dividing them costs more than it saves
 
@@ -91,9 +78,9 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
     linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct). By
     element "P2P1" "cg" is by size: factors below LARGE_SADDLE unknowns, above them GMRES with a block preconditioner,
-    which "block" asks for whatever the size. The load path (`Balance`: follower pressure, and where descent gives up)
-    always takes factors, whose inertia it needs. Raises SceneError for another element or linear solver, for a term
-    that this solver cannot model, and for a law that the element cannot.
+    which "block" asks for whatever the size. `Continuation` (follower pressure, and where descent gives up) always
+    takes factors, whose inertia it needs. Raises SceneError for another element or linear solver, for a term that this
+    solver cannot model, and for a law that the element cannot.
     """
     if element not in DEGREE_OF:
         raise SceneError(f"solver 'fenicsx': unknown element {element!r}; there are {', '.join(DEGREE_OF)}")
@@ -159,32 +146,35 @@ class PreparedFenicsx:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
+        warm: Solution | None = None,
+        remember: bool = False,
         tolerance: float = 1e-6,
+        absolute: float | None = None,
         max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
     ) -> Solution:
-        """Solve the prepared scene, or one that differs only in targets, held positions, loads and target volumes.
+        """Solve the prepared scene, or one that differs only in what terms say is `varying`.
 
-        The first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
+        A solution that was to be remembered has the displacement of nodes on edges and the pressure to start from. The
+        first gradient norm, to which tolerance relates, includes the forces that the held vertices' motion causes.
         See `softdeca.reference.Prepared.solve`.
         """
         record = Record(max_iterations, on_iteration)
         scene = self.scene if scene is None else scene
         check_same(self.comm, scene)
-        self.scene.check_prepared_for(scene, varying=VARYING)
-        begin = _checked_start(scene, start)
-        if not 0.0 < tolerance < 1.0:
-            raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
-        if max_iterations is not None and max_iterations < 0:
-            raise SceneError(f"max_iterations must be at least 0, got {max_iterations}")
+        self.scene.check_prepared_for(scene)
+        begin, limits = first_positions(scene, start, warm), Limits(tolerance, absolute, max_iterations)
+        before = None if start is not None or warm is None else warm.memory
+        if not (isinstance(before, Attempt) and before.numbering is self._numbering):
+            before = None
         self._set(scene)
         without_energy = self._element == "P2P1" or bool(scene.of(Pressure))
         check_restrained(scene, loads=None if without_energy else scene.loads())
-        run = Run(scene, self._numbering, begin, tolerance, record)
-        plan = self._plan(scene)
-        self._end = follow(plan, lambda strategy: self._attempt(strategy, run, warm=start is not None))
+        not_at_rest = start is not None or warm is not None
+        run = Run(scene, self._numbering, begin, limits, record, before=before, warm=not_at_rest)
+        self._end = follow(self._plan(scene), lambda strategy: self._attempt(strategy, run))
         recovery = partial(recover, scene, self._numbering.degree, self._nodal(self._end))
-        return replace(run.solution(self._end, self._spent), recovery=recovery)
+        return replace(run.solution(self._end, self._spent, remember=remember), recovery=recovery)
 
     def _plan(self, scene: Scene) -> Plan:
         if self._condensed is not None:
@@ -194,32 +184,32 @@ class PreparedFenicsx:
             return FOLLOWER_PRESSURE
         return BODIES if self._rigid is not None else DISPLACEMENT
 
-    def _attempt(self, strategy: str, run: Run, *, warm: bool) -> Attempt:
+    def _attempt(self, strategy: str, run: Run) -> Attempt:
         if strategy == "continuation":
-            return self._balance(run, warm=warm).attempt()
+            return self._continuation(run).attempt()
         if strategy == "minimise":
-            return self._minimisation(run, warm=warm).attempt()
+            return self._minimisation(run).attempt()
         large = len(run.scene.tets) >= LARGE
-        return self._descent(self._from_linear(run) if large and not warm else run, warm=warm).attempt()
+        return self._descent(self._from_linear(run) if large and not run.warm else run).attempt()
 
-    def _minimisation(self, run: Run, *, warm: bool) -> Minimisation:
+    def _minimisation(self, run: Run) -> Minimisation:
         poses: list[Pose] = []
         if self._rigid is not None:
             rigid = self._rigid[0]
             rigid.set(run.scene)
-            poses = rigid.nearest(self._numbering.to_dofs(run.start)) if warm else rigid.rest()
+            poses = rigid.nearest(self._numbering.to_dofs(run.start)) if run.warm else rigid.rest()
         return Minimisation(run, self._problem, self._linear, self._direct, self._rigid, poses)
 
-    def _descent(self, run: Run, *, warm: bool) -> MultiplierDescent:
+    def _descent(self, run: Run) -> MultiplierDescent:
         assert self._condensed is not None
-        return MultiplierDescent(run, self._condensed, warm=warm, linear_solver=self._linear_solver)
+        return MultiplierDescent(run, self._condensed, linear_solver=self._linear_solver)
 
-    def _balance(self, run: Run, *, warm: bool) -> Balance:
+    def _continuation(self, run: Run) -> Continuation:
         """The load path, with a descent for where a part of the body may have snapped."""
         if run.scene.of(Pressure):
-            return Balance(run, self._problem)
-        descent = self._descent(run, warm=warm) if self._condensed is not None else self._minimisation(run, warm=warm)
-        return Balance(run, self._problem, descent.settle)
+            return Continuation(run, self._problem)
+        descent = self._descent(run) if self._condensed is not None else self._minimisation(run)
+        return Continuation(run, self._problem, descent.settle)
 
     def _set(self, scene: Scene):
         self._problem.set(scene)
@@ -285,12 +275,16 @@ class MirroredFenicsx:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
+        warm: Solution | None = None,
+        remember: bool = False,
         tolerance: float = 1e-6,
+        absolute: float | None = None,
         max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
     ) -> Solution:
-        """See PreparedFenicsx."""
-        given = {"start": start, "tolerance": tolerance, "max_iterations": max_iterations}
+        """See PreparedFenicsx; what a solution remembers is not sent to other processes, its positions are."""
+        begin = warm.positions if start is None and warm is not None else start
+        given = {"start": begin, "tolerance": tolerance, "absolute": absolute, "max_iterations": max_iterations}
         return self._everywhere.call("solve", scene, here={"on_iteration": on_iteration}, **given)
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
@@ -302,8 +296,13 @@ class MirroredFenicsx:
         return self._everywhere.call("fields", degree)
 
 
-def _checked_start(scene: Scene, start: Floats | None) -> Floats:
-    start = scene.vertices if start is None else np.asarray(start, dtype=np.float64)
-    if start.shape != scene.vertices.shape or not np.isfinite(start).all():
-        raise SceneError(f"start: expected finite positions of shape {scene.vertices.shape}, got shape {start.shape}")
-    return start
+def compressible(scene: Scene) -> Scene:
+    """The scene with a neo-Hookean law of the same shear modulus and a low bulk modulus in place of every law."""
+
+    def softer(term: Term) -> Term:
+        if not isinstance(term, Hyperelastic):
+            return term
+        mu = shear_modulus(term.material)
+        return replace(term, material=NeoHookean(mu, BULK * mu))
+
+    return replace(scene, terms=tuple(softer(term) for term in scene.terms))

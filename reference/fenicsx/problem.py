@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +13,23 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..materials import Corotated, Material, NeoHookean, StableNeoHookean
 from ..scene import Scene
-from ..terms import Bending, Hyperelastic, Pressure, RigidBody, Strain, SurfaceStrain, Target, Volume
+from ..terms import (
+    Bending,
+    Gravity,
+    Hyperelastic,
+    Pressure,
+    RigidBody,
+    Strain,
+    SurfaceStrain,
+    Target,
+    Traction,
+    Volume,
+)
 from . import dolfinx_version as seam
 from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
-from .densities import DENSITIES
+from .densities import DENSITIES, shear_modulus
 from .dolfinx_version import MPI, PETSc
 from .follower import FollowerPressure
 from .hyperelastic import HyperelasticForms
@@ -31,10 +43,8 @@ from .laws import (
     VolumeLaw,
     add_at,
 )
-from .loads import dead_loads
 from .membrane import Membrane
-from .mixed_densities import shear_modulus
-from .numbering import Numbering
+from .numbering import CELL_SHARES, FACE_SHARES, Numbering
 from .quadrature import DEGREES, Quadrature
 from .shared import Shared, anywhere
 from .solids import Solid
@@ -74,7 +84,8 @@ class Problem:
         self.numbering, self.comm = numbering, numbering.comm
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
-        self.mixed, self.pressure = mixed, None
+        self.mixed = mixed
+        self.pressure: Any = None
         owned, ids = 0, np.empty(0, dtype=np.int64)
         if mixed:
             space = seam.pressure_space(numbering.space.mesh)
@@ -388,3 +399,24 @@ class State:
         if problem._stretched:
             return self._principal([*problem._laws, *problem._stretched])[1:]
         return self._p, self._h
+
+
+def dead_loads(scene: Scene, order: Numbering) -> Floats:
+    """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
+    forces = np.zeros(order.X.shape)
+    for term in scene.of(Gravity):
+        tets = scene.tets_of(term)
+        weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
+        cells = order.cell[tets]
+        nodes = order.cell_dofs[cells[cells >= 0]]
+        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
+        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
+    for term in scene.of(Traction):
+        if not term.triangles.size:
+            continue
+        here, nodes = order.faces(term.name, term.triangles)
+        a, b, c = (scene.vertices[term.triangles[here, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+        shares = np.outer(area, FACE_SHARES[order.degree])
+        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
+    return order.nodes.summed(forces)

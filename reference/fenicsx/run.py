@@ -10,7 +10,7 @@ import numpy as np
 from ...lhm.mesh import Floats
 from ..compiling import Spent
 from ..scene import Scene
-from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..solution import Limits, OnIteration, Reason, Recorder, Solution, volume_ratio
 from .numbering import Numbering
 from .shared import anywhere
 
@@ -59,26 +59,38 @@ class Run:
     """A scene to be solved on a numbering, from start [mm], shape (scene vertices, 3), and its record.
 
     `held` says which components of nodes (n, 3) keep their place; `u` is the displacement [mm] by node at the start,
-    and `goal` the one that what is held has to reach.
+    which may be `before`, where another solve ended, and `goal` the one that what is held has to reach. `warm` is
+    whether the start is near the answer rather than rest.
     """
 
-    def __init__(self, scene: Scene, numbering: Numbering, start: Floats, tolerance: float, record: Record):
-        self.scene, self.numbering, self.tolerance, self.record = scene, numbering, tolerance, record
-        self.start = start
+    def __init__(
+        self,
+        scene: Scene,
+        numbering: Numbering,
+        start: Floats,
+        limits: Limits,
+        record: Record,
+        *,
+        before: Attempt | None = None,
+        warm: bool = False,
+    ):
+        self.scene, self.numbering, self.limits, self.record = scene, numbering, limits, record
+        self.start, self.warm = start, warm
+        self.pressure = None if before is None else before.pressure
         held, positions = scene.dirichlet()
         self._elsewhere = np.where(held, positions, start)
         self.held = numbering.held(held)
-        self.u = numbering.to_dofs(start) - numbering.X
+        self.u = numbering.to_dofs(start) - numbering.X if before is None else before.u
         self.goal = np.where(self.held, numbering.to_dofs(positions) - numbering.X, self.u)
         self._watched = anywhere(numbering.comm, record.told)
 
     def from_start(self, start: Floats) -> Run:
         """The same from elsewhere."""
-        return Run(self.scene, self.numbering, start, self.tolerance, self.record)
+        return Run(self.scene, self.numbering, start, self.limits, self.record)
 
     def threshold(self, first: float) -> float:
-        """The gradient norm [mN] at which to stop: see `stop_threshold`."""
-        return stop_threshold(self.scene, first, self.tolerance)
+        """The gradient norm [mN] at which to stop, from the first one."""
+        return self.limits.threshold(self.scene, first)
 
     def tell(self, u: Floats, energy: float, norm: float) -> bool:
         """Record an iteration; whether any process' caller asks to stop."""
@@ -89,8 +101,8 @@ class Run:
         """Positions [mm], shape (scene vertices, 3), of a displacement by node."""
         return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
 
-    def solution(self, end: Attempt, preparation: Spent) -> Solution:
-        """The answer that an attempt has found."""
+    def solution(self, end: Attempt, preparation: Spent, *, remember: bool = False) -> Solution:
+        """The answer that an attempt has found, which another solve may start from if it is to be remembered."""
         positions = end.numbering.to_scene(end.numbering.X + end.u, self._elsewhere)
         held, values = self.scene.dirichlet()
         if end.reason is Reason.CONVERGED:
@@ -104,5 +116,6 @@ class Run:
             record.recorder.history(),
             volume_ratio(self.scene, positions),
             dict(record.detail),
+            memory=end if remember else None,
             times=record.recorder.times(preparation),
         )

@@ -13,9 +13,8 @@ import ufl
 
 from ...lhm.mesh import Floats, Ints
 from . import dolfinx_version as seam
-from .direct import Factorisation
 from .dolfinx_version import PETSc, free_dropped
-from .linear import MULTIGRID, LinearAnswer, hold, product, set_options, solved, vector
+from .linear import MULTIGRID, Factorisation, LinearAnswer, hold, product, set_options, solved, vector
 from .problem import Problem, State
 from .shared import dot, irregular
 
@@ -54,7 +53,7 @@ class SaddleMatrix:
 
     Rows are of each process first its displacements, then its pressures. H is what the problem's matrix holds; B [mm²]
     and D [mm³/kPa], negative semi-definite, are what `assemble` has put there. `mass` is the pressure's mass matrix by
-    1/mu [mm³/kPa], that of the springs of `condensed` a share `springs` of it, and `idle` are the pressures that no law
+    1/mu [mm³/kPa], that of the springs of `Condensed` a share `springs` of it, and `idle` are the pressures that no law
     has.
     """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -16,7 +16,7 @@ from ...lhm.geometry.factor import LinearSolver
 from ...lhm.mesh import Floats
 from ..compiling import Clock, Spent
 from ..scene import Scene, refuse_unknown
-from ..solution import OnIteration, Reason, Recorder, Solution, stop_threshold, volume_ratio
+from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
 from ..terms import (
     Bending,
     Contact,
@@ -62,16 +62,8 @@ TERMS: tuple[type[Term], ...] = (
     Inertia,
     Contact,
 )
-VARYING: dict[type[Term], tuple[str, ...]] = {
-    Strain: ("limit", "growth"),
-    Volume: ("target",),
-    SurfaceStrain: ("growth",),
-    Target: ("positions",),
-    Fixed: ("values",),
-    Gravity: ("acceleration", "density"),
-    Traction: ("vector",),
-    Inertia: ("positions", "velocities"),
-}
+PREPARED = ((RigidBody, "rest"),)
+"""What varies for other solvers, but has gone into this one's matrix."""
 # The share of Volume's weight in the matrix (see `Energy.matrix`). For L-BFGS 0.15 to 0.5 do about as well: on three
 # expressions of a head 54, 29 and 39 iterations to 0.01 mm instead of 77, 49 and 60 with a share of 1.
 VOLUME_SHARE: dict[Method, float] = {"lbfgs": 0.3, "anderson": 1.0, "plain": 1.0}
@@ -115,13 +107,6 @@ class _Work:
 
 
 @dataclass(frozen=True, eq=False)
-class ProjectiveSolution(Solution):
-    """A solution with what L-BFGS remembers of the energy, from which that of a scene nearby may start."""
-
-    memory: Memory | None = field(default=None, repr=False)
-
-
-@dataclass(frozen=True, eq=False)
 class ProjectivePrepared:
     """A scene with its PD matrix factored; see `reference.solve.Prepared`."""
 
@@ -138,16 +123,16 @@ class ProjectivePrepared:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
-        tolerance: float = 1e-6,
-        max_iterations: int | None = None,
-        on_iteration: OnIteration | None = None,
         warm: Solution | None = None,
         remember: bool = False,
-        untangle: bool = True,
+        tolerance: float = 1e-6,
         absolute: float | None = None,
+        max_iterations: int | None = None,
+        on_iteration: OnIteration | None = None,
+        untangle: bool = True,
         metric: Tangent | None = None,
-    ) -> ProjectiveSolution:
-        """Minimise the energy of the prepared scene, or of one that differs only in the fields of `VARYING`.
+    ) -> Solution:
+        """Minimise the energy of the prepared scene, or of one that differs only in what terms say is `varying`.
 
         start [mm], shape (n, 3), default rest; `warm` is the solution of the frame before, which gives the default
         start and, if it was to `remember` them (16 numbers per unknown), the pairs of steps and changes that L-BFGS
@@ -164,11 +149,11 @@ class ProjectivePrepared:
         """
         recorder = Recorder(on_iteration)
         scene = self.scene if scene is None else scene
-        self.scene.check_prepared_for(scene, varying=VARYING)
-        limit = _checked_limits(tolerance, absolute, max_iterations)
+        self.scene.check_prepared_for(scene, fixed=PREPARED)
+        limits = Limits(tolerance, absolute, max_iterations)
         held, values = scene.dirichlet()
         coordinates = self.system.coordinates
-        place = coordinates.start(np.where(held, values, _checked_start(scene, start, warm)) - scene.vertices)
+        place = coordinates.start(np.where(held, values, first_positions(scene, start, warm)) - scene.vertices)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
         problem = self._problem(work := _Work(self.system), scene, energy, metric, self._remembered(warm))
@@ -176,8 +161,8 @@ class ProjectivePrepared:
             relaxed = work.on(energy.untangling(VOLUME_SHARE[self.method]))
             problem = replace(problem, untangling=Problem(relaxed, coordinates.move, work.precondition))
         first = problem.at(place)
-        threshold = stop_threshold(scene, first.norm, tolerance if absolute is None else 0.0)
-        watch = Watch(recorder, scene.vertices, max(threshold, absolute or 0.0), limit)
+        most = MAX_ITERATIONS if limits.iterations is None else int(limits.iterations)
+        watch = Watch(recorder, scene.vertices, limits.threshold(scene, first.norm), most)
         point, reason = METHODS[self.method](problem, first, watch)
         if reason is Reason.STAGNATED and watch.best is not None:
             point = watch.best
@@ -185,7 +170,7 @@ class ProjectivePrepared:
         if self.contact is not None and reason in (Reason.CONVERGED, Reason.STAGNATED):
             point, reason, outcome = self.contact.solve(problem, point, scene.vertices, watch)
         positions = np.where(held, values, scene.vertices + point.u)
-        return ProjectiveSolution(
+        return Solution(
             positions=positions,
             reason=reason,
             iterations=watch.iteration,
@@ -214,7 +199,7 @@ class ProjectivePrepared:
         topology, such as of another identity, lends its analysis. Raises SceneError for a scene with Contact.
         """
         scene = self.scene if scene is None else scene
-        self.scene.check_prepared_for(scene, varying=VARYING)
+        self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
         place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
         known = (scene, self.energy.for_scene(scene), self.system.coordinates, place)
@@ -235,9 +220,9 @@ class ProjectivePrepared:
         """A memory of its own for a solve, of what a solution of as many unknowns left."""
         if self.method != "lbfgs":
             return None
-        left = warm.memory if isinstance(warm, ProjectiveSolution) else None
+        left = None if warm is None else warm.memory
         size = self.system.coordinates.size
-        return Memory(size) if left is None or left.size != size else left.copy()
+        return left.copy() if isinstance(left, Memory) and left.size == size else Memory(size)
 
 
 def prepare(
@@ -294,25 +279,3 @@ def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> fl
         tets.add_to(u, gradient)
         times.append(time.thread_time() - begin)
     return float(np.median(times))
-
-
-def _checked_limits(tolerance: float, absolute: float | None, max_iterations: int | None) -> int:
-    if absolute is not None and not (np.isfinite(absolute) and absolute > 0.0):
-        raise SceneError(f"absolute: expected a gradient norm above 0 mN, got {absolute}")
-    if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
-        raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
-    if max_iterations is not None and max_iterations < 0:
-        raise SceneError(f"max_iterations: must be at least 0, got {max_iterations}")
-    return MAX_ITERATIONS if max_iterations is None else int(max_iterations)
-
-
-def _checked_start(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
-    if start is None and warm is not None:
-        start = warm.positions
-    positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
-    if positions.shape != scene.vertices.shape:
-        raise SceneError(f"start: expected shape {scene.vertices.shape}, got {positions.shape}")
-    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
-    if bad.size:
-        raise SceneError(f"start: {bad.size} rows are not finite, the first is {bad[0]}")
-    return positions

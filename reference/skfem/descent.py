@@ -8,7 +8,7 @@ import numpy as np
 
 from ...lhm.mesh import Floats
 from ..scene import Scene
-from ..solution import Reason, Recorder, stop_threshold
+from ..solution import Limits, Reason, Recorder
 from .discretisation import Discretisation
 from .energy import Energy
 from .newton import OnStep, Scales, minimise
@@ -32,10 +32,10 @@ class Descent:
     _told: Floats | None = field(default=None, init=False)
     _stop: bool = field(default=False, init=False)
 
-    def run(self, x: Floats, *, forces: float, tolerance: float, limit: int) -> tuple[Floats, Reason, int]:
+    def run(self, x: Floats, *, forces: float, limits: Limits, limit: int) -> tuple[Floats, Reason, int]:
         """Minimise from positions by dof [mm]; give where it ends, why, and the iterations made, at most `limit`.
 
-        tolerance relates to the larger of the first gradient norm and `forces` [mN].
+        A tolerance relates to the larger of the first gradient norm and `forces` [mN].
         """
         if not np.isfinite(self.energy.value(x)):
             self._tell(x, np.inf, np.inf)
@@ -54,7 +54,7 @@ class Descent:
                 return x, reason, made
 
         def threshold(first: float) -> float:
-            return stop_threshold(self.scene, max(first, forces), tolerance)
+            return limits.threshold(self.scene, max(first, forces))
 
         x, reason, more = self._minimise(self.energy, x, threshold, limit - made, self._tell)
         return x, reason, made + more

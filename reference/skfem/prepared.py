@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 
 from ...lhm.checked import checked
-from ...lhm.errors import MeshError, SceneError
-from ...lhm.mesh import Floats, Ints, as_points
+from ...lhm.errors import SceneError
+from ...lhm.mesh import Floats, Ints
 from .. import terms
 from ..compiling import Clock, Spent
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import OnIteration, Recorder, Solution, volume_ratio
+from ..solution import Limits, OnIteration, Recorder, Solution, first_positions, volume_ratio
 from .carry import carry
 from .descent import Descent
 from .discretisation import DEGREES, Discretisation
@@ -37,17 +37,6 @@ KNOWN = (
     terms.Traction,
     terms.Inertia,
 )
-VARYING: dict[type[terms.Term], tuple[str, ...]] = {
-    terms.Target: ("positions",),
-    terms.Fixed: ("values",),
-    terms.RigidBody: ("rest",),
-    terms.Inertia: ("positions", "velocities"),
-    terms.Gravity: ("acceleration", "density"),
-    terms.Traction: ("vector",),
-    terms.Strain: ("limit", "growth"),
-    terms.Volume: ("target",),
-    terms.Hyperelastic: ("growth",),
-}
 MAX_ITERATIONS = 200
 
 
@@ -65,41 +54,42 @@ class Prepared:
         scene: Scene | None = None,
         *,
         start: Floats | None = None,
+        warm: Solution | None = None,
+        remember: bool = False,
         tolerance: float = 1e-6,
+        absolute: float | None = None,
         max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
     ) -> Solution:
         """Minimise the energy by Newton's method from `start` [mm], shape (n, 3), default rest.
 
-        Held components are carried to their places first, before the first iteration of the history, and rigid bodies
-        to their first ones: that of their shape, or the nearest to a given start. From inverted tets a scene with
-        Volume goes down by Strain alone first; its iterations count, and may raise the energy.
+        `warm`, a solution before, gives the default start; there is nothing else to `remember`. Held components are
+        carried to their places first, before the first iteration of the history, and rigid bodies to their first ones:
+        that of their shape, or the nearest to a given start. From inverted tets a scene with Volume goes down by Strain
+        alone first; its iterations count, and may raise the energy.
         Raises SceneError if `scene` needs a new preparation, if the tolerance or start is out of range, or if loads
         push a part that nothing holds.
         """
         recorder = Recorder(on_iteration)
         scene = self.scene if scene is None else scene
-        self.scene.check_prepared_for(scene, varying=VARYING)
-        if not 0 < tolerance < 1:
-            raise SceneError(f"tolerance must lie between 0 and 1, got {tolerance}")
+        self.scene.check_prepared_for(scene)
+        limits = Limits(tolerance, absolute, max_iterations)
         limit = MAX_ITERATIONS if max_iterations is None else max_iterations
-        if limit < 0:
-            raise SceneError(f"max_iterations must be at least 0, got {limit}")
         at = self.discretisation
         energy, scales = Energy(scene, at), _scales(scene)
         check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
-        begin = _start(scene, start)
+        begin, at_rest = first_positions(scene, start, warm), start is None and warm is None
         free = ~at.held(held)
         goal = np.where(free, at.flat(begin), at.flat(positions))
         bodies = Body.all_of(scene, at)
         for body in bodies:
             free[body.dofs] = False
-            goal[body.dofs] = body.rest if start is None else body.nearest(goal)
+            goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
         x, forces = _begin(energy, at.flat(begin), goal, np.flatnonzero(free), scales)
         unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
         descent = Descent(scene, at, energy, unknowns, scales, recorder)
-        x, reason, iterations = descent.run(x, forces=forces, tolerance=tolerance, limit=limit)
+        x, reason, iterations = descent.run(x, forces=forces, limits=limits, limit=limit)
         history = recorder.history()
         answer = x[at.vertex_dofs]
         return Solution(
@@ -145,15 +135,3 @@ def _begin(energy: Energy, start: Floats, goal: Floats, free: Ints, scales: Scal
 def _scales(scene: Scene) -> Scales:
     size = float(np.ptp(scene.vertices, axis=0).max())
     return Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
-
-
-def _start(scene: Scene, start: Floats | None) -> Floats:
-    if start is None:
-        return scene.vertices
-    try:
-        points = as_points("start", start)
-    except MeshError as error:
-        raise SceneError(str(error)) from None
-    if points.shape != scene.vertices.shape:
-        raise SceneError(f"start: expected shape {scene.vertices.shape}, got {points.shape}")
-    return points

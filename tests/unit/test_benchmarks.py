@@ -10,12 +10,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from softdeca.benchmarks import cases, study
+from softdeca.benchmarks import cases
 from softdeca.benchmarks.cases import first_below
 from softdeca.benchmarks.differences import difference, distances
 from softdeca.benchmarks.gates import gates
 from softdeca.benchmarks.report import page
-from softdeca.reference import Parameters, prepare, terms
+from softdeca.reference import Parameters, prepare
 
 # A PNG of one pixel.
 PIXEL = base64.b64decode(
@@ -39,6 +39,7 @@ def solved(label: str, law: str = "PD") -> dict:
         "solver": "projective",
         "energy_law": law,
         "start": "rest",
+        "compile_seconds": 2.0,
         "prepare_seconds": 0.1,
         "seconds": 0.3,
         "iterations": 2,
@@ -243,24 +244,26 @@ def test_the_report_marks_what_was_missed(results):
     assert "Not reached: solver runs that did not reach what was asked; blendshapes' error over" in words
 
 
-def test_whatever_a_case_times_was_warmed_up_before(sphere_head, monkeypatch):
-    """Compilation, seconds of it, is no solver's time: the first scene was slower than the others by that."""
+def test_compilation_is_no_time_of_a_case_s_solvers(sphere_head, monkeypatch):
+    """Preparation and compilation are those that the solution knows; another 50 s of the latter change nothing else."""
     pytest.importorskip("dolfinx")
     head = replace(sphere_head, regions={"lips": np.arange(len(sphere_head.bone)) < 5})
     case = cases.Case("none", np.zeros(52), Parameters(gravity=3.0))
-    prepared = []
+    compiled = []
 
-    def noted(scene, *, solver, **options):
-        law = "neo-Hookean" if scene.of(terms.Hyperelastic) else "PD"
-        prepared.append((solver, options.get("method", "lbfgs"), law))
-        return prepare(scene, solver=solver, **options)
+    class SlowlyCompiled:
+        def __init__(self, prepared):
+            self.prepared = prepared
 
-    monkeypatch.setattr(cases, "prepare", noted)
-    cases.warm_up(head, case, head.skin.vertices, lambda _: None)
-    warmed = set(prepared)
-    prepared.clear()
-    cases.run_case(head, case, head.skin.vertices, lambda _: None)
-    assert len(set(prepared)) == 6 and set(prepared) <= warmed
+        def solve(self, **asked):
+            solution = self.prepared.solve(**asked)
+            compiled.append(50.0 + solution.times.compilation)
+            return replace(solution, times=replace(solution.times, compilation=compiled[-1]))
+
+    monkeypatch.setattr(cases, "prepare", lambda scene, **options: SlowlyCompiled(prepare(scene, **options)))
+    runs = cases.run_case(head, case, head.skin.vertices, lambda _: None).record["runs"]
+    assert [run["compile_seconds"] for run in runs] == compiled and len(runs) == 6
+    assert 0.0 < sum(run["prepare_seconds"] + run["seconds"] for run in runs) < 50.0
 
 
 def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere_head, monkeypatch):
@@ -289,20 +292,3 @@ def test_a_second_minimum_stands_in_the_report(results):
     assert "two minima" not in report_of(results)
     edited("cases/0/another_minimum_mm", 0.226)(results)
     assert "jawOpen has two minima of PD's energy: FEniCSx from rest ends 0.23 mm" in report_of(results)
-
-
-def test_a_study_warms_up_before_its_first_case(sphere_head, monkeypatch, tmp_path):
-    class FirstCase(Exception):
-        pass
-
-    def first(*_):
-        raise FirstCase
-
-    called = []
-    monkeypatch.setattr(study, "load_template", lambda *_, **__: None)
-    monkeypatch.setattr(study, "fit_head", lambda *_: sphere_head)
-    monkeypatch.setattr(study, "warm_up", lambda head, *_: called.append(head))
-    monkeypatch.setattr(study, "run_case", first)
-    with pytest.raises(FirstCase):
-        study.run_study(study.StudyConfig(out=tmp_path, expressions=("jawOpen",)), lambda *_: None)
-    assert called == [sphere_head]

@@ -9,13 +9,14 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
 from softdeca.reference.compiling import Spent
-from softdeca.reference.fenicsx.balance import Balance
 from softdeca.reference.fenicsx.equilibrium import Equilibrium
 from softdeca.reference.fenicsx.follower import FollowerPressure
+from softdeca.reference.fenicsx.load_path import Continuation
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.problems import limit_points, meshes, stretched_bars
+from softdeca.reference.solution import Limits
 
 LAWS = {
     "neo-Hookean": materials.NeoHookean(1.0, 5.0),
@@ -270,7 +271,7 @@ def test_a_path_that_ends_early_leaves_the_whole_load():
     order = Numbering(scene, 2)
     problem = Problem(scene, order, mixed=True)
     whole = problem.loads.copy()
-    run = Run(scene, order, scene.vertices, 1e-8, Record(None, None))
-    solution = run.solution(Balance(run, problem).attempt(), Spent(0.0, 0.0))
+    run = Run(scene, order, scene.vertices, Limits(1e-8), Record(None, None))
+    solution = run.solution(Continuation(run, problem).attempt(), Spent(0.0, 0.0))
     assert solution.reason is Reason.LIMIT_POINT and solution.detail["load_share"] < 0.95
     assert np.abs(whole).max() > 0.0 and np.array_equal(problem.loads, whole)

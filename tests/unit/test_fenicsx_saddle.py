@@ -11,14 +11,14 @@ from scipy.sparse.linalg import spsolve
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.compiling import Spent
 from softdeca.reference.fenicsx import prepared, saddle
-from softdeca.reference.fenicsx.condensed import Condensed
 from softdeca.reference.fenicsx.linear import hold
-from softdeca.reference.fenicsx.multipliers import MultiplierDescent
+from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.fenicsx.saddle import BlockSaddle, Saddle, saddle_of
 from softdeca.reference.problems import meshes
+from softdeca.reference.solution import Limits
 
 LAWS = {
     "incompressible": materials.Incompressible(materials.NeoHookean(2.0, 5.0)),
@@ -182,8 +182,8 @@ def test_a_column_buckles_as_by_factors():
     for kind in ("mumps", "block"):
         problem = Problem(scene, Numbering(scene, 2), mixed=True)
         condensed = Condensed(problem)
-        run = Run(scene, problem.numbering, X, 1e-8, Record(None, None))
-        descent = MultiplierDescent(run, condensed, warm=False, linear_solver=kind)
+        run = Run(scene, problem.numbering, X, Limits(1e-8), Record(None, None))
+        descent = MultiplierDescent(run, condensed, linear_solver=kind)
         found[kind] = run.solution(descent.attempt(), Spent(0.0, 0.0))
         assert found[kind].converged, found[kind].reason
     sideways = np.abs(found["block"].positions - X)[:, :2].max()

@@ -119,12 +119,14 @@ def test_dead_loads_sum_to_weight_and_traction():
 
 def test_a_prepared_scene_says_what_changed():
     scene = Scene(CORNERS, TETS, [terms.Strain(1.0), terms.Target([0], [[0, 0, 0]], 1.0)])
-    varying = {terms.Target: ("positions",)}
-    scene.check_prepared_for(scene.with_targets([[1, 0, 0]]), varying=varying)
+    moved = scene.with_targets([[1, 0, 0]])
+    scene.check_prepared_for(moved)
+    with pytest.raises(SceneError, match="Target.positions differs"):
+        scene.check_prepared_for(moved, fixed=((terms.Target, "positions"),))
     with pytest.raises(SceneError, match="Strain.stiffness differs"):
-        scene.check_prepared_for(Scene(CORNERS, TETS, [terms.Strain(2.0), scene.terms[1]]), varying=varying)
+        scene.check_prepared_for(Scene(CORNERS, TETS, [terms.Strain(2.0), scene.terms[1]]))
     with pytest.raises(SceneError, match="rest vertices differ"):
-        scene.check_prepared_for(Scene(2 * CORNERS, TETS, scene.terms), varying=varying)
+        scene.check_prepared_for(Scene(2 * CORNERS, TETS, scene.terms))
     with pytest.raises(SceneError, match="0 Fixed terms"):
         scene.with_fixed([[0, 0, 0]])
 
