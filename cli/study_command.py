@@ -70,6 +70,25 @@ def changes(before: Path, after: Path) -> int:
     return 1 if any(change.share > 0 for change in told) else 0
 
 
+@click.command("report")
+@click.argument("results", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--title", default="PD, FEniCSx and a surrogate: the studies", help="of the page")
+@click.option("--out", type=WrittenFolder(), default="out/report", help="folder of the report")
+def report(results: tuple[Path, ...], title: str, out: Path) -> int:
+    """One report of many studies: OUT/index.html, report.md, report.json and tables.tex (booktabs).
+
+    RESULTS are folders of studies, or their results.json; by default all folders in `out` that hold one.
+    """
+    from ..benchmarks.harness.report import read, write
+
+    asked = results or tuple(folder for name in STUDIES if (folder := Path("out") / name / "results.json").is_file())
+    if not asked:
+        raise InputError("report: no results in out/; run a study first, as `softdeca bench verification`")
+    for path in write([read(path, study_of) for path in asked], out, title):
+        click.echo(f"wrote {path}")
+    return 0
+
+
 def _command(kind: type[Study]) -> click.Command:
     own = [_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # every study is a dataclass
     common = [
@@ -104,7 +123,7 @@ def _option(field: Field) -> click.Option:
 
 def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:
     from ..benchmarks.harness import run
-    from ..benchmarks.harness.page import shown as cell
+    from ..benchmarks.harness.page import one as cell
 
     with shown() as progress:
         results = run(study, out, only=only, workers=workers, match=match, progress=progress)

@@ -9,12 +9,13 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from threadpoolctl import threadpool_limits
 
 from ...lhm.errors import MissingDependencyError, SoftdecaError
-from ..apart import forget_peak, peak_megabytes
+from .apart import forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
 
@@ -88,7 +89,8 @@ class _Lane:
         """Kill the process: what it has done is written already."""
         if self._pool is not None:
             for pid in list(self._pool._processes or ()):
-                os.kill(pid, signal.SIGKILL)
+                with suppress(ProcessLookupError):  # it has ended by itself
+                    os.kill(pid, signal.SIGKILL)
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 

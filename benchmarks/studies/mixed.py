@@ -6,24 +6,21 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from ...lhm import expressions
 from ...lhm.errors import InputError
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
-from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Parameters, Scene, facial_scene, materials, neo_hookean_scene, prepare, terms
-from ..gates import at_most
+from ..harness.gates import at_most
 from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
-from ..throughput import default_head
-from .asked import check_person
+from ..harness.study import Column, Task, Values
+from .person import OfPerson
 
 MEMORY_MB = 8000.0
 """What a solve on the default head may take."""
 
 
 @dataclass(frozen=True)
-class Mixed(Study):
+class Mixed(OfPerson):
     """Expressions of the default head by laws: "incompressible" or a Poisson's ratio as text."""
 
     name = "mixed"
@@ -49,27 +46,21 @@ class Mixed(Study):
         default=("incompressible", "0.499"),
         metadata={"help": "incompressible or a Poisson's ratio; repeat"},
     )
-    seed: int = field(default=0, metadata={"help": "of the identity"})
-    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
     tolerance: float = field(default=1e-6, metadata={"help": "gradient norm over its start"})
 
     def tasks(self) -> Sequence[Task]:
         """Each expression by each law."""
-        for text in self.expressions:
-            expressions.parsed(text)
+        self.check(self.expressions)
         for law in self.laws:
             _poisson(law)
-        check_person(self.seed, self.level)
         if not 0.0 < self.tolerance < 1.0:
             raise InputError(f"tolerance: must lie between 0 and 1, got {self.tolerance}")
         return [Task(text, law) for text in self.expressions for law in self.laws]
 
     def measure(self, task: Task) -> Values:
         """One solve."""
-        space, code, head = default_head(self.seed, self.level)
-        return solved(
-            head, expressions.blend(space, code, expressions.parsed(task.case))[0], task.method, self.tolerance
-        )
+        of = self.person()
+        return solved(of.head, of.shape(task.case), task.method, self.tolerance)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge, in little enough memory."""

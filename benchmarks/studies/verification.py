@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from ...reference import problems
-from ..gates import at_most
+from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
 from .asked import solvers_asked

@@ -15,7 +15,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from softdeca.benchmarks.gates import at_most
+from softdeca.benchmarks.harness.gates import at_most
 from softdeca.benchmarks.harness import Column, Study, Task
 from softdeca.lhm.errors import InputError, MissingDependencyError
 
