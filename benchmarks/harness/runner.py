@@ -86,6 +86,7 @@ def run(
     if not tasks:
         raise InputError(f"{study.name}: no case and method matches {match!r}")
     with alone_in(out, f"run of {study.name}"):
+        with_what = machine.describe()
         rows = _Rows(out / "rows.jsonl", _digest(study))
         again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
         left = [task for task in tasks if (row := rows.found.get(task)) is None or row.status in again]
@@ -95,7 +96,7 @@ def run(
             rows.add(one)
             ended = "" if one.status == "done" else f", {one.status}"
             progress(f"{study.name}: {one.task}{ended}", 1.0 - (len(left) - number) / len(tasks))
-        results = _results(study, [rows.found[task] for task in tasks])
+        results = _results(study, [rows.found[task] for task in tasks], with_what)
         write_whole(out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
         from .page import page
 
@@ -103,14 +104,14 @@ def run(
         return results
 
 
-def _results(study: Study, rows: Sequence[Row]) -> Results:
+def _results(study: Study, rows: Sequence[Row], with_what: Mapping[str, Any]) -> Results:
     done = [row for row in rows if row.done]
     missing = sum(row.status == "failed" for row in rows) if done else len(rows)
     failed = at_most("cases that could not be measured", missing, 0)
     gates = (failed, *(study.gates(done) if done else ()))
     options = json.loads(json.dumps(asdict(study), default=str))  # type: ignore[call-overload]  # all are dataclasses
     words = study.words(done) if done else "Nothing could be measured."
-    return Results(study.name, study.question, options, machine.describe(), tuple(rows), gates, words)
+    return Results(study.name, study.question, options, with_what, tuple(rows), gates, words)
 
 
 class _Rows:
