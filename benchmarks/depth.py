@@ -1,4 +1,8 @@
-"""Predicted depths and the fitted skull wrap of one head against its own skull: files -> JSON and pictures -> HTML."""
+"""Predicted depths and the fitted skull wrap of one head against its own skull: files -> JSON and pictures -> HTML.
+
+No study of the common runner: there is one case and one method, and what is wrong with the files is to be told before
+anything is written.
+"""
 
 from __future__ import annotations
 

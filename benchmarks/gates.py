@@ -33,7 +33,7 @@ def gates(results: Mapping) -> list[dict]:
                float(np.min([case["smallest_volume_ratio"] for case in cases])), 0.0),
         at_most("solver runs that did not reach what was asked", unfinished, 0),
         at_most("verification problems outside their bound", outside, 0),
-        *_surrogate_gates(results["surrogate"]),
+        *surrogate_gates(results["surrogate"]),
         at_most("accelerated PD's iterations to 0.01 mm over plain PD's, worst scene",
                 _iteration_ratio(cases), 0.2, answer=False),
         at_most("a local step per 58 k tets, float64, one core [ms]",
@@ -41,7 +41,7 @@ def gates(results: Mapping) -> list[dict]:
     ]  # fmt: skip
 
 
-def _surrogate_gates(tested: Mapping | None) -> list[dict]:
+def surrogate_gates(tested: Mapping | None) -> list[dict]:
     """What the network has to beat: doing nothing, and with exact derivatives these alone."""
     if tested is None:
         return []

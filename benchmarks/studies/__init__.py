@@ -13,6 +13,7 @@ STUDIES = {
     "hard": "hard:Hard",
     "mixed": "mixed:Mixed",
     "split": "split:Split",
+    "surrogate": "surrogate:SurrogateOnCorpus",
     "work-precision": "work_precision:WorkPrecision",
     "throughput": "throughput:Throughput",
     "scaling": "scaling:Scaling",

@@ -35,7 +35,7 @@ BANDS = {"tiny": 0.002, "small": 0.05, "middle": 0.2, "large": 0.5}
 STRETCHES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.998, 1.002, 1.05, 1.1, 1.2, 1.3, 1.4, 1.5)
 STEP = 1e-3
 """Of the stretch, over which the energy's difference is its derivative, to its square."""
-TOLERANCE = 1e-8
+TOLERANCE = 1e-6
 """Of the gradient norm over its start; the energy is right to its square. A tighter one is rounding near rest."""
 AGREED = 2.0
 """[%] by which laws of the same moduli may differ at strains of 0.2 %."""

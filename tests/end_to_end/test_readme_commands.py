@@ -89,6 +89,9 @@ ELSEWHERE = {
     "softdeca bench unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench split": "test_split.py::test_the_parts_of_an_error_and_their_check",
     "softdeca bench report": "test_report.py::test_a_report_of_studies_says_what_they_found",
+    "softdeca bench surrogate --corpus corpus": (
+        "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
+    ),
     "softdeca bench material": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
