@@ -10,6 +10,7 @@ import numpy as np
 from ..lhm import expressions
 from ..lhm.check import check_head
 from ..lhm.geometry.bvh import TriangleTree
+from ..lhm.geometry.closing import openings
 from ..lhm.head import LayeredHead
 from ..reference import Parameters, facial_scene, solve
 from .head_pictures import FRONT, LARGEST_GAP
@@ -25,12 +26,13 @@ SIZE = 300
 
 @dataclass(frozen=True)
 class Shown:
-    """One head of the gallery: its figures by name, and two pictures (PNG)."""
+    """One head of the gallery: its figures by name, two pictures (PNG), and what was found and changed in its file."""
 
     name: str
     figures: dict[str, Any]
     faces: bytes
     layers: bytes
+    notes: tuple[str, ...]
 
 
 def shown_head(name: str, head: LayeredHead) -> Shown:
@@ -38,11 +40,16 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
     skin, report = head.skin, check_head(head)
     gap = TriangleTree(head.skin_wrap.vertices, head.skin_wrap.triangles).closest(skin.vertices)[2]
     panels = [Panel("distance to its wrap", skin, gap, LARGEST_GAP)]
+    crossings = [figure.value for figure in report.figures if figure.name.startswith("crossings")]
     figures: dict[str, Any] = {
         "skin vertices": len(skin.vertices),
+        "openings of the skin": len(openings(skin.triangles)),
         "wrap to skin, mean [mm]": report.wrap_to_skin_mean,
         "smallest dihedral [°]": report.smallest_dihedral,
-        "gates missed at rest": len(report.problems),
+        "crossings of the wraps": int(sum(crossings)),
+        "gates missed at rest": "; ".join(report.problems) or "none",
+        "skin torn by jawOpen [mm²]": report.jaw_open_torn,
+        "skin torn by blinks [mm²]": report.blink_torn,
     }
     for pose, names in POSES.items():
         shape = head.expression(expressions.weights_of(dict.fromkeys(names, 1.0)))
@@ -52,4 +59,4 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
         figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
         figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
     faces = strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
-    return Shown(name, figures, faces, cut_away(head, size=SIZE))
+    return Shown(name, figures, faces, cut_away(head, size=SIZE), head.notes)

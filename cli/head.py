@@ -25,6 +25,12 @@ from .progress import shown
 from .train_regressor import train_regressor
 from .written_file import ANY, FOLDER, NPZ, PNG
 
+ROUGH = (
+    "the skin is rougher than a wrap can follow, or the template lies badly on it: `head show` draws where; smooth "
+    "what is no face in the scan (straps, rags, hair) or give --landmarks. What lies off moves along, so that the "
+    "head can be used as it is"
+)
+"""What to do about a skin wrap that lies off the skin."""
 AFile = click.Path(path_type=Path)
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
 
@@ -292,4 +298,6 @@ def _report(
             click.echo(f"wrote {path}")
     if problems:
         missed = "; ".join(problems)
+        if any(gate.missed for gate in all_gates if gate.name == "wrap_to_skin_mean"):
+            missed += f" ({ROUGH})"
         raise FitError(f"{written[0]} is written, but misses {missed}" if written else missed)

@@ -11,9 +11,11 @@ from softdeca.benchmarks.studies.convergence import Convergence
 from softdeca.benchmarks.studies.dynamics import Dynamics
 from softdeca.benchmarks.studies.effects import Effects
 from softdeca.benchmarks.studies.minimal import Minimal
+from softdeca.benchmarks.studies.mixed import Mixed
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.ranks import Ranks
 from softdeca.benchmarks.studies.scaling import Scaling
+from softdeca.benchmarks.studies.shapes import Shapes
 from softdeca.benchmarks.studies.throughput import Throughput
 from softdeca.benchmarks.studies.unknowns import Unknowns
 from softdeca.benchmarks.studies.work_precision import WorkPrecision
@@ -105,3 +107,23 @@ class SphereDynamics(OfSphere, Dynamics):
 @dataclass(frozen=True)
 class SphereRanks(OfSphere, Ranks):
     pass
+
+
+@dataclass(frozen=True)
+class SphereMixed(OfSphere, Mixed):
+    pass
+
+
+class Drawn(SimpleNamespace):
+    """A space of two shapes, of which one does nothing."""
+
+    def expression_deltas(self, code):
+        deltas = np.zeros((52, len(sphere(3).head.skin.vertices), 3))
+        deltas[expressions.index("jawOpen")] = sphere(3).shape("jawOpen") - sphere(3).head.skin.vertices
+        return deltas
+
+
+@dataclass(frozen=True)
+class SphereShapes(OfSphere, Shapes):
+    def person(self, level=None, seed=None):
+        return replace(sphere(3), space=Drawn())

@@ -80,7 +80,12 @@ class Heads(OfPerson):
             return fitted(template, sample(space, seed, self.sigma))
         own = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed, self.sigma))
         seen = shown_head(task.case, own)
-        return {"shown": dict(seen.figures), "as it moves": seen.faces, "cut open": seen.layers}
+        return {
+            "shown": dict(seen.figures),
+            "notes": list(seen.notes),
+            "as it moves": seen.faces,
+            "cut open": seen.layers,
+        }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Nearly every identity has a valid head."""
@@ -106,7 +111,9 @@ class Heads(OfPerson):
         reasons = Counter(reason.partition(":")[0] for _, reason in unfit).most_common()
         head = ["figure", "gate", "missed by", "min", "5 %", "median", "mean", "95 %", "max", "worst seeds"]
         figures = [_described(figure, values) for figure, values in distributions(of)]
-        shown = [(row.case, *pair) for row in rows if row.method == DRAWN for pair in row.values["shown"].items()]
+        drawn = [row for row in rows if row.method == DRAWN]
+        shown = [(row.case, *pair) for row in drawn for pair in row.values["shown"].items()]
+        shown += [(row.case, "found in its file", note) for row in drawn for note in row.values["notes"]]
         return [
             *([Table("Failures", ["head", "reason"], unfit), Table("By reason", ["reason", "heads"], reasons)]
               if unfit else []),

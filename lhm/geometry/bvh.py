@@ -98,13 +98,16 @@ def _closest(points, corners, order, start, stop, left, box):
 
 
 @njit(cache=True)
-def _closest_facing(points, normals, cosine, turned2, corners, faces, order, start, stop, left, box):
-    """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none."""
+def _closest_facing(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
+    """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
+
+    Where no cost, that is distance² with what turning counts, is less than `most`, there is none.
+    """
     n = len(points)
     which, weights, distance = np.full(n, -1), np.zeros((n, 3)), np.full(n, np.inf)
     stack = np.empty(128, np.int64)
     for i in range(n):
-        p, best, size = points[i], np.inf, 1
+        p, best, size = points[i], most, 1
         stack[0] = 0
         while size > 0:
             size -= 1
@@ -209,18 +212,20 @@ class TriangleTree:
         return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
 
     def closest_facing(
-        self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0
+        self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0, reach: float = np.inf
     ) -> tuple[Ints, Floats, Floats]:
         """As `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
 
-        A unit of difference between the normals counts as `turned` [mm] beside the distance.
+        A unit of difference between the normals counts as `turned` [mm] beside the distance. Triangles farther than
+        `reach` [mm] may be left out, which is quicker.
 
         `normals` (k, 3) of the points and `faces` (m, 3) of the triangles are unit vectors. Where no triangle
         qualifies the triangle is -1, its weights are 0 and the distance is infinite.
         """
         arrays = (np.ascontiguousarray(a) for a in (points, normals))
+        most = reach * reach + turned * turned * (2.0 - 2.0 * cosine)
         return _closest_facing(
-            *arrays, cosine, turned * turned, self.corners, np.ascontiguousarray(faces), *self._nodes
+            *arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes
         )
 
     def self_crossings(self) -> Ints:

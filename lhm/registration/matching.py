@@ -23,23 +23,25 @@ class Target:
         self.rim = np.zeros(len(skin.vertices), dtype=bool)
         self.rim[open_edges(skin.triangles).ravel()] = True
 
-    def match(self, points: Floats, normals: Floats, *, turned: float = 0.0) -> tuple[Floats, Floats, Floats]:
+    def match(
+        self, points: Floats, normals: Floats, *, turned: float = 0.0, reach: float = np.inf
+    ) -> tuple[Floats, Floats, Floats]:
         """The closest points (k, 3) [mm] that face as `normals` (k, 3) do within 60°, their distance, their weight.
 
         The weight is 0 where there is none, where it lies on an open edge of the skin, and where it lies beside the
         point, more than 60° off the skin's normal, as at the brink of a cut; else 1. With `turned` [mm], what a unit of
-        difference between normals counts, points may lie beside.
+        difference between normals counts, points may lie beside. Beyond `reach` [mm] there may be none.
         """
-        corners, shares, good = self.located(points, normals, turned=turned)
+        corners, shares, good = self.located(points, normals, turned=turned, reach=reach)
         closest: Floats = (shares[:, :, None] * self.skin.vertices[corners]).sum(axis=1)
         closest[~good] = points[~good]
         return closest, np.linalg.norm(points - closest, axis=1), good.astype(np.float64)
 
     def located(
-        self, points: Floats, normals: Floats, *, turned: float = 0.0
+        self, points: Floats, normals: Floats, *, turned: float = 0.0, reach: float = np.inf
     ) -> tuple[Ints, Floats, NDArray[np.bool_]]:
         """Vertices (k, 3) around such closest points, the barycentric weights, and a mask (k,) of those that count."""
-        triangle, shares, distance = self.tree.closest_facing(points, normals, self.faces, FACING, turned)
+        triangle, shares, distance = self.tree.closest_facing(points, normals, self.faces, FACING, turned, reach)
         corners = self.skin.triangles[triangle]
         outward = _unit(np.einsum("kc,kcd->kd", shares, self.normals[corners]))
         away = points - (shares[:, :, None] * self.skin.vertices[corners]).sum(axis=1)

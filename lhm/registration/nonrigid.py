@@ -16,7 +16,7 @@ from .affine import SmoothAffine
 from .landmarks import Pairs
 from .matching import FACING, Target, robust
 
-STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 4.0, 12)
+STIFFNESSES, LIMITS = np.geomspace(200.0, 0.2, 12), np.geomspace(25.0, 12.0, 12)
 TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
 """[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
 STEPS = np.where(TURNED > 0, 10, 4)
@@ -59,8 +59,9 @@ def laid_onto(
         which = min(stage, len(STIFFNESSES) - 1)
         for _ in range(STEPS[which]):
             normals, turned = start.with_vertices(x).vertex_normals, TURNED[which]
-            goals, distance, weights = target.match(x, normals, turned=turned)
-            weights = weights * drawn * robust(distance, LIMITS[which]) * (EARLY if turned else 1.0)
+            goals, weights, limit = x.copy(), np.zeros(len(x)), LIMITS[which]
+            goals[drawn], distance, found = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
+            weights[drawn] = found * robust(distance, limit) * (EARLY if turned else 1.0)
             x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()

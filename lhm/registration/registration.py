@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 
 from ..errors import FitError, InputError
 from ..geometry.bvh import TriangleTree
-from ..identities.space import EYES, MOUTH
+from ..identities.space import CAP, EYES, MOUTH
 from ..mesh import Floats, Ints, Surface
 from ..progress import OnProgress, silent
 from ..wraps.landmarks import Landmarks, Mask, landmarks, regions
@@ -92,7 +92,7 @@ def register(
         motion = similarity(template_skin.vertices[landmarks[0]], landmarks[1])
     start = template_skin.with_vertices(motion(template_skin.vertices))
     vertices, crossings = laid_onto(start, parts, places, target, landmarks, progress)
-    done = _registration(template_skin.with_vertices(vertices), face, skin, crossings)
+    done = _registration(template_skin.with_vertices(vertices), parts, face, skin, crossings)
     if done.residual.mean > WORST_FACE:
         raise FitError(
             f"skin: the registered face is {done.residual.mean:.1f} mm off on average (at most {WORST_FACE:g}); "
@@ -120,7 +120,7 @@ def registered_by(
     surface = template_skin.with_vertices(weights @ skin.vertices)
     own = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
     crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - own
-    return _registration(surface, face_of(template_skin, parts)[1], skin, max(crossings, 0))
+    return _registration(surface, parts, face_of(template_skin, parts)[1], skin, max(crossings, 0))
 
 
 def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
@@ -143,7 +143,8 @@ def face_of(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
     return places, regions(template_skin, parts, places)["face"]
 
 
-def _registration(surface: Surface, face: Mask, skin: Surface, crossings: int) -> Registration:
+def _registration(surface: Surface, parts: Ints, face: Mask, skin: Surface, crossings: int) -> Registration:
     gap = TriangleTree(skin.vertices, skin.triangles).closest(surface.vertices[face])[2]
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
-    return Registration(surface, residual, on_template(surface, skin), on_skin(surface, skin), crossings)
+    ties = on_template(surface, skin), on_skin(surface, skin, parts == CAP)
+    return Registration(surface, residual, *ties, crossings)

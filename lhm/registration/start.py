@@ -63,7 +63,7 @@ def icp(start: Similarity, points: Floats, normals: Floats, target: Target, step
     """The similarity after so many steps, each a fit to the closest points [mm], those far off left out."""
     limits = np.geomspace(30.0, CAP, steps)
     for limit in limits:
-        closest, distance, weight = target.match(start(points), normals @ start.rotation.T)
+        closest, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=limit)
         used = (weight * robust(distance, limit)) > 0.2
         if used.sum() < 0.25 * len(points):
             break
@@ -73,5 +73,5 @@ def icp(start: Similarity, points: Floats, normals: Floats, target: Target, step
 
 def score(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
     """How far the points are off the target on average [mm at the points' own size], 10 mm where there is no match."""
-    _, distance, weight = target.match(start(points), normals @ start.rotation.T)
+    _, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=CAP)
     return float(np.where(weight > 0, np.minimum(distance, CAP), CAP).mean()) / start.scale

@@ -8,6 +8,7 @@ from scipy.sparse import csr_matrix, diags
 from ..geometry.bvh import TriangleTree
 from ..geometry.factor import factorise
 from ..mesh import Floats, Ints, Surface
+from ..wraps.landmarks import Mask
 from ..wraps.shrinkwrap import neighbours
 from .matching import FACING, open_edges
 
@@ -21,11 +22,13 @@ def on_template(template: Surface, skin: Surface) -> csr_matrix:
     return _closest(template, skin)[0]
 
 
-def on_skin(template: Surface, skin: Surface) -> csr_matrix:
+def on_skin(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
     """Weights (n, skin vertices): displacements of the skin as those of the template's vertices; rows sum to one.
 
     A vertex within 4 mm of a point that faces the same way, and is not on an open edge, moves as that does. What the
-    skin lacks (the lining of a mouth, eye sockets, a neck's lid) follows harmonically what lies around it.
+    skin lacks (the lining of a mouth, eye sockets, a neck) follows harmonically what lies around it, but for the `lid`
+    (n,) of the template's neck, which moves as what is farthest from it: with the skull, however much a jaw draws at
+    the edge of a neck that ends under the chin.
     """
     weights, distance, facing = _closest(skin, template)
     rim = np.zeros(len(skin.vertices), bool)
@@ -34,6 +37,11 @@ def on_skin(template: Surface, skin: Surface) -> csr_matrix:
     lost = ~facing | (distance > MATCHED) | (on_rim & (distance > 1.0))
     if not lost.any() or lost.all():
         return weights
+    below = np.flatnonzero(lost & lid)
+    if below.size:
+        away = np.linalg.norm(template.vertices - template.vertices[below].mean(axis=0), axis=1)
+        crown = np.where(lost, -1.0, away).argmax()
+        weights, lost = with_rows(weights, below, weights[np.full(below.size, crown)]), lost & ~lid
     edges = neighbours(template.triangles, len(template.vertices))
     laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges).tocsr()
     inner, around = laplacian[lost][:, lost], laplacian[lost][:, ~lost]
@@ -44,10 +52,16 @@ def on_skin(template: Surface, skin: Surface) -> csr_matrix:
     # A piece of the template of which nothing lies on the skin keeps its closest points.
     reached = total[:, 0] > 0.5
     follow = csr_matrix(filled[reached] / total[reached])
-    out = weights.tolil()
-    ids = np.flatnonzero(lost)[reached]
-    out[ids] = (follow @ weights[np.flatnonzero(~lost)[border]]).tolil()
-    return out.tocsr()
+    return with_rows(weights, np.flatnonzero(lost)[reached], follow @ weights[np.flatnonzero(~lost)[border]])
+
+
+def with_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
+    """The matrix with `rows` (k, columns) in place of its own `ids` (k,)."""
+    n, k = matrix.shape[0], len(ids)
+    kept = np.setdiff1d(np.arange(n), ids)
+    places = csr_matrix((np.ones(k), (ids, np.arange(k))), shape=(n, k))
+    others = csr_matrix((np.ones(len(kept)), (kept, np.arange(len(kept)))), shape=(n, len(kept)))
+    return (others @ matrix[kept] + places @ rows).tocsr()
 
 
 def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.ndarray]:

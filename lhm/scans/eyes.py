@@ -94,12 +94,12 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
     x, normals = shape.vertices[patch], shape.vertex_normals[patch]
     motion = similarity(template.vertices[patch], registered[patch])
     for limit in LIMITS:
-        closest, distance, weight = target.match(motion(x), normals @ motion.rotation.T)
+        closest, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=limit)
         used = (weight > 0) & (distance < limit)
         if used.sum() < 10:
             return FAR
         motion = similarity(x[used], closest[used])
-    _, distance, weight = target.match(motion(x), normals @ motion.rotation.T)
+    _, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=FAR)
     off = np.where(weight > 0, np.minimum(distance, FAR), FAR)
     return float(off[close[patch]].mean())
 

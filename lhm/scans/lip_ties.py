@@ -10,11 +10,11 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..geometry.bvh import TriangleTree
-from ..identities.space import MOUTH, OUTSIDE
+from ..identities.space import CAP, MOUTH, OUTSIDE
 from ..mesh import Floats, Ints, Surface
 from ..registration.matching import FACING
 from ..registration.registration import Registration
-from ..registration.ties import barycentric, on_skin, on_template
+from ..registration.ties import barycentric, on_skin, on_template, with_rows
 from ..wraps.landmarks import Mask
 from .cutting import Slit
 from .lips import LipLine
@@ -51,13 +51,13 @@ def side_by_side(
     surface, visible = laid.surface, (parts[template.triangles] != MOUTH).all(axis=1)
     # Beyond the corners both lips are one skin.
     lips = np.where(np.abs(line.local(surface.vertices)[:, 0]) < line.along[-1], of_lips(template, parts, line), 0)
-    to_skin = on_template(surface, skin).tolil()
-    to_template = on_skin(surface, whole).tolil()
+    to_skin = on_template(surface, skin)
+    to_template = on_skin(surface, whole, parts == CAP)
     of_skin = np.zeros(old)
     between = near & (np.abs(line.local(skin.vertices)[:, 0]) < line.along[-1])
     of_skin[between] = np.sign(above[between])
     sides = ((1, cut.upper, line.upper), (-1, cut.lower, line.lower))
-    cut_rows = csr_matrix((m - len(pocket) - old, n)).tolil()
+    cut_rows = csr_matrix((m - len(pocket) - old, n))
     # The skin's own triangles, without pocket and strips.
     skin_side = np.zeros(m)
     skin_side[:old] = of_skin
@@ -70,21 +70,22 @@ def side_by_side(
         away, nearest = cKDTree(whole.vertices[edge]).query(points)
         share = np.clip(1 - away / BESIDE, 0.0, 1.0)
         own = _closest(surface, kept, points, normals)
-        to_skin[mine] = (diags(1 - share) @ own + diags(share) @ with_rim[nearest]).tolil()
+        to_skin = with_rows(to_skin, mine, diags(1 - share) @ own + diags(share) @ with_rim[nearest])
         mine = np.flatnonzero((lips == side) & ~np.isin(np.arange(n), np.append(line.upper, line.lower)))
         kept = front & (skin_side[whole.triangles] != -side).all(axis=1) & ~_touches(whole.triangles, edge, sides)
-        to_template[mine] = _closest(whole, kept, surface.vertices[mine], surface.vertex_normals[mine]).tolil()
-        cut_rows[edge - old] = with_rim
-        to_template[rim] = _along(line.local(surface.vertices[rim]), line.local(whole.vertices[edge]), edge, m)
+        found = _closest(whole, kept, surface.vertices[mine], surface.vertex_normals[mine])
+        to_template = with_rows(to_template, mine, found)
+        cut_rows = with_rows(cut_rows, edge - old, with_rim)
+        followed = _along(line.local(surface.vertices[rim]), line.local(whole.vertices[edge]), edge, m)
+        to_template = with_rows(to_template, rim, followed)
     lining = np.flatnonzero(parts == MOUTH)
     number = np.full(n, -1)
     number[pocket] = np.arange(m - len(pocket), m)
-    to_template[lining] = csr_matrix(
-        (np.ones(len(lining)), (np.arange(len(lining)), number[lining])), shape=(len(lining), m)
-    ).tolil()
+    of_pocket = csr_matrix((np.ones(len(lining)), (np.arange(len(lining)), number[lining])), shape=(len(lining), m))
+    to_template = with_rows(to_template, lining, of_pocket)
     own = csr_matrix((np.ones(len(pocket)), (np.arange(len(pocket)), pocket)), shape=(len(pocket), n))
-    skin_weights = vstack([to_skin.tocsr(), cut_rows.tocsr(), own]).tocsr()
-    return replace(laid, skin_weights=skin_weights, template_weights=to_template.tocsr())
+    skin_weights = vstack([to_skin, cut_rows, own]).tocsr()
+    return replace(laid, skin_weights=skin_weights, template_weights=to_template)
 
 
 def _touches(triangles: Ints, edge: Ints, sides) -> Mask:

@@ -11,7 +11,7 @@ How to read it, from what is asked to what is solved:
   `densities` and `mixed_densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
   (`membrane`, `bending`, `follower`) and `loads`. `bodies` makes parts rigid, `moving` adds a time step.
 - Where it lives: `numbering` is the scene's mesh and its nodes, `shared` how processes divide them, `assembly` the
-  matrix. `linear`, `direct`, `saddle` and `block_saddle` solve systems, by name. `dolfinx_version` is the only module
+  matrix. `linear`, `direct` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
   that knows which dolfinx there is.
 
 Of several processes every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package

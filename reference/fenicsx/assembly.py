@@ -50,11 +50,6 @@ class Stiffness:
             return self.matrix
         return added_up(self.matrix, *self._rows, self.values)
 
-    def entries(self) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of `local`, its stored zeros included."""
-        indptr, indices = self._rows
-        return np.repeat(np.arange(len(indptr) - 1), np.diff(indptr)), indices, self.values
-
     def slots(self, elements: Ints) -> Ints:
         """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
         return _found(self.starts, self.columns, elements)

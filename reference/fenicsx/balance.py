@@ -9,17 +9,16 @@ import numpy as np
 from ...lhm.mesh import Floats
 from ..restraint import drifts
 from ..solution import Reason
-from ..terms import Pressure
 from .equilibrium import Equilibrium, Point
-from .follower import FollowerPressure
 from .load_path import LoadPath
 from .problem import Problem
 from .run import Attempt, Run
 
 MAX_ITERATIONS = 1000
 
-Descent = Callable[[Floats, Floats], tuple[Floats, Floats, Reason, int]]
-"""Minimises a problem's energy from displacement (n, 3) and pressure (n_p,) to both; why it stopped; iterations."""
+Descent = Callable[[Floats, Floats, float], tuple[Floats, Floats, Reason, int]]
+"""Minimises a problem's energy at a share of its loads from displacement, a field (n, 3), and pressure, a vector, to
+both; why it stopped; iterations."""
 
 
 class Balance:
@@ -28,12 +27,8 @@ class Balance:
     def __init__(self, run: Run, problem: Problem, descent: Descent | None = None):
         self._run, self._problem, self._descent = run, problem, descent
         scene, numbering = run.scene, run.numbering
-        pressures = []
-        for term in scene.of(Pressure):
-            here, nodes = numbering.faces(term.name, term.triangles)
-            pressures.append(FollowerPressure.of(term, nodes, here))
         held = (run.held | problem.unsupported[:, None])[: numbering.nodes.owned]
-        self._equations = Equilibrium(problem, np.flatnonzero(held), pressures)
+        self._equations = Equilibrium(problem, np.flatnonzero(held))
         self._assemblies = problem.assemblies
         self._path = LoadPath(
             self._equations,
@@ -43,7 +38,7 @@ class Balance:
             self._report,
             run.record.left(MAX_ITERATIONS),
             drifts=drifts(scene),
-            descend=None if descent is None or pressures else self._descend,
+            descend=None if descent is None else self._descend,
         )
 
     def _unknowns(self, u: Floats) -> Floats:
@@ -52,19 +47,17 @@ class Balance:
         return z
 
     def _report(self, point: Point, norm: float) -> bool:
-        return self._run.tell(point.state.u, point.energy, norm)
+        return self._run.tell(point.state.u, point.state.energy, norm)
 
     def _descend(self, z: Floats, share: float) -> tuple[Floats, Reason, int]:
         assert self._descent is not None
         m = self._equations.displacements
-        u = self._equations.place(z, share)
-        u, p, reason, made = self._descent(u, z[m:])
+        u, p, reason, made = self._descent(self._equations.fields(z)[0], z[m:], share)
         return np.concatenate([u.ravel()[:m], p]), reason, made
 
     def attempt(self) -> Attempt:
         """Follow the load path to its end."""
         point, reason = self._path.run()
-        self._equations.place(point.z, 1.0)  # the path leaves the share that it ended with
         record = self._run.record
         record.add(
             self._path.iterations,
@@ -72,5 +65,5 @@ class Balance:
             assemblies=self._problem.assemblies - self._assemblies,
         )
         record.detail["load_share"] = self._path.share  # type: ignore[assignment]
-        pressure = self._equations.unknowns.field(point.z)[1] if self._problem.pressure is not None else None
-        return Attempt(reason, self._run.numbering, point.state.u, pressure, point.energy)
+        pressure = point.state.p if self._problem.mixed else None
+        return Attempt(reason, self._run.numbering, point.state.u, pressure, point.state.energy)

@@ -3,66 +3,45 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from ...lhm.mesh import Floats
-from .dolfinx_version import ALONE, PETSc
+from .dolfinx_version import PETSc
 
 ASYMMETRY = 1e-9  # of a matrix' norm, below which it counts as symmetric
 ROOM = 60  # percent beyond the estimate: saddle points delay pivots
 
 
 class Factorisation:
-    """Factors matrices one after the other; the elimination's order is kept as long as the pattern is.
+    """Factors a matrix, always the same one, whenever its values have changed; the elimination's order is kept.
 
-    `solve` uses the last one. After `factor`, `negative` is the number of negative pivots of a symmetric matrix, or of
-    another one 0 or 1 by the sign of its determinant.
+    `solve` uses the last factors. After `factor`, `negative` is the number of negative pivots of a symmetric matrix, or
+    of another one 0 or 1 by the sign of its determinant.
     """
 
     def __init__(self):
         self._ksp: PETSc.KSP | None = None
-        self._matrix: PETSc.Mat | None = None
-        self._pattern: csr_matrix | None = None
         self.negative = 0
         self.symmetric = True
 
-    def factor(self, matrix: csr_matrix, *, symmetric: bool) -> bool:
-        """Factor a matrix (n, n) of this process; give whether it is regular."""
-        if not np.isfinite(matrix.data).all():
-            return False
-        if self._matrix is None or symmetric != self.symmetric or not self._has_pattern_of(matrix):
-            self.release()
-            self._pattern = matrix
-            self._matrix = PETSc.Mat().createAIJ(matrix.shape, csr=csr_arrays(matrix), comm=ALONE)
-            self._begin(self._matrix, symmetric)
-        else:
-            self._matrix.setValuesCSR(*csr_arrays(matrix))
-            self._matrix.assemble()
-        return self._numeric(self._matrix)
+    def factor(self, matrix: PETSc.Mat, *, symmetric: bool) -> bool:
+        """Factor a matrix that processes share; give whether it is regular.
 
-    def factor_shared(self, matrix: PETSc.Mat, *, symmetric: bool | None = None) -> bool:
-        """Factor a matrix that processes share, always the same one; symmetry is looked for unless it is known."""
+        If it need not be `symmetric`, it is looked whether it is.
+        """
         size = matrix.norm(PETSc.NormType.FROBENIUS)
         if not np.isfinite(size):
             return False
-        if symmetric is None:
+        if not symmetric:
             away = matrix.transpose(PETSc.Mat())
             away.axpy(-1.0, matrix)
             symmetric = away.norm(PETSc.NormType.FROBENIUS) <= ASYMMETRY * size
             away.destroy()
-        if self._ksp is None or symmetric != self.symmetric:
+        # Of several processes MUMPS gives the determinant's sign for the first factors alone.
+        again = symmetric or matrix.comm.size == 1
+        if self._ksp is None or symmetric != self.symmetric or not again:
             self.release()
             self._begin(matrix, symmetric)
         return self._numeric(matrix)
-
-    def _has_pattern_of(self, matrix: csr_matrix) -> bool:
-        known = self._pattern
-        return (
-            known is not None
-            and known.nnz == matrix.nnz
-            and np.array_equal(known.indptr, matrix.indptr)
-            and np.array_equal(known.indices, matrix.indices)
-        )
 
     def _begin(self, matrix: PETSc.Mat, symmetric: bool):
         self.symmetric = symmetric
@@ -108,11 +87,4 @@ class Factorisation:
         """Free the factors; PETSc's objects outlive Python's until they are destroyed."""
         if self._ksp is not None:
             self._ksp.destroy()
-        if self._matrix is not None:
-            self._matrix.destroy()
-        self._ksp = self._matrix = self._pattern = None
-
-
-def csr_arrays(matrix: csr_matrix):
-    """Row starts, columns and values as PETSc takes them."""
-    return matrix.indptr.astype(PETSc.IntType), matrix.indices.astype(PETSc.IntType), matrix.data
+        self._ksp = None

@@ -49,10 +49,10 @@ class FollowerPressure:
         both = np.einsum("mkc,qkd->dmqc", x[self.nodes], self.derivatives)
         return both[0], both[1]
 
-    def add_gradient(self, x: Floats, into: Floats):
-        """Add the pressure's part of the gradient [mN] at nodes x [mm], shape (n, 3), to an array (n, 3)."""
+    def add_gradient(self, x: Floats, into: Floats, share: float = 1.0):
+        """Add a share of the pressure's part of the gradient [mN] at nodes x [mm], shape (n, 3), to an array (n, 3)."""
         along, across = self._tangents(x)
-        force = np.einsum("m,q,qk,mqc->mkc", self.value, self.weights, self.shapes, np.cross(along, across))
+        force = np.einsum("m,q,qk,mqc->mkc", share * self.value, self.weights, self.shapes, np.cross(along, across))
         for c in range(3):
             into[:, c] += np.bincount(self.nodes.ravel(), force[:, :, c].ravel(), minlength=len(into))
 

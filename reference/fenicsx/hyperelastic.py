@@ -1,4 +1,7 @@
-"""Hyperelastic laws by UFL: the law is its energy density; stress and tangent are its derivatives."""
+"""Hyperelastic laws by UFL: the law is its energy density; stress and tangent are its derivatives.
+
+An independent pressure is an argument of the density like F, and what it adds are derivatives too.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +15,10 @@ import numpy as np
 import ufl
 
 from ...lhm.mesh import Floats, Ints
-from ..materials import Material
+from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
 from .densities import DENSITIES
+from .mixed_densities import mixed_density
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
@@ -34,12 +38,19 @@ def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
     return SimpleNamespace(**found)
 
 
-def density(displacement, cells: Ints, material: Material, growth: Floats | float = 1.0):
-    """A law's growth psi(F growth^(-1/3)), and the F that it can be derived by, as UFL's expressions."""
+def density(displacement, cells: Ints, material: Material, growth: Floats | float = 1.0, pressure=None):
+    """A law's growth psi(F growth^(-1/3)), and the F that it can be derived by, as UFL's expressions.
+
+    With a pressure psi is the law's mixed density.
+    """
     F = ufl.variable(ufl.Identity(3) + ufl.grad(displacement))
     domain = displacement.function_space.mesh
     elastic, ratio = elastic_part(F, growth, domain, cells)
-    return ratio * DENSITIES[type(material)](elastic, symbols(material, domain, cells)), F
+    law = material.law if isinstance(material, Incompressible) else material
+    parameters = symbols(law, domain, cells)
+    if pressure is None:
+        return ratio * DENSITIES[type(material)](elastic, parameters), F
+    return ratio * mixed_density(elastic, pressure, material, parameters), F
 
 
 def elastic_part(F, growth: Floats | float, domain, cells: Ints):
@@ -71,7 +82,11 @@ def stress_and_tangent(psi, F, degree: int, domain) -> tuple[WhenAsked, WhenAske
 
 @dataclass(frozen=True, eq=False)
 class HyperelasticForms:
-    """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there."""
+    """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there.
+
+    Of a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
+    and that by the pressure twice, negative semi-definite [mm³/kPa].
+    """
 
     cells: Ints
     energy: Any
@@ -79,24 +94,38 @@ class HyperelasticForms:
     tangent: Any
     _P: WhenAsked
     _dP_dF: WhenAsked
+    by_pressure: Any = None
+    coupling: Any = None
+    by_pressure_twice: Any = None
 
     @classmethod
     def of(
-        cls, displacement, cells: Ints, material: Material, degree: int = 1, growth: Floats | float = 1.0
+        cls,
+        displacement,
+        cells: Ints,
+        material: Material,
+        degree: int = 1,
+        growth: Floats | float = 1.0,
+        pressure=None,
     ) -> HyperelasticForms:
         """Forms for the displacement function [mm] on cells (k,), which a law's vectors and growth go by.
 
         Integrals, P and dP/dF are by the rule of a degree.
         """
         space = displacement.function_space
-        psi, F = density(displacement, cells, material, growth)
+        psi, F = density(displacement, cells, material, growth, pressure)
         dx = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
         energy = psi * dx
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
-        tangent = ufl.derivative(gradient, displacement, ufl.TrialFunction(space))
-        P, dP_dF = stress_and_tangent(psi, F, degree, space.mesh)
-        compiled = seam.compile_form(energy), seam.compile_form(gradient), seam.compile_form(tangent)
-        return cls(cells, *compiled, P, dP_dF)
+        forms = [energy, gradient, ufl.derivative(gradient, displacement, ufl.TrialFunction(space))]
+        if pressure is not None:
+            pressures = pressure.function_space
+            trial = ufl.TrialFunction(pressures)
+            by_pressure = ufl.derivative(energy, pressure, ufl.TestFunction(pressures))
+            forms += [by_pressure, ufl.derivative(gradient, pressure, trial)]
+            forms += [ufl.derivative(by_pressure, pressure, trial)]
+        compiled = [seam.compile_form(form) for form in forms]
+        return cls(cells, *compiled[:3], *stress_and_tangent(psi, F, degree, space.mesh), *compiled[3:])
 
     def assemble_energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""

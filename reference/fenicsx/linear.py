@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from ...lhm.mesh import Floats, Ints
+from .direct import Factorisation
 from .dolfinx_version import PETSc, free_dropped
 
 # The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,
@@ -43,7 +44,8 @@ class LinearSolver(Protocol):
         ...
 
 
-def _vector(values: Floats, comm, size: int = 3) -> PETSc.Vec:
+def vector(values: Floats, comm, size: int = 1) -> PETSc.Vec:
+    """PETSc's vector of the values that this process owns, in blocks."""
     return PETSc.Vec().createWithArray(values, bsize=size, comm=comm)
 
 
@@ -117,7 +119,7 @@ class ConjugateGradients:
 
     def _tried(self, b: Floats, relative: float, limit: int) -> LinearAnswer:
         self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=limit)
-        x, why = _solve(self._ksp, b)
+        x, why = solved(self._ksp, b)
         return LinearAnswer(x, not why, self._ksp.its, why)
 
 
@@ -125,34 +127,23 @@ class Mumps:
     """MUMPS' LDLᵀ; its count of negative pivots says whether the matrix is positive definite."""
 
     def __init__(self, matrix: PETSc.Mat):
-        self._matrix = matrix
-        self._ksp = self._create()
-
-    def _create(self) -> PETSc.KSP:
-        ksp = PETSc.KSP().create(self._matrix.comm)
-        ksp.setType(PETSc.KSP.Type.PREONLY)
-        ksp.setOperators(self._matrix)
-        ksp.getPC().setType(PETSc.PC.Type.CHOLESKY)
-        ksp.getPC().setFactorSolverType("mumps")
-        return ksp
+        self._matrix, self._factors = matrix, Factorisation()
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
-        """See LinearSolver; exact whatever `relative` is."""
-        x, why = _solve(self._ksp, b)
-        if why:
-            self._ksp = self._create()
-            return LinearAnswer(x, False, 1, why)
-        negative = self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)
-        return LinearAnswer(x, negative == 0, 1, f"{negative} negative pivots" if negative else "")
+        """See LinearSolver; exact whatever `relative` is, and by the last factors as long as the values are theirs."""
+        if not self._factors.factor(self._matrix, symmetric=True):
+            return LinearAnswer(np.zeros_like(b), False, 1, "singular")
+        negative = self._factors.negative
+        return LinearAnswer(self._factors.solve(b), negative == 0, 1, f"{negative} negative pivots" if negative else "")
 
 
-def _solve(ksp: PETSc.KSP, b: Floats) -> tuple[Floats, str]:
+def solved(ksp: PETSc.KSP, b: Floats, size: int = 3) -> tuple[Floats, str]:
     """x, and why it is no solution (empty if it is). A KSP that has failed stays so: its owner makes another."""
     free_dropped(ksp.comm)
     x = np.zeros_like(b)
-    found = _vector(x, ksp.comm)
+    found = vector(x, ksp.comm, size)
     try:
-        ksp.solve(_vector(b, ksp.comm), found)
+        ksp.solve(vector(b, ksp.comm, size), found)
     except PETSc.Error as error:
         return x, f"PETSc error {error.ierr}"
     return x, why_not(ksp, found)
@@ -178,7 +169,7 @@ def hold(matrix: PETSc.Mat, held: Ints, values: Floats, b: Floats):
     x[held] = values
     scale = matrix.getDiagonal().norm(PETSc.NormType.INFINITY) or 1.0
     rows = (matrix.getOwnershipRange()[0] + held).astype(PETSc.IntType)
-    known, right = (_vector(each, matrix.comm, matrix.getBlockSize()) for each in (x, b))
+    known, right = (vector(each, matrix.comm, matrix.getBlockSize()) for each in (x, b))
     matrix.zeroRowsColumns(rows, diag=scale, x=known, b=right)
 
 
@@ -186,5 +177,5 @@ def product(matrix: PETSc.Mat, x: Floats) -> Floats:
     """A matrix times a vector."""
     result = np.zeros(matrix.getLocalSize()[0])
     size = matrix.getBlockSize()
-    matrix.mult(_vector(x, matrix.comm, size), _vector(result, matrix.comm, size))
+    matrix.mult(vector(x, matrix.comm, size), vector(result, matrix.comm, size))
     return result

@@ -7,7 +7,7 @@ from dataclasses import replace
 from ..materials import NeoHookean
 from ..scene import Scene
 from ..terms import Hyperelastic, Term
-from .condensed import shear_modulus
+from .mixed_densities import shear_modulus
 
 BULK = 10.0
 """lmbda by mu: volumes are nearly kept, linear tets do not lock yet."""

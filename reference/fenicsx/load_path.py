@@ -21,8 +21,8 @@ from ..solution import Reason
 from .direct import Factorisation
 from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
-from .linear import hold, product
-from .shared import largest, norm
+from .linear import hold, product, vector
+from .shared import anywhere, largest, norm
 
 SMALLEST_DAMPING = 1 / 32
 STEP_ITERATIONS = 25
@@ -188,10 +188,10 @@ class LoadPath:
             trace = np.zeros(equations.count)
             free = equations.free[equations.free < equations.displacements]
             trace[free] = DRIFT * derivative.getDiagonal().norm(PETSc.NormType.INFINITY)
-            added = PETSc.Vec().createWithArray(trace, comm=derivative.comm)
+            added = vector(trace, derivative.comm, derivative.getBlockSize())
             derivative.setDiagonal(added, addv=PETSc.InsertMode.ADD_VALUES)
         hold(derivative, equations.held, np.zeros(len(equations.held)), np.zeros(equations.count))
-        return self.factors.factor_shared(derivative, symmetric=equations.symmetric)
+        return self.factors.factor(derivative, symmetric=equations.symmetric)
 
     @property
     def _stable(self) -> bool:
@@ -212,7 +212,7 @@ class LoadPath:
                 equations.scale_volumes(derivative)
             jump = np.zeros(equations.count)
             jump[held] = target - point.z[held]
-            moves = equations.unknowns.any(jump)
+            moves = anywhere(equations.comm, jump)
             forces = self._free(point.residual + product(derivative, jump))
             norm = equations.norm(forces)
             if iteration == 0:

@@ -90,9 +90,9 @@ class Minimisation:
         )
         return end
 
-    def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
+    def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
         """See `balance.Descent`: what is held stays where it is."""
-        state = self._at(u)
+        state = self._at(u, share)
         if not np.isfinite(state.energy):
             return u, p, Reason.NOT_FINITE, 0
         end, reason, made = self._newton.minimise(
@@ -104,9 +104,9 @@ class Minimisation:
         """The vector of a field: see `shared`."""
         return field[: self._nodes.owned]
 
-    def _at(self, u: Floats) -> State:
+    def _at(self, u: Floats, share: float = 1.0) -> State:
         self._work.energies += 1
-        return self._problem.at(u)
+        return self._problem.at(u, share=share)
 
     def _report(self, state: AnyState, norm: float) -> bool:
         return self._run.tell(state.u, state.energy, norm)

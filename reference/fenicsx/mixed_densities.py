@@ -17,6 +17,7 @@ from ..materials import (
     Guccione,
     Incompressible,
     IsochoricNeoHookean,
+    Isotropic,
     Material,
     MooneyRivlin,
     NeoHookean,
@@ -94,6 +95,12 @@ MIXED: dict[type[Material], MixedDensity] = {
     StVenantKirchhoff: kirchhoff,
     **{law: _with_pressure(ISOCHORIC[law]) for law in (IsochoricNeoHookean, MooneyRivlin, Guccione)},
 }
+
+
+def shear_modulus(material: Material) -> float:
+    """The scale [kPa] of a law's resistance to a change of shape."""
+    law = material.law if isinstance(material, Incompressible) else material
+    return law.lame[0] if isinstance(law, Isotropic) else law.stiffness
 
 
 def check_mixed(material: Material):

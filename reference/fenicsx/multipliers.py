@@ -9,14 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.mesh import Floats
-from ..scene import Scene
 from ..solution import Reason
-from ..terms import Hyperelastic
-from .block_saddle import saddle_of
 from .condensed import Condensed, CondensedState
 from .newton import AnyState, Newton, Work
-from .problem import Problem
 from .run import Attempt, Run
+from .saddle import saddle_of
+from .shared import anywhere, norm
 
 MAX_ITERATIONS = 300
 ROUNDS = 40
@@ -36,10 +34,12 @@ class MultiplierDescent:
     """
 
     def __init__(self, run: Run, condensed: Condensed, *, warm: bool, linear_solver: str = "cg"):
-        self._run, self._condensed = run, condensed
-        self._held = np.flatnonzero(run.held | condensed.problem.unsupported[:, None])
+        self._run, self._condensed, self._comm = run, condensed, condensed.comm
+        self._nodes = run.numbering.nodes
+        held = (run.held | condensed.problem.unsupported[:, None])[: self._nodes.owned]
+        self._held = np.flatnonzero(held)
         self._assemblies = condensed.problem.assemblies
-        self._saddle = saddle_of(linear_solver, condensed, self._held)
+        self._saddle = saddle_of(linear_solver, condensed.matrix, self._held)
         self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, Work())
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
         self._limit = run.record.left(MAX_ITERATIONS)
@@ -47,35 +47,33 @@ class MultiplierDescent:
 
     def attempt(self) -> Attempt:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
-        self._condensed.hardening = 1.0
-        if not self._warm:
-            self._condensed.centre = np.zeros(self._condensed.count)
+        condensed = self._condensed
+        condensed.begin(None if self._warm else np.zeros(condensed.matrix.pressures))
         try:
             state, reason = self._descend()
         finally:
             self._saddle.release()
-            self._condensed.release()
         record = self._run.record
         record.add(
             self._iterations,
             linear_solves=self._saddle.factored,
             linear_iterations=self._saddle.iterations,
-            assemblies=self._condensed.problem.assemblies - self._assemblies,
+            assemblies=condensed.problem.assemblies - self._assemblies,
         )
         record.detail["load_share"] = int(reason is Reason.CONVERGED)
-        return Attempt(reason, self._run.numbering, state.u, state.p, state.energy)
+        return Attempt(reason, self._run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
 
-    def settle(self, u: Floats, p: Floats) -> tuple[Floats, Floats, Reason, int]:
+    def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
         """See `balance.Descent`: what is held stays where it is."""
-        self._condensed.hardening, self._condensed.centre, self._iterations = 1.0, p.copy(), 0
+        self._condensed.begin(p)
+        self._iterations = 0
         try:
-            state = self._condensed.at(u)
+            state = self._condensed.at(u, share)
             reason = Reason.NOT_FINITE
             if np.isfinite(state.energy):
                 state, reason = self._rounds(state)
         finally:
             self._saddle.release()
-            self._condensed.release()
         made, self._iterations = self._iterations, 0
         return state.u, np.array(state.p), reason, made
 
@@ -99,17 +97,18 @@ class MultiplierDescent:
 
     def _lift(self, state: CondensedState) -> tuple[CondensedState | None, float]:
         """Move what is held as far to its goal as keeps the energy finite; the state, and the share of the way."""
-        jump = np.zeros_like(state.u)
-        jump.flat[self._held] = self._run.goal.flat[self._held] - state.u.flat[self._held]
-        if not jump.any():
+        begin, goal = (field[: self._nodes.owned] for field in (state.u, self._run.goal))
+        jump = np.zeros_like(begin)
+        jump.flat[self._held] = goal.flat[self._held] - begin.flat[self._held]
+        if not anywhere(self._comm, jump):
             return state, 1.0
         spread, force = self._newton.extension(state, jump)
         fraction = 1.0
         while fraction >= SMALLEST_FRACTION:
-            u = state.u + fraction * spread
+            u = begin + fraction * spread
             if fraction == 1.0:
-                u.flat[self._held] = self._run.goal.flat[self._held]
-            lifted = self._condensed.at(u)
+                u.flat[self._held] = goal.flat[self._held]
+            lifted = self._condensed.at(self._nodes.spread(u))
             if np.isfinite(lifted.energy):
                 self._first = max(self._first, fraction * force)
                 return lifted, fraction
@@ -127,8 +126,8 @@ class MultiplierDescent:
     def _rounds(self, state: CondensedState) -> tuple[CondensedState, Reason]:
         """Minimise and correct the pressure in turns, until forces and volumes are in balance."""
         condensed = self._condensed
-        self._scale_volumes(state)
-        self._first = max(self._first, float(np.linalg.norm(self._newton.free_gradient(state))))
+        self._per_volume = condensed.problem.force_per_volume(state.hessian().getDiagonal().array_r)
+        self._first = max(self._first, self._norm(self._newton.free_gradient(state)))
         last = self._run.threshold(self._first)
         before = np.inf
         for turn in range(ROUNDS):
@@ -141,43 +140,40 @@ class MultiplierDescent:
             state, reason = self._round(state, threshold, near=turn > 0)
             if reason not in (Reason.CONVERGED, Reason.STAGNATED):
                 return state, reason
-            change = float(np.linalg.norm(state.p - condensed.centre)) / max(float(np.linalg.norm(state.p)), 1e-300)
-            away = float(np.linalg.norm(condensed.stretched(state.p)))
+            size = self._norm(state.p)
+            change = self._norm(state.p - condensed.centre) / max(size, 1e-300)
+            away = self._norm(condensed.stretched(state.p))
             if away > FALL * before and self._iterations <= begin + QUICK:
-                condensed.hardening *= HARDER
+                condensed.harden(HARDER)
             before = away
-            condensed.centre = np.array(state.p)
-            state = condensed.beside(state.u, state.p)
-            if change <= NEAR or not state.p.any():
+            state = condensed.beside(state.u, state.p, state.share)
+            if change <= NEAR or size == 0.0:
                 state, end = self._finish(state, last)
                 if end is not None:
                     return state, end
                 condensed.centre = np.array(state.p)
-            state = condensed.at(state.u)
+            state = condensed.at(state.u, state.share)
         return state, Reason.LINE_SEARCH
 
     def _finish(self, state: CondensedState, last: float) -> tuple[CondensedState, Reason | None]:
         """Full steps of displacement and pressure while they contract; why to stop for good, if so."""
-        condensed, free = self._condensed, self._saddle.free
-        forces, volumes, norm = self._residual(state)
+        condensed, m = self._condensed, self._condensed.matrix.displacements
+        residual, norm = self._residual(state)
         converged = False  # only after a step: its factors say whether this is a minimum under the constraint
         while not converged and self._iterations < self._limit:
             state.hessian()
-            step = self._saddle.correction(forces[free], volumes[condensed.used])
+            step = self._saddle.correction(residual)
             if step is None:
                 return state, None
-            u, p = state.u.ravel().copy(), np.array(state.p)
-            u[free] += step[0]
-            p[condensed.used] += step[1]
-            condensed.centre = p
-            after = condensed.beside(u.reshape(state.u.shape), p)
+            u = state.u + self._nodes.spread(step[:m].reshape(-1, 3))
+            after = condensed.beside(u, state.p + step[m:], state.share)
             if not np.isfinite(after.energy):
                 return state, None
-            forces, volumes, norm_after = self._residual(after)
+            residual, norm_after = self._residual(after)
             converged = norm_after <= last
             if not (converged or norm_after <= FALL * norm):
-                following = self._saddle.again(forces[free], volumes[condensed.used])
-                if not np.linalg.norm(following) <= FALL * np.linalg.norm(step[0]):
+                following = self._saddle.again(residual)
+                if not self._norm(following[:m]) <= FALL * self._norm(step[:m]):
                     return state, None
             state, norm = after, norm_after
             self._iterations += 1
@@ -185,20 +181,11 @@ class MultiplierDescent:
                 return state, Reason.INTERRUPTED
         return state, Reason.CONVERGED if converged else None
 
-    def _residual(self, state: CondensedState) -> tuple[Floats, Floats, float]:
-        """Forces (3n,) [mN], zero where held, volumes (n_p,) [mm³], and their norm as a force [mN]."""
+    def _residual(self, state: CondensedState) -> tuple[Floats, float]:
+        """Forces [mN] and volumes [mm³], a vector that is zero where held, and its norm as a force [mN]."""
         forces, volumes = self._newton.free_gradient(state), state.strain()
-        norm = np.hypot(np.linalg.norm(forces), self._per_volume * np.linalg.norm(volumes[self._condensed.used]))
-        return forces, volumes, float(norm)
+        size = np.hypot(self._norm(forces), self._per_volume * self._norm(volumes))
+        return np.concatenate([forces, volumes]), float(size)
 
-    def _scale_volumes(self, state: CondensedState):
-        """See Equilibrium.scale_volumes."""
-        stiffness = state.hessian().getDiagonal().array.mean()
-        self._per_volume = float(stiffness / np.cbrt(self._run.numbering.cell_volumes.mean()) ** 2)
-
-
-def laws_of(problem: Problem, scene: Scene) -> list:
-    """The laws of a mixed problem's forms, in their order."""
-    laws = [term.material for term in scene.of(Hyperelastic)]
-    assert len(laws) == len(problem.mixed_forms)
-    return laws
+    def _norm(self, vector: Floats) -> float:
+        return norm(self._comm, vector)

@@ -32,7 +32,6 @@ from ..terms import (
     Volume,
 )
 from .balance import Balance
-from .block_saddle import SADDLES
 from .bodies import Pose, RigidProblem
 from .condensed import Condensed
 from .densities import DENSITIES
@@ -42,12 +41,13 @@ from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
 from .linear_start import compressible
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
 from .mixed_densities import check_mixed
-from .multipliers import MultiplierDescent, laws_of
+from .multipliers import MultiplierDescent
 from .numbering import Numbering
 from .plan import BODIES, DISPLACEMENT, FOLLOWER_PRESSURE, Plan, follow, mixed
 from .problem import Problem
 from .recovery import Nodal, recover
 from .run import Attempt, Record, Run
+from .saddle import SADDLES
 from .shared import check_same, gathered
 
 TERMS = (
@@ -103,7 +103,7 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
         names = ", ".join(known)
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {names}")
     others = followers()
-    if others is None or processes_for(scene, element).size == 1:
+    if others is None or processes_for(scene).size == 1:
         return PreparedFenicsx(scene, element, linear_solver)
     return MirroredFenicsx(Mirrored(others, PreparedFenicsx, scene, element, linear_solver), scene)
 
@@ -125,10 +125,9 @@ def _check_terms(scene: Scene, element: str):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
 
 
-def processes_for(scene: Scene, element: str = "P1") -> MPI.Intracomm:
-    """Those that divide a scene: all that mpirun has started; of a small one, or by "P2P1", each has the whole."""
-    divided = element != "P2P1" and len(scene.tets) >= FEW * ALL.size
-    return ALL if divided else ALONE
+def processes_for(scene: Scene) -> MPI.Intracomm:
+    """Those that divide a scene: all that mpirun has started; of a small one each has the whole."""
+    return ALL if len(scene.tets) >= FEW * ALL.size else ALONE
 
 
 class PreparedFenicsx:
@@ -137,7 +136,7 @@ class PreparedFenicsx:
     def __init__(self, scene: Scene, element: str, linear: str, *, alone: bool = False):
         clock = Clock()
         self.scene, self._element, self._linear_solver = scene, element, linear
-        self.comm = ALONE if alone else processes_for(scene, element)
+        self.comm = ALONE if alone else processes_for(scene)
         check_same(self.comm, scene)
         self._numbering = Numbering(scene, DEGREE_OF[element], comm=self.comm)
         self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
@@ -149,7 +148,7 @@ class PreparedFenicsx:
             self._rigid = rigid, make(rigid.matrix), Mumps(rigid.matrix)
         self._condensed = None
         if element == "P2P1" and not scene.of(Pressure):
-            self._condensed = Condensed(self._problem, laws_of(self._problem, scene))
+            self._condensed = Condensed(self._problem)
         self._force: Floats | None = None
         self._end: Attempt | None = None
         self._spent = clock.spent()
@@ -239,7 +238,16 @@ class PreparedFenicsx:
         """An answer by node."""
         ends, values = end.numbering.all_nodes(end.u)
         force = None if self._force is None else self._numbering.all_nodes(self._force)
-        return Nodal(ends, values, force, end.pressure)
+        return Nodal(ends, values, force, self._by_vertex(end.pressure))
+
+    def _by_vertex(self, pressure: Floats | None) -> Floats | None:
+        """A pressure, a field, by scene vertex, of all processes."""
+        if pressure is None:
+            return None
+        problem, owned = self._problem, self._problem.pressures.owned
+        result = np.zeros(len(self.scene.vertices))
+        result[gathered(self.comm, problem.pressure_vertex[:owned])] = gathered(self.comm, pressure[:owned])
+        return result
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """Load every later solve by a force per rest volume [mN/mm³]: (q, 3) at places (q, 3) [mm], for studies."""

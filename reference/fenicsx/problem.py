@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,13 +12,14 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..materials import Corotated, Material, NeoHookean, StableNeoHookean
 from ..scene import Scene
-from ..terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
+from ..terms import Bending, Hyperelastic, Pressure, RigidBody, Strain, SurfaceStrain, Target, Volume
 from . import dolfinx_version as seam
 from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .densities import DENSITIES
 from .dolfinx_version import MPI, PETSc
+from .follower import FollowerPressure
 from .hyperelastic import HyperelasticForms
 from .laws import (
     CorotatedLaw,
@@ -31,10 +33,10 @@ from .laws import (
 )
 from .loads import dead_loads
 from .membrane import Membrane
-from .mixed_forms import MixedForms
+from .mixed_densities import shear_modulus
 from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
-from .shared import anywhere
+from .shared import Shared, anywhere
 from .solids import Solid
 
 Law = tuple[Ints, PrincipalLaw]
@@ -64,33 +66,49 @@ class Problem:
     """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
 
     Fields are of shape (n, 3), by node, vectors (owned, 3): see `shared`. The laws of a mixed problem have the pressure
-    [kPa] of linear elements, a function that is given from outside.
+    [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
+    `pressure_vertex`; of another one there are none. `softness` is the sum of their 1/mu [1/kPa] per cell.
     """
 
     def __init__(self, scene: Scene, numbering: Numbering, *, mixed: bool = False):
         self.numbering, self.comm = numbering, numbering.comm
         self.assemblies = 0
         self._displacement = seam.function(numbering.space)
-        self.pressure = seam.function(seam.pressure_space(numbering.space.mesh)) if mixed else None
-        self.pressure_dofs: Ints = np.empty((0, 4), dtype=np.int64)
-        if self.pressure is not None:
-            self.pressure_dofs = seam.cell_dofs(self.pressure.function_space, 4)
+        self.mixed, self.pressure = mixed, None
+        owned, ids = 0, np.empty(0, dtype=np.int64)
+        if mixed:
+            space = seam.pressure_space(numbering.space.mesh)
+            self.pressure = seam.function(space)
+            self.pressure_dofs = seam.cell_dofs(space, 4)
+            owned, ids = seam.dof_counts(space)[0], seam.global_dofs(space)
+        self.pressures = Shared(self.comm, owned, ids[owned:], 1)
+        self.pressure_vertex: Ints = np.empty(len(ids), dtype=np.int64)
+        if mixed:
+            self.pressure_vertex[self.pressure_dofs] = numbering.cell_vertices
         solids = self._solids(scene)
         self._degree = DEGREES[numbering.degree]
         cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
         self._quadrature = Quadrature(numbering, cells, self._degree)
         by_ufl = [solid for solid in solids if self._is_by_ufl(solid.term)]
         self._hyperelastic = [self._forms(solid) for solid in by_ufl]
+        self.softness = np.zeros(len(numbering.cell_dofs))
+        for solid in by_ufl if mixed else []:
+            self.softness[solid.cells] += 1.0 / shear_modulus(solid.hyperelastic.material)
         self._tensors = [
             (self._points(forms.cells), forms)
             for forms, solid in zip(self._hyperelastic, by_ufl, strict=True)
             if mixed or not isinstance(solid.hyperelastic.material, BY_STRETCHES)
         ]
         self._faces = [numbering.faces(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
+        self._pressed = [numbering.faces(term.name, term.triangles) for term in scene.of(Pressure)]
         self._surfaces = self._surfaces_of(scene)
         nodes = [surface.nodes for surface in self._surfaces]
-        self.stiffness = Stiffness([numbering.cell_dofs, *nodes], numbering.nodes)
+        pressed = [nodes for _, nodes in self._pressed]
+        self.stiffness = Stiffness([numbering.cell_dofs, *nodes, *pressed], numbering.nodes)
         self._slots = [self.stiffness.slots(surface) for surface in nodes]
+        self._pressed_slots = [self.stiffness.slots(faces) for faces in pressed]
+        self.symmetric = not anywhere(self.comm, bool(pressed))
+        self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         owned = numbering.nodes.owned
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
         springs = [numbering.own_dofs(term.name, term.vertices)[1] for term in scene.of(Target)]
@@ -122,13 +140,12 @@ class Problem:
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
     def _is_by_ufl(self, term) -> bool:
-        return isinstance(term, Hyperelastic) and (self.pressure is not None or type(term.material) in DENSITIES)
+        return isinstance(term, Hyperelastic) and (self.mixed or type(term.material) in DENSITIES)
 
     def _forms(self, solid: Solid) -> HyperelasticForms:
         cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
-        if self.pressure is not None:
-            return MixedForms.of_both(self._displacement, self.pressure, cells, material, self._degree, growth)
-        return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth)
+        pressure = self.pressure if self.mixed else None
+        return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth, pressure)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -136,6 +153,10 @@ class Problem:
         self._check_loads(scene)
         self.loads = dead_loads(scene, order)
         self._surfaces = self._surfaces_of(scene)
+        self._followers = [
+            FollowerPressure.of(term, nodes, here)
+            for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
+        ]
         self._springs = []
         for term in scene.of(Target):
             mine, dofs = order.own_dofs(term.name, term.vertices)
@@ -150,7 +171,7 @@ class Problem:
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
         self._laws = [self._law(s) for s in by_law]
         self._laws += [self._law(s) for s in hyperelastic if isinstance(s.hyperelastic.material, Corotated)]
-        if self.pressure is not None:
+        if self.mixed:
             hyperelastic = []
         stretched = [s for s in hyperelastic if isinstance(s.hyperelastic.material, BY_STRETCHES)]
         self._stretched = [self._law(s) for s in stretched]
@@ -193,35 +214,55 @@ class Problem:
         return points, law if np.all(term.growth == 1.0) else Grown(law, at_points(term.growth))
 
     @property
-    def mixed_forms(self) -> list[MixedForms]:
+    def mixed_forms(self) -> list[HyperelasticForms]:
         """The forms of laws with a pressure."""
-        return [forms for forms in self._hyperelastic if isinstance(forms, MixedForms)]
+        return self._hyperelastic if self.mixed else []
 
-    def at(self, u: Floats) -> State:
-        """The problem at a displacement [mm], a field (n, 3)."""
-        return State(self, u)
+    def force_per_volume(self, diagonal: Floats) -> float:
+        """The force that a mean node's displacement causes by its volume [mN/mm³], from a diagonal [mN/mm], a vector.
+
+        It weighs volumes among forces.
+        """
+        volumes = self.numbering.cell_volumes
+        sums = self.comm.allreduce(np.array([diagonal.sum(), len(diagonal), volumes.sum(), len(volumes)]))
+        return float(sums[0] / sums[1] / np.cbrt(sums[2] / sums[3]) ** 2)
+
+    def idle_pressures(self) -> Ints:
+        """The pressures, in a vector, that no law has."""
+        used = np.zeros(self.pressures.count, dtype=bool)
+        for forms in self.mixed_forms:
+            used[self.pressure_dofs[forms.cells]] = True
+        return np.flatnonzero(~self.pressures.marked(used)[: self.pressures.owned])
+
+    def at(self, u: Floats, p: Floats | None = None, share: float = 1.0) -> State:
+        """The problem at a displacement [mm] and a pressure [kPa], fields (n, 3) and (n_p,), and a share of loads."""
+        return State(self, u, np.zeros(self.pressures.count) if p is None else p, share)
 
     def moved(self, state: State, step: Floats) -> State:
         """The problem after a step of all dofs [mm], a vector (3 owned,)."""
-        return State(self, state.u + self.numbering.nodes.spread(step.reshape(-1, 3)))
+        return State(self, state.u + self.numbering.nodes.spread(step.reshape(-1, 3)), state.p, state.share)
 
 
 class State:
-    """Energy, gradient and Hessian at one displacement; what they share is computed once."""
+    """Energy, gradient and Hessian at one displacement and pressure; what they share is computed once.
 
-    def __init__(self, problem: Problem, u: Floats):
-        self.u = u
+    Dead loads and follower pressures are scaled by `share`; the energy has the latter's as far as they have one.
+    """
+
+    def __init__(self, problem: Problem, u: Floats, p: Floats, share: float):
+        self.u, self.p, self.share = u, p, share
         self._problem = problem
         self._x = problem.numbering.X + u
-        self._place()
         self._frame: tuple[Floats, Floats, Floats] | None = None
         if problem._laws:
             self._psi, self._p, self._h = self._principal(problem._laws)
-        self.energy = self._energy()
 
-    def _place(self):
+    def place(self):
+        """Have the forms take this displacement and pressure."""
         problem = self._problem
         problem._displacement.x.array[:] = self.u[: problem.numbering.function_nodes].ravel()
+        if problem.mixed:
+            problem.pressure.x.array[:] = self.p
 
     def _svd(self) -> tuple[Floats, Floats, Floats]:
         """U, s, V of F at the quadrature points."""
@@ -236,13 +277,17 @@ class State:
             add_at(points, *law.evaluate(s[points]), psi, p, h)
         return psi, p, h
 
-    def _energy(self) -> float:
+    @cached_property
+    def energy(self) -> float:
+        """The energy [µJ], of all processes; not finite where a law does not hold."""
         problem = self._problem
-        energy = -float(np.sum(problem.loads * self.u[: len(problem.loads)]))
+        self.place()
+        energy = -self.share * float(np.sum(problem.loads * self.u[: len(problem.loads)]))
         if problem._laws:
             energy += float(self._psi @ problem._quadrature.volume)
         energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
         energy += sum(surface.energy(self._x) for surface in problem._surfaces)
+        energy += sum(self.share * follower.energy(self._x) for follower in problem._followers)
         for spring in problem._springs:
             away = self._x[spring.dofs] - spring.positions
             energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
@@ -251,9 +296,9 @@ class State:
     def gradient(self) -> Floats:
         """The energy's gradient [mN], a vector (owned, 3), held components included."""
         problem = self._problem
-        self._place()
+        self.place()
         total = np.zeros_like(self.u)
-        total[: len(problem.loads)] = -problem.loads
+        total[: len(problem.loads)] = -self.share * problem.loads
         flat = total.reshape(-1)
         if problem._laws:
             U, _, V = self._svd()
@@ -262,14 +307,32 @@ class State:
             forms.add_gradient(flat)
         for surface in problem._surfaces:
             surface.add_gradient(self._x, total)
+        for follower in problem._followers:
+            follower.add_gradient(self._x, total, self.share)
         for spring in problem._springs:
             total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
         return problem.numbering.nodes.summed(total)
 
+    def strain(self) -> Floats:
+        """The energy's derivative by the pressure [mm³], a vector."""
+        self.place()
+        parts = np.zeros(self._problem.pressures.count)
+        for forms in self._problem.mixed_forms:
+            seam.add_vector(forms.by_pressure, parts)
+        return self._problem.pressures.summed(parts)
+
+    def by_share(self) -> Floats:
+        """The gradient's derivative by the share of the loads [mN], a vector (owned, 3)."""
+        problem = self._problem
+        forces = np.zeros_like(self.u)
+        for follower in problem._followers:
+            follower.add_gradient(self._x, forces)
+        return problem.numbering.nodes.summed(forces) - problem.loads
+
     def stresses(self) -> tuple[Floats, Floats, Quadrature]:
         """F and P [kPa] at the points of this process, shape (k q, 3, 3), of all laws together, and the quadrature."""
         problem = self._problem
-        self._place()
+        self.place()
         F = problem._quadrature.deformation_gradient(self.u)
         P = np.zeros_like(F)
         if problem._laws:
@@ -280,7 +343,7 @@ class State:
         return F, P, problem._quadrature
 
     def hessian(self) -> PETSc.Mat:
-        """The exact Hessian [mN/mm], in the problem's matrix."""
+        """The gradient's exact derivative [mN/mm], in the problem's matrix."""
         self._begin()
         for _, forms in self._problem._tensors:
             seam.add_matrix(forms.tangent, self._problem.stiffness.local)
@@ -298,7 +361,7 @@ class State:
         return self._finish(kept)
 
     def _begin(self):
-        self._place()
+        self.place()
         self._problem.assemblies += 1
         self._problem.stiffness.clear()
 
@@ -312,6 +375,8 @@ class State:
             problem._quadrature.add_modes(U, V, principal.modes(s, p, h).softened(kept), stiffness)
         for slots, surface in zip(problem._slots, problem._surfaces, strict=True):
             stiffness.add(surface.nodes, slots, surface.hessian(self._x, kept))
+        for slots, follower in zip(problem._pressed_slots, problem._followers, strict=True):
+            stiffness.add(follower.nodes, slots, self.share * follower.tangent(self._x))
         for spring in problem._springs:
             nodes = spring.dofs[:, None]
             stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])

@@ -12,8 +12,6 @@ import numpy as np
 from ...lhm.mesh import Floats, Ints
 from ..recovered import Recovered
 from ..scene import Scene
-from ..terms import Pressure
-from .follower import FollowerPressure
 from .numbering import Numbering
 from .problem import Problem
 
@@ -23,7 +21,7 @@ class Nodal:
     """An answer by node, of all processes.
 
     Ends (n, 2) of nodes, displacement [mm] (n, 3), a force beside loads [mN] with the ends of its nodes, and a mixed
-    element's pressure [kPa].
+    element's pressure [kPa] by scene vertex.
     """
 
     ends: Ints
@@ -41,25 +39,19 @@ def recover(scene: Scene, degree: int, answer: Nodal) -> Recovered:
         problem.loads[numbering.nodes_between(answer.force[0])] += answer.force[1]
     u = np.empty_like(numbering.X)
     u[node] = answer.u
-    if problem.pressure is not None and pressure is not None:
-        problem.pressure.x.array[:] = pressure
-    state = problem.at(u)
+    state = problem.at(u, None if pressure is None else pressure[problem.pressure_vertex])
     F, P, points = state.stresses()
     m, q = len(scene.tets), points.per_cell
     P_of, F_of, volume = np.zeros((m, q, 3, 3)), np.tile(np.eye(3), (m, q, 1, 1)), np.ones((m, q))
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Recovered.of_points(P_of, F_of, volume, _reactions(scene, numbering, problem, state.gradient(), u))
+    return Recovered.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
 
 
-def _reactions(scene: Scene, numbering: Numbering, problem: Problem, gradient: Floats, u: Floats) -> Floats:
+def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:
     """The gradient [mN] at held components by vertex, shape (n, 3); an edge's node gives half to each of its ends."""
     held = scene.dirichlet()[0]
-    for term in scene.of(Pressure):
-        FollowerPressure.of(term, numbering.face_dofs(term.name, term.triangles)).add_gradient(
-            numbering.X + u, gradient
-        )
     forces = np.where(numbering.held(held), gradient, 0.0)
     result = np.zeros(scene.vertices.shape)
     for end in numbering.ends.T:

@@ -1,77 +1,374 @@
-"""The linear system of displacement and pressure, solved for the displacement as a LinearSolver."""
+"""The saddle point of displacement and pressure: its matrix, and linear solvers by factors or by GMRES.
+
+GMRES serves where factors are too big. Its preconditioner is block triangular (Elman, Silvester and Wathen 2014,
+"Finite Elements and Fast Iterative Solvers", Chapter 4): one V-cycle of GAMG with rigid motions for the displacement's
+block, and for the pressure's Schur complement the mass matrix by 1/mu + 1/kappa, a few steps of Chebyshev's iteration
+between bounds that its elements give.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import bmat, csr_matrix
+import ufl
 
 from ...lhm.mesh import Floats, Ints
-from .condensed import Condensed
+from . import dolfinx_version as seam
 from .direct import Factorisation
-from .linear import LinearAnswer
+from .dolfinx_version import PETSc, free_dropped
+from .linear import MULTIGRID, LinearAnswer, hold, product, set_options, solved, vector
+from .problem import Problem, State
+from .shared import dot, irregular
+
+PENALTY = 30.0
+"""kappa by the shear modulus: the error of p₀ falls to a tenth or less per minimisation, in two or three steps each."""
+SADDLES = ("cg", "mumps", "block")
+LARGE_SADDLE = 400_000
+"""Unknowns, from which on "cg" is GMRES. Factors, which count the inertia, take nearly twice its memory at 76,000 and
+5.6 GB at 305,000, where GMRES takes 2.4."""
+RESTART = 200  # vectors that GMRES keeps
+MAX_LINEAR_ITERATIONS = 400
+# Of volumes among the residuals, beyond the stiffness that meets them: the springs multiply what is left of them.
+WEIGHT = 8.0
+STEP, FOLLOWING = 1e-4, 1e-1  # relative, of a step of displacement and pressure at once, and of the one that follows
+MODES, MODE = 6, 1e-1  # how many soft motions are looked at, and how well each is found
+ALIKE = 1e-10  # of the largest product of soft motions: what they have less in common with the others is rounding
+_PREFIX, _PRESSURE_PREFIX = "softdeca_block_", "softdeca_pressure_"
+_OPTIONS = {
+    "fieldsplit_0_ksp_type": "preonly",
+    "fieldsplit_0_pc_type": "gamg",
+    **{f"fieldsplit_0_{key}": value for key, value in MULTIGRID.items()},
+    "fieldsplit_1_ksp_type": "preonly",
+    "fieldsplit_1_pc_type": "ksp",
+    "fieldsplit_1_ksp_ksp_type": "chebyshev",
+    # The eigenvalues of diag(M)^-1 M on linear tets, whatever their weights (Wathen 1987, IMA J. Numer. Anal. 7:4).
+    "fieldsplit_1_ksp_ksp_chebyshev_eigenvalues": "0.5,2.5",
+    "fieldsplit_1_ksp_ksp_max_it": 5,
+    "fieldsplit_1_ksp_ksp_norm_type": "none",
+    "fieldsplit_1_ksp_pc_type": "jacobi",
+}
+_SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+
+
+class SaddleMatrix:
+    """[H, B; Bᵀ, D] of a mixed problem: its energy's second derivatives by displacement and pressure.
+
+    Rows are of each process first its displacements, then its pressures. H is what the problem's matrix holds; B [mm²]
+    and D [mm³/kPa], negative semi-definite, are what `assemble` has put there. `mass` is the pressure's mass matrix by
+    1/mu [mm³/kPa], that of the springs of `condensed` a share `springs` of it, and `idle` are the pressures that no law
+    has.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem, self.comm, self.H = problem, problem.comm, problem.matrix
+        self.displacements, self.pressures = 3 * problem.numbering.nodes.owned, problem.pressures.owned
+        self.idle = problem.idle_pressures()
+        space = problem.pressure.function_space
+        p, q, v = ufl.TrialFunction(space), ufl.TestFunction(space), ufl.TestFunction(problem.numbering.space)
+        softness = seam.cell_vectors(
+            space.mesh, np.arange(len(problem.softness)), np.repeat(problem.softness[:, None], 3, axis=1)
+        )
+        self.B = _assembled(ufl.div(v) * p * ufl.dx)
+        self.mass = _assembled(softness[0] * p * q * ufl.dx)
+        self.D, self.springs = self.mass.copy(), 1.0 / PENALTY
+        self._transposed = self.B.transpose(PETSc.Mat())
+        self._whole = PETSc.Mat()
+
+    def assemble(self, state: State, *, springs: bool):
+        """Give B and D their values at a state, with or without springs."""
+        state.place()
+        self.B.zeroEntries()
+        self.D.zeroEntries()
+        for forms in self.problem.mixed_forms:
+            seam.add_matrix(forms.coupling, self.B)
+            seam.add_matrix(forms.by_pressure_twice, self.D)
+        self.B.assemble()
+        self.D.assemble()
+        if springs:
+            self.D.axpy(-self.springs, self.mass, structure=_SAME)
+
+    def whole(self) -> PETSc.Mat:
+        """The blocks as one matrix, always the same one."""
+        self.B.transpose(self._transposed)
+        nest = PETSc.Mat().createNest([[self.H, self.B], [self._transposed, self.D]], comm=self.comm)
+        nest.convert("aij", self._whole)
+        nest.destroy()
+        self._whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        return self._whole
+
+
+def _assembled(form) -> PETSc.Mat:
+    compiled = seam.compile_form(form)
+    matrix = seam.empty_matrix(compiled)
+    seam.add_matrix(compiled, matrix)
+    matrix.assemble()
+    matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+    return matrix
+
+
+class PressureSolver:
+    """-D by conjugate gradients: as a mass matrix is, it is well conditioned whatever the mesh."""
+
+    def __init__(self, matrix: SaddleMatrix):
+        self._idle = matrix.idle
+        self._matrix = matrix.D.copy()
+        self._ksp = PETSc.KSP().create(matrix.comm)
+        self._ksp.setOptionsPrefix(_PRESSURE_PREFIX)
+        self._ksp.setType(PETSc.KSP.Type.CG)
+        self._ksp.getPC().setType(PETSc.PC.Type.JACOBI)
+        self._ksp.setTolerances(rtol=1e-12, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+
+    def take(self, D: PETSc.Mat):
+        """Solve by the present values of D from now on."""
+        D.copy(self._matrix, structure=_SAME)
+        self._matrix.scale(-1.0)
+        _set_diagonal(self._matrix, self._idle, 1.0)
+        self._ksp.setOperators(self._matrix)
+
+    def solve(self, volumes: Floats) -> Floats:
+        """The pressures [kPa], a vector, of volumes [mm³]; not a number where they are not found."""
+        x, why = solved(self._ksp, volumes, 1)
+        return np.full_like(x, np.nan) if why else x
+
+
+def _set_diagonal(matrix: PETSc.Mat, rows: Ints, value: float):
+    """Give empty rows of this process their diagonal entry."""
+    first = matrix.getOwnershipRange()[0]
+    matrix.zeroRows((first + rows).astype(PETSc.IntType), diag=value)
+
+
+def saddle_of(kind: str, matrix: SaddleMatrix, held: Ints) -> Saddle | BlockSaddle:
+    """The solver of a name in SADDLES: "mumps" by factors, "block" by GMRES, "cg" either by the number of unknowns."""
+    size = 3 * matrix.problem.numbering.nodes.total + matrix.problem.pressures.total
+    iterative = kind == "block" or (kind == "cg" and size >= LARGE_SADDLE)
+    return BlockSaddle(matrix, held) if iterative else Saddle(matrix, held)
 
 
 class Saddle:
-    """[H, B; Bᵀ, -C] of a condensed problem, with held dofs (k,) flat and sorted, by MUMPS' LDLᵀ.
+    """A saddle matrix with held displacements (k,), flat and sorted, by MUMPS' LDLᵀ.
 
-    H is what the problem's matrix holds, B and C are taken where the problem was last. H + B C⁻¹ Bᵀ is positive
-    definite, or without springs H is wherever B does no work, if there are as many negative pivots as pressures.
+    H - B D⁻¹ Bᵀ is positive definite, or without springs H is wherever B does no work, if there are as many negative
+    pivots as pressures.
     """
 
-    def __init__(self, condensed: Condensed, held: Ints):
-        self._condensed, self._held = condensed, held
-        self._count = 3 * len(condensed.problem.numbering.X)
-        self.free: Ints = np.setdiff1d(np.arange(self._count), held)
+    def __init__(self, matrix: SaddleMatrix, held: Ints):
+        self._matrix, self._displacements = matrix, held
+        self._held: Ints = np.concatenate([held, matrix.displacements + matrix.idle])
+        self._expected = matrix.comm.allreduce(matrix.pressures - len(matrix.idle))
         self._factors = Factorisation()
         self.factored = self.iterations = 0
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """See LinearSolver; exact whatever `relative` is. The pressures' equations have nothing on the right."""
-        H = self._stiffness()
-        B = self._condensed.coupling()
-        x = np.zeros_like(b)
-        x[self._held] = b[self._held] / H.diagonal()[self._held]
-        known = np.concatenate([b[self.free], -(B[self._held].T @ x[self._held])])
-        answer, why = self._solved(H, B, known, springs=True)
-        x[self.free] = answer[: len(self.free)]
-        return LinearAnswer(x, not why, 1, why)
+        values = b[self._displacements] / self._matrix.H.getDiagonal().array_r[self._displacements]
+        known = np.concatenate([b, np.zeros(self._matrix.pressures)])
+        x, why = self._solved(known, np.concatenate([values, np.zeros(len(self._matrix.idle))]))
+        return LinearAnswer(x[: len(b)], not why, 1, why)
 
-    def correction(self, forces: Floats, volumes: Floats) -> tuple[Floats, Floats] | None:
-        """Displacements (free,) and pressures (used,) of Newton's step without springs from forces and volumes there.
+    def correction(self, residual: Floats) -> Floats | None:
+        """Newton's step of displacement and pressure, a vector, from forces and volumes that are zero where held.
 
         None where the tangent is not that of a minimum under the constraint.
         """
-        H, B = self._stiffness(), self._condensed.coupling()
-        answer, why = self._solved(H, B, -np.concatenate([forces, volumes]), springs=False)
-        return None if why else (answer[: len(self.free)], answer[len(self.free) :])
+        x, why = self._solved(-residual, np.zeros(len(self._held)))
+        return None if why else x
 
-    def again(self, forces: Floats, volumes: Floats) -> Floats:
-        """The displacements of `correction` (free,) from other forces and volumes, by the same factors."""
+    def again(self, residual: Floats) -> Floats:
+        """The `correction` from another residual by the same factors."""
         self.iterations += 1
-        return self._factors.solve(-np.concatenate([forces, volumes]))[: len(self.free)]
+        return self._factors.solve(-residual)
 
     @property
     def direct(self) -> Saddle:
         """Itself: see BlockSaddle."""
         return self
 
-    def _stiffness(self) -> csr_matrix:
-        indptr, indices, values = self._condensed.problem.matrix.getValuesCSR()
-        return csr_matrix((values, indices, indptr), shape=(self._count, self._count))
-
-    def _solved(self, H: csr_matrix, B: csr_matrix, known: Floats, *, springs: bool) -> tuple[Floats, str]:
+    def _solved(self, known: Floats, values: Floats) -> tuple[Floats, str]:
         """The solution, and why it is none or not that of a minimum."""
-        C = self._condensed.compliance(springs=springs)
-        B = B[self.free]
-        matrix = bmat([[H[self.free][:, self.free], B], [B.T, -C]], format="csr")
+        whole = self._matrix.whole()
+        hold(whole, self._held, values, known)
         self.factored += 1
-        if not self._factors.factor(matrix, symmetric=True):
+        if not self._factors.factor(whole, symmetric=True):
             return np.zeros_like(known), "singular"
         self.iterations += 1
-        answer = self._factors.solve(known)
-        excess = self._factors.negative - C.shape[0]
-        return answer, f"{excess} negative pivots beyond the pressures'" if excess else ""
+        excess = self._factors.negative - self._expected
+        return self._factors.solve(known), f"{excess} negative pivots beyond the pressures'" if excess else ""
 
     def release(self):
         """Free the factors."""
         self._factors.release()
+
+
+class BlockSaddle:
+    """See Saddle: the same system, the same questions.
+
+    Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
+    along the answer, which then is no descent direction. `correction` looks further, for it ends a solve: at the
+    softest motions that a few steps of Lanczos' method find by the inverse. Where these curve the energy downwards,
+    `Saddle` takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
+    """
+
+    def __init__(self, matrix: SaddleMatrix, held: Ints):
+        self._matrix, self._held, self._comm = matrix, held, matrix.comm
+        self.direct = Saddle(matrix, held)
+        self._set_ups, self._last, self._iterations, self._scale = 0, 0, 0, 1.0
+        self._by_factors = self._lost = False
+        self._softest: list[Floats] | None = None
+        self._ksp: PETSc.KSP | None = None
+        self._parts: list[PETSc.Mat] = []
+        set_options(_PREFIX, _OPTIONS)
+
+    @property
+    def factored(self) -> int:
+        """How many systems were set up."""
+        return self._set_ups + self.direct.factored
+
+    @property
+    def iterations(self) -> int:
+        """GMRES' iterations, and the direct solver's answers."""
+        return self._iterations + self.direct.iterations
+
+    def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
+        """See LinearSolver; held dofs' equations are x = b but for a factor, as `hold` leaves them."""
+        if self._lost:
+            return self.direct.solve(b, relative=relative)
+        matrix = self._matrix
+        given = np.zeros_like(b)
+        given[self._held] = b[self._held] / matrix.H.getDiagonal().array_r[self._held]
+        moved = np.zeros(matrix.pressures)
+        matrix.B.multTranspose(*(vector(part, matrix.comm) for part in (given, moved)))
+        self._set_up()
+        known = np.concatenate([b, -moved])
+        known[self._held] = 0.0
+        z, why = self._solved(known, relative)
+        x = z[: len(b)]
+        if not (why or dot(self._comm, x, b) > 0.0 or dot(self._comm, given, given) > 0.0):
+            why = "negative curvature"
+        x[self._held] = given[self._held]
+        return LinearAnswer(x, not why, self._last, why)
+
+    def correction(self, residual: Floats) -> Floats | None:
+        """See Saddle."""
+        if self._lost:
+            return self.direct.correction(residual)
+        H = self._matrix.H
+        hold(H, self._held, np.zeros(len(self._held)), np.zeros(self._matrix.displacements))
+        self._set_up()
+        step, why = self._solved(-residual, STEP)
+        self._by_factors = bool(why)
+        if why:
+            return self.direct.correction(residual)
+        if self._softest is None:
+            self._softest = self._inverse_lanczos()
+        if self._bends_down([step[: self._matrix.displacements], *self._softest]):
+            self._by_factors = self._lost = True
+            return None
+        return step
+
+    def again(self, residual: Floats) -> Floats:
+        """See Saddle; by the same preconditioner."""
+        return self.direct.again(residual) if self._by_factors else self._solved(-residual, FOLLOWING)[0]
+
+    def _free(self, motion: Floats) -> Floats:
+        """A displacement as forces on what is not held, and no volumes."""
+        result = np.concatenate([motion, np.zeros(self._matrix.pressures)])
+        result[self._held] = 0.0
+        return result
+
+    def _inverse_lanczos(self) -> list[Floats]:
+        """Displacements that hold the lowest modes of what is set up: a Krylov space of its inverse."""
+        numbering = self._matrix.problem.numbering
+        force = self._free(irregular(self._comm, numbering.X[: numbering.nodes.owned]))
+        found: list[Floats] = []
+        for _ in range(MODES):
+            step, why = self._solved(force, MODE)
+            mode = step[: self._matrix.displacements]
+            size = dot(self._comm, mode, mode)
+            if why or size == 0.0:
+                break
+            for other in found * 2:
+                mode = mode - dot(self._comm, other, mode) * other
+            found.append(mode / np.sqrt(dot(self._comm, mode, mode)))
+            force = self._free(found[-1])
+        return found
+
+    def _bends_down(self, motions: list[Floats]) -> bool:
+        """Whether the energy with springs bends down anywhere in the space of some displacements."""
+        matrix = self._matrix
+        vectors = np.stack([motion / np.sqrt(dot(self._comm, motion, motion)) for motion in motions])
+        values, turned = np.linalg.eigh(self._comm.allreduce(vectors @ vectors.T))
+        kept = values > ALIKE * values[-1]
+        basis = (turned[:, kept] / np.sqrt(values[kept])).T @ vectors
+        bent = np.array([product(matrix.H, motion) for motion in basis])
+        stiffened = matrix.D.copy()
+        stiffened.axpy(-matrix.springs, matrix.mass, structure=_SAME)
+        pressures = PressureSolver(matrix)
+        pressures.take(stiffened)
+        for row, motion in enumerate(basis):
+            volumes, forces = np.zeros(matrix.pressures), np.zeros(matrix.displacements)
+            matrix.B.multTranspose(*(vector(part, matrix.comm) for part in (motion, volumes)))
+            matrix.B.mult(*(vector(part, matrix.comm) for part in (pressures.solve(volumes), forces)))
+            forces[self._held] = 0.0
+            bent[row] += forces
+        products = self._comm.allreduce(basis @ bent.T)
+        return bool(np.linalg.eigvalsh((products + products.T) / 2)[0] <= 0.0)
+
+    def _set_up(self):
+        """Make GMRES anew for the matrix' present values, where held dofs are held in H."""
+        self._release()
+        matrix = self._matrix
+        free = np.ones(matrix.displacements, dtype=bool)
+        free[self._held] = False
+        self._scale = WEIGHT * matrix.problem.force_per_volume(matrix.H.getDiagonal().array_r[free])
+        B, D = matrix.B.copy(), matrix.D.copy()
+        B.scale(self._scale)
+        B.zeroRows((B.getOwnershipRange()[0] + self._held).astype(PETSc.IntType), diag=0.0)
+        D.scale(self._scale**2)
+        S = D.copy()
+        S.axpy(-(self._scale**2), matrix.mass, structure=_SAME)
+        for part in (D, S):
+            _set_diagonal(part, matrix.idle, -1.0)
+        self._parts = [B, B.transpose(PETSc.Mat()), D, S]
+        system = PETSc.Mat().createNest([[matrix.H, B], [self._parts[1], D]], comm=matrix.comm)
+        self._parts.append(system)
+        self._ksp = PETSc.KSP().create(matrix.comm)
+        self._ksp.setOptionsPrefix(_PREFIX)
+        self._ksp.setType(PETSc.KSP.Type.GMRES)
+        self._ksp.setGMRESRestart(RESTART)
+        self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
+        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._ksp.setOperators(system)
+        blocks = self._ksp.getPC()
+        blocks.setType(PETSc.PC.Type.FIELDSPLIT)
+        rows, _ = system.getNestISs()
+        blocks.setFieldSplitIS(("0", rows[0]), ("1", rows[1]))
+        blocks.setFieldSplitType(PETSc.PC.CompositeType.SCHUR)
+        blocks.setFieldSplitSchurFactType(PETSc.PC.SchurFactType.UPPER)
+        blocks.setFieldSplitSchurPreType(PETSc.PC.SchurPreType.USER, S)
+        self._ksp.setFromOptions()
+        self._set_ups += 1
+
+    def _solved(self, known: Floats, relative: float) -> tuple[Floats, str]:
+        """Displacements and pressures from forces and volumes, a vector, and why they are none."""
+        assert self._ksp is not None
+        known = np.array(known)
+        known[self._matrix.displacements :] *= self._scale
+        self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
+        answer, why = solved(self._ksp, known, 1)
+        answer[self._matrix.displacements :] *= self._scale
+        answer[self._held] = 0.0  # GMRES leaves its residual there
+        self._last = self._ksp.its
+        self._iterations += self._last
+        return answer, why
+
+    def release(self):
+        """Free all that is kept."""
+        self._release()
+        self.direct.release()
+
+    def _release(self):
+        if self._ksp is not None:
+            self._ksp.destroy()
+        for part in reversed(self._parts):
+            part.destroy()
+        self._ksp, self._parts = None, []
+        free_dropped(self._comm)

@@ -83,6 +83,12 @@ def largest(comm: MPI.Intracomm, a: Floats) -> float:
     return comm.allreduce(float(np.abs(a).max(initial=0.0)), op=MPI.MAX)
 
 
+def irregular(comm: MPI.Intracomm, X: Floats) -> Floats:
+    """Numbers of no regularity at places X (n, 3), a vector (3n,): they depend on these alone, not on who owns them."""
+    waves = np.array([[3.1, -17.3, 29.9], [11.7, 23.3, -5.9], [-31.1, 7.7, 19.3]]) / largest(comm, X)
+    return np.sin(X @ waves).ravel()
+
+
 def anywhere(comm: MPI.Intracomm, mask) -> bool:
     """Whether anything is true in any process."""
     return comm.allreduce(bool(np.any(mask)), op=MPI.LOR)

@@ -44,6 +44,8 @@ STIFF_SKIN = 40.0
 """Skin [mN/mm] from which on it bends, too: it would wrinkle into several minima."""
 EDGE = 4.0
 """Edge [mm] of the wraps at the middle level: bending of w h²/100 keeps wrinkles wider than edges."""
+COMPLETE = 0.5
+"""Share of palsies that are complete: a half loses its expression between 90 and 100 %, where few others are."""
 IN_FIELD = 3
 """Waves of one field."""
 
@@ -193,7 +195,8 @@ def _gravity(drawn: _Draw):
 
 def _palsy(drawn: _Draw):
     side = ("left", "right")[drawn.rng.integers(2)]
-    drawn.uniform(f"paralysis_{side}", 0.3, 1.0)
+    low = 1.0 if drawn.rng.random() < COMPLETE else 0.3
+    drawn.uniform(f"paralysis_{side}", low, 1.0)
 
 
 EFFECTS: dict[str, Callable[[_Draw], None]] = {

@@ -65,6 +65,15 @@ def test_a_head_that_misses_a_gate_is_not_accepted(command, tmp_path, sphere_hea
     assert "least thickness: 0.1 mm (at least 0.2 mm)" in ended.errors[0]
 
 
+def test_a_wrap_that_lies_off_the_skin_says_what_to_do(command, tmp_path, sphere_head):
+    skin = sphere_head.skin
+    save_head(tmp_path / "off.npz", replace(sphere_head, skin=skin.with_vertices(1.02 * skin.vertices)))
+    ended = command("head", "check", tmp_path / "off.npz")
+    assert ended.status == 1 and len(ended.errors) == 1
+    for words in ("wrap to skin mean: 1.9", "rougher than a wrap can follow", "--landmarks", "`head show`"):
+        assert words in ended.errors[0]
+
+
 def test_a_coarse_head_keeps_its_own_gates_and_is_said_to_be_written(command, tmp_path):
     ended = command("head", "fit", "--level", 1, "--out", tmp_path / "head.npz", "--vtk", tmp_path / "vtk")
     assert ended.status == 0 and ended.errors == [] and "MISSED" not in ended.out

@@ -35,11 +35,7 @@ INCOMPRESSIBLE = {
 
 def equations(scene, element_degree=2, mixed=True):
     problem = Problem(scene, Numbering(scene, element_degree), mixed=mixed)
-    pressures = [
-        FollowerPressure.of(term, problem.numbering.face_dofs(term.name, term.triangles))
-        for term in scene.of(terms.Pressure)
-    ]
-    return Equilibrium(problem, np.empty(0, dtype=np.int64), pressures)
+    return Equilibrium(problem, np.empty(0, dtype=np.int64))
 
 
 def pulled_cube(law, stretch=1.2):

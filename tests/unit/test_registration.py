@@ -15,6 +15,7 @@ from softdeca.lhm.registration import landmark_ids, named_landmarks, read_landma
 from softdeca.lhm.registration.affine import SmoothAffine
 from softdeca.lhm.registration.matching import Target
 from softdeca.lhm.registration.start import similarity
+from softdeca.lhm.registration.ties import on_skin
 from softdeca.lhm.wraps.landmarks import landmarks
 
 
@@ -66,6 +67,21 @@ def test_of_two_slopes_the_one_turned_alike_is_matched_where_that_counts():
     assert set(near[0]) <= {0, 1, 2, 3} and set(alike[0]) <= {4, 5, 6, 7}
 
 
+@pytest.mark.parametrize("turned", [0.0, 3.0])
+def test_matches_within_reach_are_those_of_an_endless_search(turned):
+    x, triangles = geodesic_sphere(6)
+    target = Target(Surface(20 * x, triangles))
+    rng = np.random.default_rng(2)
+    points, normals = 15 * rng.standard_normal((300, 3)), rng.standard_normal((300, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    endless, near = (target.match(points, normals, turned=turned, reach=reach) for reach in (np.inf, 6.0))
+    within = (endless[2] > 0) & (endless[1] < 6.0)
+    assert 20 < within.sum() < 250
+    for one, other in zip(endless, near, strict=True):
+        np.testing.assert_array_equal(one[within], other[within])
+    assert not (near[2][~within] * (near[1][~within] < 6.0)).any()
+
+
 def test_affine_maps_carry_what_is_not_held():
     x, triangles = geodesic_sphere(5)
     x = 100 * x
@@ -77,6 +93,26 @@ def test_affine_maps_carry_what_is_not_held():
     # Held nowhere else, the rest follows, and returns slowly to the start's gradients: within the map's own size.
     error = np.linalg.norm(moved - x @ matrix.T - 7, axis=1)[~held]
     assert error.max() < 0.3 * np.linalg.norm(x @ matrix.T - x, axis=1).max()
+
+
+def test_below_an_open_neck_displacements_fade_to_those_of_the_crown():
+    # A tube of rings 5 mm apart, of which the skin has the upper ones: what is harmonic on the rest falls evenly.
+    rings, around = 21, 12
+    ring, turn = np.divmod(np.arange(rings * around), around)
+    angle = 2 * np.pi * turn / around
+    x = np.stack([10 * np.cos(angle), 5.0 * ring, -10 * np.sin(angle)], axis=1)
+    a = np.arange((rings - 1) * around)
+    b = np.where(a % around == around - 1, a + 1 - around, a + 1)
+    tube = Surface(x, np.vstack([np.stack([a, b, b + around], axis=1), np.stack([a, b + around, a + around], axis=1)]))
+    open_at = 8
+    skin = Surface(x, tube.triangles[(ring[tube.triangles] >= open_at).all(axis=1)])
+    weights = on_skin(tube, skin, ring == 0)
+    np.testing.assert_allclose(np.asarray(weights.sum(axis=1)).ravel(), 1.0)
+    moved = (rings - 1 - ring) / (rings - 1 - open_at)
+    np.testing.assert_allclose(weights @ moved, np.where(ring < open_at, ring / open_at, moved), atol=1e-6)
+    # Without a lid all that is below goes with the opening's edge.
+    loose = on_skin(tube, skin, np.zeros(len(x), bool))
+    np.testing.assert_allclose(loose @ moved, np.minimum(moved, 1.0), atol=1e-6)
 
 
 def test_a_person_is_found_again_in_finer_triangles_without_landmarks(space, person):

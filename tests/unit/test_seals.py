@@ -15,7 +15,7 @@ from softdeca.lhm.geometry.distance import is_closed
 from softdeca.lhm.geometry.rays import first_hits
 from softdeca.lhm.geometry.sphere import geodesic_sphere
 from softdeca.lhm.geometry.stretch import greatest_stretches, torn_area
-from softdeca.lhm.identities.space import EYES, MOUTH
+from softdeca.lhm.identities.space import CAP, EYES, MOUTH
 from softdeca.lhm.openings import lid_path, lip_path
 from softdeca.lhm.registration import registered_by
 from softdeca.lhm.registration.ties import on_skin, on_template
@@ -221,7 +221,11 @@ def membrane(template):
     laid = registered_by(template.skin, template.parts, known, skin)
     # What is tied is found, as after a registration: the fans' middles lie on nothing.
     surface = laid.surface
-    return skin, replace(laid, skin_weights=on_template(surface, skin), template_weights=on_skin(surface, skin))
+    ties = {
+        "skin_weights": on_template(surface, skin),
+        "template_weights": on_skin(surface, skin, template.parts == CAP),
+    }
+    return skin, replace(laid, **ties)
 
 
 def test_a_membrane_deep_between_overlapping_lips_is_cut_and_closed_lids_stay_still(template, membrane):

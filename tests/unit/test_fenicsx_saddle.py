@@ -10,15 +10,14 @@ from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.compiling import Spent
-from softdeca.reference.fenicsx import block_saddle, prepared
-from softdeca.reference.fenicsx.block_saddle import BlockSaddle, saddle_of
+from softdeca.reference.fenicsx import prepared, saddle
 from softdeca.reference.fenicsx.condensed import Condensed
 from softdeca.reference.fenicsx.linear import hold
-from softdeca.reference.fenicsx.multipliers import MultiplierDescent, laws_of
+from softdeca.reference.fenicsx.multipliers import MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
-from softdeca.reference.fenicsx.saddle import Saddle
+from softdeca.reference.fenicsx.saddle import BlockSaddle, Saddle, saddle_of
 from softdeca.reference.problems import meshes
 
 LAWS = {
@@ -42,7 +41,7 @@ def strained(law, cells=3, by=0.1):
     """A condensed problem at a displacement that is no equilibrium, its state, and what is held."""
     scene = standing(law, cells)
     problem = Problem(scene, Numbering(scene, 2), mixed=True)
-    condensed = Condensed(problem, laws_of(problem, scene))
+    condensed = Condensed(problem)
     X = problem.numbering.X
     u = by * np.stack([X[:, 2] * X[:, 1], X[:, 2] ** 2, -X[:, 2] * X[:, 0]], axis=1)
     held = np.flatnonzero(np.repeat(X[:, 2] < 1e-9, 3))
@@ -52,9 +51,9 @@ def strained(law, cells=3, by=0.1):
 def condensed_residual(condensed, held, x, b):
     """Of the equations of the displacement alone, where the held dofs' rows and columns are gone, over b's norm."""
     H = csr_matrix(condensed.problem.matrix.getValuesCSR()[::-1])
-    B, C = condensed.coupling(), condensed.compliance(springs=True)
+    B, D = (csr_matrix(part.getValuesCSR()[::-1]) for part in (condensed.matrix.B, condensed.matrix.D))
     B = diags(np.isin(np.arange(len(b)), held, invert=True).astype(float)) @ B
-    away = H @ x + B @ spsolve(C.tocsc(), B.T @ x) - b
+    away = H @ x - B @ spsolve(D.tocsc(), B.T @ x) - b
     return np.linalg.norm(away) / np.linalg.norm(b)
 
 
@@ -62,7 +61,7 @@ def condensed_residual(condensed, held, x, b):
 @pytest.mark.parametrize("relative", [1e-2, 1e-6, 1e-10])
 def test_what_newton_asks_of_the_residual(law, relative):
     condensed, state, held = strained(law)
-    solver = saddle_of("block", condensed, held)
+    solver = saddle_of("block", condensed.matrix, held)
     b = -state.gradient().ravel()
     hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
     answer = solver.solve(b, relative=relative)
@@ -79,7 +78,7 @@ def test_held_motions_spread_as_by_factors(law):
     for kind in ("mumps", "block"):
         b = np.zeros(state.u.size)
         hold(state.softened_hessian(0.0), held, values, b)
-        solver = saddle_of(kind, condensed, held)
+        solver = saddle_of(kind, condensed.matrix, held)
         answers.append(solver.solve(b, relative=1e-10))
         solver.release()
     assert answers[0].found and answers[1].found
@@ -90,14 +89,17 @@ def test_held_motions_spread_as_by_factors(law):
 @each_law
 def test_steps_at_once_are_those_by_factors(law):
     condensed, state, held = strained(law, by=0.01)
+    state = condensed.beside(state.u, state.p)
     steps = []
     for kind in ("mumps", "block"):
-        solver = saddle_of(kind, condensed, held)
+        solver = saddle_of(kind, condensed.matrix, held)
         state.hessian()
-        forces, volumes = state.gradient().ravel()[solver.free], state.strain()[condensed.used]
-        step = solver.correction(forces, volumes)
+        forces = state.gradient().ravel()
+        forces[held] = 0.0
+        step = solver.correction(np.concatenate([forces, state.strain()]))
         assert step is not None
-        steps.append((*step, solver.again(2.0 * forces, volumes)))
+        after = solver.again(np.concatenate([2.0 * forces, state.strain()]))
+        steps.append((step[: len(forces)], step[len(forces) :], after[: len(forces)]))
         solver.release()
     for direct, iterative, share in zip(*steps, (3e-3, 1e-3, 0.2), strict=True):
         assert 0.0 < np.linalg.norm(direct - iterative) < share * np.linalg.norm(direct)
@@ -107,7 +109,7 @@ def test_iterations_grow_slowly_with_the_mesh():
     counts = []  # on 48, 384 and 3072 tets
     for cells in (2, 4, 8):
         condensed, state, held = strained(LAWS["incompressible"], cells)
-        solver = saddle_of("block", condensed, held)
+        solver = saddle_of("block", condensed.matrix, held)
         b = -state.gradient().ravel()
         hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
         counts.append(solver.solve(b, relative=1e-6).iterations)
@@ -117,16 +119,18 @@ def test_iterations_grow_slowly_with_the_mesh():
 
 def test_energies_that_curve_downwards_are_told():
     condensed, state, held = strained(LAWS["incompressible"])
-    solver = saddle_of("block", condensed, held)
+    solver = saddle_of("block", condensed.matrix, held)
     for shift, found in ((-0.5, False), (0.0, True)):
         hessian = state.softened_hessian(0.0)
         hessian.shift(shift * hessian.getDiagonal().norm())
         b = -state.gradient().ravel()
         hold(hessian, held, np.zeros(len(held)), b)
         assert solver.solve(b, relative=1e-6).found is found
-    hessian = state.hessian()
+    hessian = condensed.beside(state.u, state.p).hessian()
     hessian.shift(-0.5 * hessian.getDiagonal().norm())
-    assert solver.correction(state.gradient().ravel()[solver.free], state.strain()[condensed.used]) is None
+    forces = state.gradient().ravel()
+    forces[held] = 0.0
+    assert solver.correction(np.concatenate([forces, state.strain()])) is None
     solver.release()
 
 
@@ -161,7 +165,7 @@ def test_factors_step_in_where_gmres_gives_up(monkeypatch):
     scene = standing(LAWS["incompressible"])
     options = {"solver": "fenicsx", "element": "P2P1", "linear_solver": "block", "tolerance": 1e-9}
     expected = solve(scene, **options)
-    monkeypatch.setattr(block_saddle, "MAX_LINEAR_ITERATIONS", 1)
+    monkeypatch.setattr(saddle, "MAX_LINEAR_ITERATIONS", 1)
     solution = solve(scene, **options)
     assert solution.converged and np.abs(solution.positions - expected.positions).max() < 1e-7
     assert solution.detail["linear_solves"] > expected.detail["linear_solves"]
@@ -177,7 +181,7 @@ def test_a_column_buckles_as_by_factors():
     found = {}
     for kind in ("mumps", "block"):
         problem = Problem(scene, Numbering(scene, 2), mixed=True)
-        condensed = Condensed(problem, laws_of(problem, scene))
+        condensed = Condensed(problem)
         run = Run(scene, problem.numbering, X, 1e-8, Record(None, None))
         descent = MultiplierDescent(run, condensed, warm=False, linear_solver=kind)
         found[kind] = run.solution(descent.attempt(), Spent(0.0, 0.0))
@@ -189,15 +193,16 @@ def test_a_column_buckles_as_by_factors():
 
 def test_the_size_chooses(monkeypatch):
     condensed, _, held = strained(LAWS["incompressible"])
-    size = 3 * len(condensed.problem.numbering.X) + condensed.count
+    problem = condensed.problem
+    size = 3 * len(problem.numbering.X) + problem.pressures.count
     for large, expected in ((size, BlockSaddle), (size + 1, Saddle)):
-        monkeypatch.setattr(block_saddle, "LARGE_SADDLE", large)
-        assert type(saddle_of("cg", condensed, held)) is expected
-    assert type(saddle_of("mumps", condensed, held)) is Saddle
+        monkeypatch.setattr(saddle, "LARGE_SADDLE", large)
+        assert type(saddle_of("cg", condensed.matrix, held)) is expected
+    assert type(saddle_of("mumps", condensed.matrix, held)) is Saddle
     scene = standing(LAWS["incompressible"])
     monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
     for large, iterative in ((size, True), (size + 1, False)):
-        monkeypatch.setattr(block_saddle, "LARGE_SADDLE", large)
+        monkeypatch.setattr(saddle, "LARGE_SADDLE", large)
         detail = solve(scene, solver="fenicsx", element="P2P1").detail  # of the linear start, too
         assert (detail["linear_iterations"] > 10 * detail["linear_solves"]) is iterative
 
