@@ -142,7 +142,7 @@ class Dynamics(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """What is left of the first displacement against time, a line per march."""
-        traces = next((row.values["traces"] for row in rows if row.case == RELEASED), {})
+        traces: Mapping = next((row.values["traces"] for row in rows if row.case == RELEASED), {})
         if not traces:
             return {}
         plt = pyplot()

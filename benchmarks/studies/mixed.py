@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ...lhm.errors import InputError
@@ -13,6 +13,7 @@ from ...reference import Parameters, Scene, facial_scene, materials, neo_hookean
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
+from ..plots import pyplot, svg
 from .person import OfPerson
 
 MEMORY_MB = 8000.0
@@ -67,6 +68,29 @@ class Mixed(OfPerson):
         stopped = sum(row.values["reason"] != "CONVERGED" for row in rows)
         most = max(row.memory_mb or 0.0 for row in rows)
         return [at_most("solves that did not converge", stopped, 0), at_most("memory [MB]", most, MEMORY_MB)]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """What a solve takes, from the cheapest to the dearest, and how well volume is kept."""
+        cpu, count = ([row.values[key] for row in rows] for key in ("processor", "factorisations"))
+        off = max(abs(row.values["volume"] - 1.0) for row in rows)
+        return (
+            f"A solve takes {min(cpu):.0f} to {max(cpu):.0f} s of a processor and {min(count)} to {max(count)} "
+            f"factorisations; volume is kept to {100.0 * off:.2f} %."
+        )
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Processor time and factorisations, a pair of bars per solve."""
+        plt = pyplot()
+        figure, axes = plt.subplots(1, 2, figsize=(10, 0.5 * len(rows) + 1.4), sharey=True)
+        for axis, key, what in zip(
+            axes, ("processor", "factorisations"), ("processor time [s]", "factorisations"), strict=True
+        ):
+            axis.barh([f"{row.case}, {row.method}" for row in rows], [row.values[key] for row in rows], height=0.6)
+            axis.set_xlabel(what)
+            axis.grid(axis="x", alpha=0.25)
+        axes[0].invert_yaxis()
+        figure.tight_layout()
+        return {"What a solve takes.": svg(plt, figure)}
 
 
 def _poisson(law: str) -> float | None:
