@@ -19,7 +19,7 @@ from ..reference import Scene, materials, terms
 
 TOLERANCE = 1e-10
 """The residual's norm over that of the forces at held vertices, as FElupe counts it."""
-MOST, STEPS = 30, 8
+MOST, STEPS = 30, 4
 """Iterations of a step of the load, and such steps."""
 
 

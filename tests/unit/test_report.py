@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +12,8 @@ from softdeca.benchmarks.harness.tables import latex, markdown
 from softdeca.benchmarks.studies import study_of
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm import InputError
+
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +60,14 @@ def test_a_table_as_markdown_and_latex():
     ]
     text = latex(table, "laws, by hand")
     assert r"a\_b \& c & 1.2e-04 \\" in text and r"50 \% of |x|" in text and r"\label{tab:laws-by-hand}" in text
+
+
+KEPT = sorted(name for name in RESULTS.glob("*.json") if '"study"' in name.read_text()[:40])
+
+
+def test_results_that_are_kept_can_be_reported(tmp_path):
+    assert {path.stem for path in KEPT} >= {"material", "verification"}
+    made = [read(path, study_of) for path in KEPT]
+    assert all(each.results.machine["commit"] and each.results.passed for each in made)
+    text = write(made, tmp_path, "kept")[0].read_text()
+    assert all(f'<h2 id="{path.stem}">' in text for path in KEPT)
