@@ -66,7 +66,7 @@ KEPT = sorted(name for name in RESULTS.glob("*.json") if '"study"' in name.read_
 
 
 def test_results_that_are_kept_can_be_reported(tmp_path):
-    assert {path.stem for path in KEPT} >= {"material", "verification"}
+    assert {path.stem for path in KEPT} >= {"material", "split", "verification"}
     made = [read(path, study_of) for path in KEPT]
     assert all(each.results.machine["commit"] and each.results.passed for each in made)
     text = write(made, tmp_path, "kept")[0].read_text()
