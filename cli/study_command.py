@@ -36,7 +36,7 @@ class Studies(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """The command of a study, or another."""
-        return _command(study_of(name)) if name in STUDIES else super().get_command(ctx, name)
+        return command_of(study_of(name)) if name in STUDIES else super().get_command(ctx, name)
 
 
 @click.command("list")
@@ -89,7 +89,8 @@ def report(results: tuple[Path, ...], title: str, out: Path) -> int:
     return 0
 
 
-def _command(kind: type[Study]) -> click.Command:
+def command_of(kind: type[Study]) -> click.Command:
+    """The command of a study, whose options are its fields and those of every run."""
     own = [_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # every study is a dataclass
     common = [
         click.Option(["--match"], default="", help="only cases and methods with this in their name"),
@@ -112,12 +113,13 @@ def _command(kind: type[Study]) -> click.Command:
 
 def _option(field: Field) -> click.Option:
     words = dict(field.metadata)
-    name = words.pop("option", "--" + field.name.replace("_", "-"))
+    several = isinstance(field.default, tuple)
+    plain = "--" + field.name.replace("_", "-")
+    name = words.pop("option", plain.removesuffix("s") if several else plain)
     if field.default is False:
         return click.Option([name, field.name], is_flag=True, **words)
-    if isinstance(field.default, tuple):
-        singular = name.removesuffix("s")
-        return click.Option([singular, field.name], multiple=True, default=field.default, **words)
+    if several:
+        return click.Option([name, field.name], multiple=True, default=field.default, **words)
     return click.Option([name, field.name], default=field.default, type=type(field.default), **words)
 
 
