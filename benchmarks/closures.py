@@ -1,4 +1,7 @@
-"""softdeca bench closures: how far lids and lips are apart over a take, by blendshapes, simulator and surrogate."""
+"""softdeca bench closures: how far lids and lips are apart over a take, by blendshapes, simulator and surrogate.
+
+No study of the common runner: it plays one take, and its rows are curves of all methods at the same frames.
+"""
 
 from __future__ import annotations
 

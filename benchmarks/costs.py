@@ -1,50 +1,84 @@
-"""What a scene costs: seconds of its parts, iterations and memory."""
+"""What a solve costs, in the words of every study: seconds of its parts, iterations and memory."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ..lhm.mesh import Floats
 from ..reference import Scene, Solution, prepare, terms
-from .apart import forget_peak, held_megabytes, peak_megabytes
+from .harness.apart import forget_peak, held_megabytes, peak_megabytes
+from .harness.study import Column, Values
 from .traces import Stopwatch
 
+TIMES = (
+    Column("scene_s", "scene [s]", cost=True),
+    Column("prepare_s", "prepare [s]", cost=True),
+    Column("solve_s", "solve [s]", cost=True),
+    Column("cpu_s", "processor time of all three [s]", cost=True),
+)
+COUNTS = (
+    Column("iterations", "iterations", cost=True),
+    Column("linear_iterations", "CG iterations", cost=True),
+)
+ENDED = Column("reason", "ended")
+MEMORY = Column("scene_mb", "scene and solver [MB]", cost=True)
 
-def timed(make: Callable[[], Scene], tolerance: float) -> tuple[Solution, dict]:
-    """Make, prepare and solve a scene from rest; the solution, and wall and processor time [s] and iterations."""
+
+def timed(make: Callable[[], Scene], tolerance: float, *, start: Floats | None = None, **how) -> tuple[Solution, dict]:
+    """Make, prepare and solve a scene, by `how` as `prepare` takes it; the solution, and the values of the columns."""
     watch = Stopwatch()
     scene = make()
     laps = [watch.lap()]
-    prepared = prepare(scene)
+    prepared = prepare(scene, **how)
     laps.append(watch.lap())
-    solution = prepared.solve(tolerance=tolerance)
+    solution = prepared.solve(tolerance=tolerance, start=start)
     laps.append(watch.lap())
-    walls = dict(zip(("scene_seconds", "prepare_seconds", "solve_seconds"), (wall for wall, _ in laps), strict=True))
-    return solution, {
-        **walls,
-        "seconds": float(np.sum([wall for wall, _ in laps])),
-        "cpu_seconds": float(np.sum([cpu for _, cpu in laps])),
+    walls = dict(zip(("scene_s", "prepare_s", "solve_s"), (wall for wall, _ in laps), strict=True))
+    return solution, {**walls, "cpu_s": float(np.sum([cpu for _, cpu in laps])), **counts(solution)}
+
+
+def counts(solution: Solution) -> dict:
+    """How often a solver iterated, its linear solver where it counts, and why it ended."""
+    return {
         "iterations": solution.iterations,
+        "linear_iterations": solution.detail.get("linear_iterations"),
         "converged": solution.converged,
-        "reason": str(solution.reason),
-        "detail": dict(solution.detail),
+        "reason": solution.reason.name,
     }
 
 
-def megabytes(make: Callable[[], Scene], *, iterations: int = 20) -> float:
+def repeated(rows: Sequence[Values]) -> dict:
+    """Rows of one measure, repeated, as one: times as lists, what does not differ as it is."""
+    return {key: [row[key] for row in rows] if key.endswith("_s") else value for key, value in rows[0].items()}
+
+
+def unfinished(rows: Sequence[Values]) -> int:
+    """How many solves of the rows' values did not reach what was asked."""
+    return sum(not values["converged"] for values in rows)
+
+
+def slope(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
+    """The exponent of a figure over sizes, by least squares of logarithms; None where it is not there, or one only."""
+    if len(set(sizes)) < 2 or not all(values):
+        return None
+    return float(np.polyfit(np.log(sizes), np.log(np.asarray(values, dtype=np.float64)), 1)[0])
+
+
+def megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> float:
     """The most memory [MB] that making, preparing and solving a scene takes beside what this process holds.
 
     To be called in a process of its own, before other scenes: what is freed is used again unseen.
     """
-    _load_kernels()
+    load_kernels(**how)
     forget_peak()
     before = held_megabytes()
-    prepare(make()).solve(max_iterations=iterations)
+    prepare(make(), **how).solve(max_iterations=iterations)
     return peak_megabytes() - before
 
 
-def _load_kernels() -> None:
+def load_kernels(**how) -> None:
     """Solve a scene of one tet, which compiles what is compiled when it is first called, or reads it from the disk."""
     vertices = np.vstack([np.zeros(3), np.eye(3)])
     ids = np.arange(4)
@@ -54,4 +88,4 @@ def _load_kernels() -> None:
         terms.SurfaceStrain(np.array([[1, 2, 3]]), 1.0),
         terms.Target(ids, 1.1 * vertices, 1.0),
     )
-    prepare(Scene(vertices, np.array([[0, 1, 2, 3]]), parts)).solve()
+    prepare(Scene(vertices, np.array([[0, 1, 2, 3]]), parts), **how).solve()

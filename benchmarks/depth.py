@@ -1,4 +1,8 @@
-"""Predicted depths and the fitted skull wrap of one head against its own skull: files -> JSON and pictures -> HTML."""
+"""Predicted depths and the fitted skull wrap of one head against its own skull: files -> JSON and pictures -> HTML.
+
+No study of the common runner: there is one case and one method, and what is wrong with the files is to be told before
+anything is written.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +33,10 @@ from ..lhm.regressor import (
 from ..lhm.regressor.files import check_inside, read_skin, read_skull
 from ..lhm.wraps.depth import LANDMARKS
 from ..lhm.wraps.landmarks import Mask
-from . import machine
 from .depth_error import depth_comparison, depth_error
+from .harness import machine
+from .harness.page import machine_rows, rendered
 from .published import SKULL_PLACES
-from .report import machine_rows, rendered
 
 LEAST_MEASURED = 0.1
 """Of the face's vertices at least this share must see bone, or there is nothing to compare."""

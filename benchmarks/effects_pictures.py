@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
-from ..lhm.progress import OnProgress
 from .differences import distances
 from .effect_run import EffectResult
 from .pictures import VIEW, Panel, strip
@@ -20,29 +17,19 @@ LEAST_TOP = 0.05
 """[mm]; the colours' end where an effect moves hardly anything."""
 
 
-def effect_pictures(
-    head: LayeredHead,
-    done: Sequence[EffectResult],
-    shapes: Floats,
-    networks: Sequence[Floats | None],
-    progress: OnProgress,
-) -> Mapping[str, bytes]:
-    """PNG by the effect's name: the head from the front; NAME-side, from three quarters; NAME-close, the face of it.
+def effect_pictures(head: LayeredHead, result: EffectResult, shape: Floats, network: Floats | None) -> dict[str, bytes]:
+    """PNG by caption: the head from the front and from three quarters, the face of it, and the face by a network.
 
-    NAME-surrogate, where there is a network's skin: blendshapes, simulated, network, and how far both are from the
-    simulated one.
+    The last, where there is a network's skin: blendshapes, simulated, network, and how far both are from the simulated.
     """
-    images, face = {}, head.skin_wrap.vertices[head.regions["face"]]
-    for i, (result, shape, network) in enumerate(zip(done, shapes, networks, strict=False)):
-        name = result.record["name"]
-        progress(f"pictures: {name}", i / len(done))
-        panels = _panels(head, result)
-        images[name] = strip(panels, view=FRONT)
-        images[f"{name}-side"] = strip(panels, view=VIEW)
-        images[f"{name}-close"] = strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face)
-        if network is not None:
-            images[f"{name}-surrogate"] = strip(_beside(head, result, shape, network), view=VIEW, framed=face)
-    progress("pictures", 1.0)
+    face, panels = head.skin_wrap.vertices[head.regions["face"]], _panels(head, result)
+    images = {
+        "from the front": strip(panels, view=FRONT),
+        "from three quarters": strip(panels, view=VIEW),
+        "the face": strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face),
+    }
+    if network is not None:
+        images["beside the surrogate"] = strip(_beside(head, result, shape, network), view=VIEW, framed=face)
     return images
 
 

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .harness.gates import above, at_most
+
 NETWORK_GAIN = 4.0
 LOCAL_STEP_MS_PER_58K_TETS = 8.0
 
 
 def gates(results: Mapping) -> list[dict]:
-    """The statements of one study, each {what, value, bound, passed, answer}.
-
-    `answer` says that a miss is a wrong answer; the others are figures of speed, which a busy machine changes.
-    """
+    """The statements of one study, as `harness.gates` has them."""
     cases = results["cases"]
 
     def largest(what: str) -> float:
@@ -30,11 +29,11 @@ def gates(results: Mapping) -> list[dict]:
                 largest("scikit-fem to FEniCSx, PD's energy"), 1e-8),
         at_most("scikit-fem to FEniCSx, neo-Hookean, of the largest displacement",
                 largest("scikit-fem to FEniCSx, neo-Hookean"), 1e-8),
-        _above("smallest volume ratio of a tet over all scenes (none inverted)",
+        above("smallest volume ratio of a tet over all scenes (none inverted)",
                float(np.min([case["smallest_volume_ratio"] for case in cases])), 0.0),
         at_most("solver runs that did not reach what was asked", unfinished, 0),
         at_most("verification problems outside their bound", outside, 0),
-        *_surrogate_gates(results["surrogate"]),
+        *surrogate_gates(results["surrogate"]),
         at_most("accelerated PD's iterations to 0.01 mm over plain PD's, worst scene",
                 _iteration_ratio(cases), 0.2, answer=False),
         at_most("a local step per 58 k tets, float64, one core [ms]",
@@ -42,13 +41,13 @@ def gates(results: Mapping) -> list[dict]:
     ]  # fmt: skip
 
 
-def _surrogate_gates(tested: Mapping | None) -> list[dict]:
+def surrogate_gates(tested: Mapping | None) -> list[dict]:
     """What the network has to beat: doing nothing, and with exact derivatives these alone."""
     if tested is None:
         return []
     return [
-        _above("blendshapes' error over the network's, unseen people", tested["network_gain"], NETWORK_GAIN),
-        _above("the linearised simulator's error over that of network and simulator", tested["hybrid_gain"], 1.0),
+        above("blendshapes' error over the network's, unseen people", tested["network_gain"], NETWORK_GAIN),
+        above("the linearised simulator's error over that of network and simulator", tested["hybrid_gain"], 1.0),
     ]
 
 
@@ -60,13 +59,3 @@ def _iteration_ratio(cases: Sequence[Mapping]) -> float | None:
             return None
         ratios.append(counts["pd"] / max(counts["plain"], 1))
     return max(ratios)
-
-
-def at_most(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:
-    """One statement; None, what was not measured, does not pass."""
-    passed = value is not None and value <= bound
-    return {"what": what, "value": value, "bound": f"at most {bound:g}", "passed": passed, "answer": answer}
-
-
-def _above(what: str, value: float, bound: float) -> dict:
-    return {"what": what, "value": value, "bound": f"above {bound:g}", "passed": value > bound, "answer": True}

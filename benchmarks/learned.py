@@ -14,11 +14,8 @@ from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.evaluate import evaluate
 from ..surrogate.modal.faces import Faces
-from ..surrogate.rivals import Method
-from ..surrogate.rivals.blendshapes import Blendshapes
-from ..surrogate.rivals.linearised import Linearised
-from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.schedule import processors, schedule
+from .surrogates import GAINED, READY, gains
 
 PLAN = PRESETS["study"]
 
@@ -29,16 +26,14 @@ def tested(surrogate: Surrogate, space, template, folder: Path, progress: OnProg
     corpus = Corpus(folder / f"corpus-{space.name}-{template.digest}-{PLAN.digest}", PLAN, people)
     status = corpus.generate(on=schedule(min(2, processors())), on_progress=progress)
     weights, faces = surrogate.weights, Faces(corpus.folder, None)
-    methods: list[Method] = [ModalMethod(weights), ModalMethod(weights, exact=True), Linearised(), Blendshapes()]
-    scores = evaluate(methods, faces, on_progress=progress)
+    scores = evaluate([READY[name](weights) for name in GAINED], faces, on_progress=progress)
     overall = {score.method: score for score in scores if score.kind == "all"}
     return {
         "people": len({identity for identity, _ in faces.groups.tolist()}),
         "faces": len(faces),
         "frames": overall["network"].frames,
         "scores": [asdict(score) for score in scores],
-        "network_gain": overall["blendshapes (T = S)"].mean / overall["network"].mean,
-        "hybrid_gain": overall["linearised simulator"].mean / overall["network + simulator at bind"].mean,
+        **gains({name: score.mean for name, score in overall.items()}),
         "rejected": [
             {"identity": r.identity, "frame": r.row, "reason": r.reason}
             for r in status.rejected

@@ -66,7 +66,12 @@ def learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
 
 
 def error_against_cost(scores: Sequence) -> bytes:
-    """Mean error [mm] of methods (`evaluate.Score`) against milliseconds at bind and per frame: PNG."""
+    """`costs_figure` as PNG."""
+    return png(pyplot(), costs_figure(scores))
+
+
+def costs_figure(scores: Sequence):
+    """Mean error [mm] of methods (`evaluate.Score`) against milliseconds at bind and per frame."""
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True)
     for axis, name, label in zip(
@@ -81,7 +86,7 @@ def error_against_cost(scores: Sequence) -> bytes:
     axes[0].set_ylabel("mean vertex error [mm]")
     axes[0].set_title("squares: besides, the simulator at bind", fontsize=8)
     figure.tight_layout()
-    return png(plt, figure)
+    return figure
 
 
 def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:

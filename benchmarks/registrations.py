@@ -3,6 +3,8 @@
 Two heads with rigs of their own are laid upon one another both ways. A point of the one is carried to the other and
 back: what it is off then is slide. A head's transferred shapes are then compared with its own. How much of what is left
 is transfer's and how much registration's, a person of the same space tells, whose shapes and points are known.
+
+No study of the common runner: two registrations, some minutes each, answer all of it together.
 """
 
 from __future__ import annotations

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from . import plots
+from .harness.page import machine_rows, rendered
 
 
 def page(results: Mapping, pictures: Mapping[str, bytes], view: str) -> str:
@@ -39,31 +36,6 @@ def page(results: Mapping, pictures: Mapping[str, bytes], view: str) -> str:
         machine_rows=machine_rows(results["machine"])
         + [(f"seconds: {name}", float(value)) for name, value in results["seconds"].items()],
     )
-
-
-def rendered(template: str, results: Mapping, **more) -> str:
-    """A page from a template of this folder, which sees the results and `more`; an unknown name is an error."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["cell"] = _cell
-    return environment.get_template(template).render(**results, **more)
-
-
-def machine_rows(machine: Mapping) -> list[Sequence]:
-    """What `machine.describe` says, as rows of a table."""
-    rows: list[Sequence] = [(name, value) for name, value in machine.items() if name != "versions"]
-    return rows + [(f"{name} version", value) for name, value in machine["versions"].items()]
-
-
-def _cell(value) -> str | Markup:
-    if isinstance(value, bool):
-        return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.1e}"
-    return str(value)
 
 
 def _solver_rows(case: Mapping) -> list[Sequence]:

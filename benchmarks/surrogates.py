@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from ..surrogate.evaluate import Score, evaluate
 from ..surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ..surrogate.evaluate_references import evaluate_references
 from ..surrogate.modal.faces import Faces
+from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals import Method
 from ..surrogate.rivals.blendshapes import Blendshapes
 from ..surrogate.rivals.linearised import Linearised
@@ -36,6 +37,15 @@ from .surrogate_frames import frames_png
 
 ITERATIONS = (1, 5, 20)
 """Of projective dynamics stopped early."""
+READY: Mapping[str, Callable[[ModalWeights], Method]] = {
+    "network": ModalMethod,
+    "network + simulator at bind": lambda weights: ModalMethod(weights, exact=True),
+    "linearised simulator": lambda weights: Linearised(),
+    "settled neutral face + blendshapes": lambda weights: Linearised(responses=False),
+    "blendshapes (T = S)": lambda weights: Blendshapes(),
+}
+"""What needs no fit, by name."""
+GAINED = ("network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)")
 EXTERNAL = "external"
 """Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
 
@@ -59,28 +69,17 @@ def compare(
     can be fitted, and the default people's network on parameters that it has not seen.
     """
     network = Surrogate.load(surrogate)
-    test = _faces(corpus, "test", partial, network)
-    elsewhere = None if external is None else _faces(external, None, partial, network)
-    ready: list[Method] = [
-        ModalMethod(network.weights),
-        ModalMethod(network.weights, exact=True),
-        Linearised(),
-        Linearised(responses=False),
-        Blendshapes(),
-    ]
+    test = faces_of(corpus, "test", partial, network)
+    elsewhere = None if external is None else faces_of(external, None, partial, network)
+    ready = [make(network.weights) for make in READY.values()]
     content = read_manifest(corpus)["content"]
     scores = evaluate(ready, test, on_progress=progress)
     if rivals:
-        # torch, which these need, is an extra.
-        from ..surrogate.rivals.face_wise import FaceWise
-        from ..surrogate.rivals.snp import SubspacePhysics
-        from ..surrogate.rivals.softsmpl import SoftSMPL
-        from ..surrogate.rivals.vertices_only import VerticesOnly
-
-        learning: list[Method] = [LearnedResponses(), Ridge("dimensionless"), Ridge("raw")]
-        learning += [SoftSMPL("small"), SoftSMPL("large"), VerticesOnly(), FaceWise()]
-        scores += evaluate(learning, test, Faces(corpus, "train", partial=partial), on_progress=progress)
+        fitted = [make() for make in learning().values()]
+        scores += evaluate(fitted, test, Faces(corpus, "train", partial=partial), on_progress=progress)
         if content["sequences"]:
+            from ..surrogate.rivals.snp import SubspacePhysics
+
             scores.append(evaluate_sequences(SubspacePhysics(), corpus, partial=partial, on_progress=progress))
     known = network.weights.looseness
     if content["sequences"] and known is not None:
@@ -118,7 +117,27 @@ def _beside_simulation(ready: Sequence[Method], test: Faces, count: int, progres
     return [replace(score, kind=f"{len(chosen)} faces") for score in found if score.kind == "all"]
 
 
-def _faces(corpus: Path, split: Split | None, partial: bool, network: Surrogate) -> Faces:
+def learning() -> Mapping[str, Callable[[], Method]]:
+    """What is fitted to a corpus' training people, by name; most need torch, which is an extra."""
+    from ..surrogate.rivals.face_wise import FaceWise
+    from ..surrogate.rivals.softsmpl import SoftSMPL
+    from ..surrogate.rivals.vertices_only import VerticesOnly
+
+    made: list[Callable[[], Method]] = [LearnedResponses, lambda: Ridge("dimensionless"), lambda: Ridge("raw")]
+    made += [lambda: SoftSMPL("small"), lambda: SoftSMPL("large"), VerticesOnly, FaceWise]
+    return {make().name: make for make in made}
+
+
+def gains(means: Mapping[str, float]) -> dict[str, float]:
+    """How many times smaller errors are than without the network: of blendshapes, and of the linearised simulator."""
+    return {
+        "network_gain": means["blendshapes (T = S)"] / means["network"],
+        "hybrid_gain": means["linearised simulator"] / means["network + simulator at bind"],
+    }
+
+
+def faces_of(corpus: Path, split: Split | None, partial: bool, network: Surrogate) -> Faces:
+    """The faces of a part of a corpus; InputError where the network is of another mesh."""
     faces = Faces(corpus, split, partial=partial)
     if surface_hash(faces.mean) != network.weights.template:
         raise InputError(

@@ -36,7 +36,7 @@ class Studies(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """The command of a study, or another."""
-        return _command(study_of(name)) if name in STUDIES else super().get_command(ctx, name)
+        return command_of(study_of(name)) if name in STUDIES else super().get_command(ctx, name)
 
 
 @click.command("list")
@@ -70,7 +70,27 @@ def changes(before: Path, after: Path) -> int:
     return 1 if any(change.share > 0 for change in told) else 0
 
 
-def _command(kind: type[Study]) -> click.Command:
+@click.command("report")
+@click.argument("results", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--title", default="PD, FEniCSx and a surrogate: the studies", help="of the page")
+@click.option("--out", type=WrittenFolder(), default="out/report", help="folder of the report")
+def report(results: tuple[Path, ...], title: str, out: Path) -> int:
+    """One report of many studies: OUT/index.html, report.md, report.json and tables.tex (booktabs).
+
+    RESULTS are folders of studies, or their results.json; by default all folders in `out` that hold one.
+    """
+    from ..benchmarks.harness.report import read, write
+
+    asked = results or tuple(folder for name in STUDIES if (folder := Path("out") / name / "results.json").is_file())
+    if not asked:
+        raise InputError("report: no results in out/; run a study first, as `softdeca bench verification`")
+    for path in write([read(path, study_of) for path in asked], out, title):
+        click.echo(f"wrote {path}")
+    return 0
+
+
+def command_of(kind: type[Study]) -> click.Command:
+    """The command of a study, whose options are its fields and those of every run."""
     own = [_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # every study is a dataclass
     common = [
         click.Option(["--match"], default="", help="only cases and methods with this in their name"),
@@ -93,18 +113,19 @@ def _command(kind: type[Study]) -> click.Command:
 
 def _option(field: Field) -> click.Option:
     words = dict(field.metadata)
-    name = words.pop("option", "--" + field.name.replace("_", "-"))
+    several = isinstance(field.default, tuple)
+    plain = "--" + field.name.replace("_", "-")
+    name = words.pop("option", plain.removesuffix("s") if several else plain)
     if field.default is False:
         return click.Option([name, field.name], is_flag=True, **words)
-    if isinstance(field.default, tuple):
-        singular = name.removesuffix("s")
-        return click.Option([singular, field.name], multiple=True, default=field.default, **words)
+    if several:
+        return click.Option([name, field.name], multiple=True, default=field.default, **words)
     return click.Option([name, field.name], default=field.default, type=type(field.default), **words)
 
 
 def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:
     from ..benchmarks.harness import run
-    from ..benchmarks.harness.page import shown as cell
+    from ..benchmarks.harness.page import one as cell
 
     with shown() as progress:
         results = run(study, out, only=only, workers=workers, match=match, progress=progress)

@@ -4,6 +4,7 @@ from ..lhm.errors import MissingDependencyError, SceneError
 from . import materials, ranks, terms
 from .facial import facial_scene, neo_hookean_scene
 from .march import march
+from .minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
 from .parameters import ParameterInfo, Parameters
 from .scene import Scene
 from .sequence import Sequence
@@ -15,6 +16,7 @@ from .trajectory import Trajectory
 
 __all__ = [
     "SOLVERS",
+    "FacialModel",
     "History",
     "MissingDependencyError",
     "ParameterInfo",
@@ -25,6 +27,7 @@ __all__ = [
     "SceneError",
     "Sequence",
     "Settled",
+    "Smallest",
     "Solution",
     "Times",
     "Trajectory",
@@ -35,6 +38,8 @@ __all__ = [
     "prepare",
     "ranks",
     "settled",
+    "smallest_facial_scene",
+    "smallest_scene",
     "solve",
     "terms",
     "write_solution",

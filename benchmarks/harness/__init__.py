@@ -2,6 +2,6 @@
 
 from .compare import Change, compared
 from .runner import Results, Row, run
-from .study import Column, Study, Task, Values
+from .study import Column, Study, Table, Task, Values
 
-__all__ = ["Change", "Column", "Results", "Row", "Study", "Task", "Values", "compared", "run"]
+__all__ = ["Change", "Column", "Results", "Row", "Study", "Table", "Task", "Values", "compared", "run"]

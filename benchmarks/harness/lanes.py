@@ -5,16 +5,18 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from threadpoolctl import threadpool_limits
 
 from ...lhm.errors import MissingDependencyError, SoftdecaError
-from ..apart import forget_peak, peak_megabytes
+from .apart import forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
 
@@ -62,7 +64,9 @@ class _Lane:
 
     def submit(self, task: Task) -> Future:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_unmoved_by_ctrl_c)
+            self._pool = ProcessPoolExecutor(
+                1, multiprocessing.get_context("spawn"), initializer=_ended_by_the_first_alone
+            )
         self._task, self._begin = task, time.monotonic()
         return self._pool.submit(_measure, self._study, task)
 
@@ -88,14 +92,23 @@ class _Lane:
         """Kill the process: what it has done is written already."""
         if self._pool is not None:
             for pid in list(self._pool._processes or ()):
-                os.kill(pid, signal.SIGKILL)
+                with suppress(ProcessLookupError):  # it has ended by itself
+                    os.kill(pid, signal.SIGKILL)
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 
 
-def _unmoved_by_ctrl_c() -> None:
-    # Ctrl-C reaches every process of a terminal; the first one decides.
+def _ended_by_the_first_alone() -> None:
+    # Ctrl-C reaches every process of a terminal; the first one decides, and takes the others with it however it ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_first, daemon=True).start()
+
+
+def _end_with_the_first() -> None:
+    first = multiprocessing.parent_process()
+    assert first is not None
+    first.join()
+    os._exit(1)
 
 
 def _measure(study: Study, task: Task) -> Measured:

@@ -1,45 +1,106 @@
-"""The page of a study: its question, conclusion and gates, pictures, and its rows beneath."""
+"""The page of a study: its question, conclusion and gates, figures with the tables beneath, and its rows."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
-from ..report import machine_rows, rendered
 from .runner import Results, Row
-from .study import Study, Values
+from .study import Study, Table, Values
+
+FOLDERS = (Path(__file__).parent, Path(__file__).parents[1])
 
 
-def page(study: Study, results: Results) -> str:
-    """Self-contained HTML."""
+def page(study: Study, results: Results, folder: Path) -> str:
+    """Self-contained HTML; pictures of rows are those in the folder of the results."""
+    return rendered("study.html", {"title": study.name}, study=shown(study, results, folder))
+
+
+def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
+    """What a page shows of a study."""
     done = [row for row in results.rows if row.done]
-    costs = ["seconds"] + (["peak memory [MB]"] if study.alone else [])
-    return rendered(
-        "study.html",
-        {"title": study.name},
-        question=study.question,
-        words=results.words,
-        gate_rows=[(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
-        pictures={
-            caption: base64.b64encode(png).decode() for caption, png in (study.pictures(done) if done else {}).items()
-        },
-        head=["case", "method", *(column.title for column in study.columns), *costs],
-        rows=[_cells(study, row, values) for row in done for values in study.lines(row.values)],
-        failed=[(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
-        option_rows=list(results.options.items()),
-        machine_rows=machine_rows(results.machine),
-    )
+    return {
+        "name": study.name,
+        "question": study.question,
+        "words": results.words,
+        "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
+        "figures": study.pictures(done) if done else {},
+        "pictures": {caption: png for row in done for caption, png in _pictures(row, folder).items()},
+        "tables": study.tables(done) if done else [],
+        "rows": rows_table(study, done),
+        "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
+        "options": list(results.options.items()),
+        "machine": machine_rows(results.machine),
+    }
 
 
-def _cells(study: Study, row: Row, values: Values) -> list[Any]:
-    cells = [row.case, row.method, *(shown(values.get(column.key)) for column in study.columns), row.seconds]
-    return cells + ([row.memory_mb] if study.alone else [])
+def rows_table(study: Study, done: Sequence[Row]) -> Table:
+    """A line for each that a row gives; columns that none fills are left out."""
+    costs = ["all of it [s]"] + (["peak memory [MB]"] if study.alone else [])
+    lines = [(row, values) for row in done for values in study.lines(row.values)]
+    columns = [c for c in study.columns if any(values.get(c.key) is not None for _, values in lines)]
+    rows = [
+        [row.case, row.method, *(one(values.get(column.key)) for column in columns), *_costs(study, row)]
+        for row, values in lines
+    ]
+    return Table("All rows", ["case", "method", *(column.title for column in columns), *costs], rows, study.note)
 
 
-def shown(value: Any) -> Any:
+def _costs(study: Study, row: Row) -> list[float | None]:
+    return [row.seconds, row.memory_mb] if study.alone else [row.seconds]
+
+
+def one(value: Any) -> Any:
     """A value as a cell: repeated ones by their median."""
     if isinstance(value, (list, tuple)):
         return float(np.median(value)) if value and not isinstance(value[0], str) else ", ".join(map(str, value))
     return value
+
+
+def _pictures(row: Row, folder: Path) -> Mapping[str, str]:
+    found: Values = {
+        key: value for key, value in row.values.items() if isinstance(value, str) and value.endswith(".png")
+    }
+    return {
+        f"{row.case}, {row.method}: {key}": base64.b64encode((folder / name).read_bytes()).decode()
+        for key, name in found.items()
+        if (folder / name).is_file()
+    }
+
+
+def rendered(template: str, results: Mapping, **more) -> str:
+    """A page from a template of these folders, which sees the results and `more`; an unknown name is an error."""
+    environment = Environment(
+        loader=FileSystemLoader(FOLDERS), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["cell"] = _cell
+    return environment.get_template(template).render(**results, **more)
+
+
+def machine_rows(machine: Mapping) -> list[Sequence]:
+    """What `machine.describe` says, as rows of a table."""
+    rows: list[Sequence] = [(name, value) for name, value in machine.items() if name != "versions"]
+    return rows + [(f"{name} version", value) for name, value in machine["versions"].items()]
+
+
+def _cell(value) -> str | Markup:
+    if isinstance(value, bool):
+        return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
+    return text(value)
+
+
+def text(value: Any) -> str:
+    """A cell as plain text: three digits, en dash for nothing."""
+    if isinstance(value, bool):
+        return "yes" if value else "NO"
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.1e}"
+    return str(value)

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from .runner import Row
 
 Values = Mapping[str, Any]
-"""What was measured of a task, as JSON can say it: numbers, texts, lists of them. A NaN makes the row a failure."""
+"""What was measured of a task, as JSON can say it: numbers, texts, lists of them; and PNG pictures as bytes, whose key
+is their caption, and which become the names of files. A NaN makes the row a failure."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,16 @@ class Column:
     cost: bool = False
 
 
+@dataclass(frozen=True)
+class Table:
+    """A table that is computed of the rows: its caption, titles with units, cells, and what one has to know of it."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    note: str = ""
+
+
 class Study(ABC):
     """A frozen dataclass, whose fields are the options of `softdeca bench NAME`; `metadata["help"]` explains each.
 
@@ -45,6 +56,8 @@ class Study(ABC):
     name: ClassVar[str]
     question: ClassVar[str]
     columns: ClassVar[tuple[Column, ...]]
+    note: ClassVar[str] = ""
+    """What one has to know of the rows: how they are measured."""
     timed: ClassVar[bool] = False
     alone: ClassVar[bool] = False
     limit: ClassVar[float] = 3600.0
@@ -63,13 +76,17 @@ class Study(ABC):
         return [values]
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """What has to hold, as `gates.at_most` says it, beside that no row failed."""
+        """What has to hold, as `harness.gates` says it, beside that no row failed."""
         return []
 
     def words(self, rows: Sequence[Row]) -> str:
         """The conclusion in prose, its numbers from the rows."""
         return ""
 
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, bytes]:
-        """PNG by caption."""
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """What follows from the rows together."""
+        return []
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Figures as SVG text by caption."""
         return {}

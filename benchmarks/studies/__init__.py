@@ -13,6 +13,19 @@ STUDIES = {
     "hard": "hard:Hard",
     "mixed": "mixed:Mixed",
     "split": "split:Split",
+    "surrogate": "surrogate:SurrogateOnCorpus",
+    "work-precision": "work_precision:WorkPrecision",
+    "throughput": "throughput:Throughput",
+    "scaling": "scaling:Scaling",
+    "minimal": "minimal:Minimal",
+    "unknowns": "unknowns:Unknowns",
+    "convergence": "convergence:Convergence",
+    "effects": "effects:Effects",
+    "dynamics": "dynamics:Dynamics",
+    "ranks": "ranks:Ranks",
+    "material": "material:Material",
+    "shapes": "shapes:Shapes",
+    "heads": "heads:Heads",
 }
 """Module and class, so that none is loaded before it is asked for."""
 

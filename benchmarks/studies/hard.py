@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from ...reference import problems
-from ..gates import at_most
+from ..harness.gates import at_most
 from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
+from ..harness.study import Column, Study, Table, Task, Values
 from .asked import solvers_asked
 
 
@@ -60,3 +61,27 @@ class Hard(Study):
         refused = sum(row.values["passed"] and row.values["outcome"] != "passed" for row in rows)
         wrong = len(rows) - right - refused
         return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Right, refused with a reason, or wrong: seeds and laws of a case together, by solver and element."""
+        ways = list(dict.fromkeys(row.method for row in rows))
+        found: dict[str, dict[str, list[Row]]] = {}
+        for row in rows:
+            kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
+            found.setdefault(kind, {}).setdefault(row.method, []).append(row)
+        lines = [[kind, *(_told(by.get(way, [])) for way in ways)] for kind, by in found.items()]
+        note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
+        return [Table("Right, refused, wrong", ["case", *ways], lines, note)]
+
+
+def _told(rows: Sequence[Row]) -> str | None:
+    """As "20 right, 8 to 31 iterations"."""
+    if not rows:
+        return None
+    kinds = Counter(
+        "right" if row.values["outcome"] == "passed" else "refused" if row.values["passed"] else "WRONG" for row in rows
+    )
+    counts = sorted(int(row.values["iterations"]) for row in rows)
+    span = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
+    outcome = ", ".join(kind if len(rows) == 1 else f"{count} {kind}" for kind, count in kinds.items())
+    return f"{outcome}; {span}"

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from ...lhm import expressions
 from ...lhm.errors import InputError
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
-from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Parameters, Scene, facial_scene, materials, neo_hookean_scene, prepare, terms
-from ..gates import at_most
+from ..harness.gates import at_most
 from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
-from ..throughput import default_head
-from .asked import check_person
+from ..harness.study import Column, Task, Values
+from ..plots import pyplot, svg
+from .person import OfPerson
 
 MEMORY_MB = 8000.0
 """What a solve on the default head may take."""
 
 
 @dataclass(frozen=True)
-class Mixed(Study):
+class Mixed(OfPerson):
     """Expressions of the default head by laws: "incompressible" or a Poisson's ratio as text."""
 
     name = "mixed"
@@ -49,33 +47,50 @@ class Mixed(Study):
         default=("incompressible", "0.499"),
         metadata={"help": "incompressible or a Poisson's ratio; repeat"},
     )
-    seed: int = field(default=0, metadata={"help": "of the identity"})
-    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
     tolerance: float = field(default=1e-6, metadata={"help": "gradient norm over its start"})
 
     def tasks(self) -> Sequence[Task]:
         """Each expression by each law."""
-        for text in self.expressions:
-            expressions.parsed(text)
+        self.check(self.expressions)
         for law in self.laws:
             _poisson(law)
-        check_person(self.seed, self.level)
         if not 0.0 < self.tolerance < 1.0:
             raise InputError(f"tolerance: must lie between 0 and 1, got {self.tolerance}")
         return [Task(text, law) for text in self.expressions for law in self.laws]
 
     def measure(self, task: Task) -> Values:
         """One solve."""
-        space, code, head = default_head(self.seed, self.level)
-        return solved(
-            head, expressions.blend(space, code, expressions.parsed(task.case))[0], task.method, self.tolerance
-        )
+        of = self.person()
+        return solved(of.head, of.shape(task.case), task.method, self.tolerance)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge, in little enough memory."""
         stopped = sum(row.values["reason"] != "CONVERGED" for row in rows)
         most = max(row.memory_mb or 0.0 for row in rows)
         return [at_most("solves that did not converge", stopped, 0), at_most("memory [MB]", most, MEMORY_MB)]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """What a solve takes, from the cheapest to the dearest, and how well volume is kept."""
+        cpu, count = ([row.values[key] for row in rows] for key in ("processor", "factorisations"))
+        off = max(abs(row.values["volume"] - 1.0) for row in rows)
+        return (
+            f"A solve takes {min(cpu):.0f} to {max(cpu):.0f} s of a processor and {min(count)} to {max(count)} "
+            f"factorisations; volume is kept to {100.0 * off:.2f} %."
+        )
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Processor time and factorisations, a pair of bars per solve."""
+        plt = pyplot()
+        figure, axes = plt.subplots(1, 2, figsize=(10, 0.5 * len(rows) + 1.4), sharey=True)
+        for axis, key, what in zip(
+            axes, ("processor", "factorisations"), ("processor time [s]", "factorisations"), strict=True
+        ):
+            axis.barh([f"{row.case}, {row.method}" for row in rows], [row.values[key] for row in rows], height=0.6)
+            axis.set_xlabel(what)
+            axis.grid(axis="x", alpha=0.25)
+        axes[0].invert_yaxis()
+        figure.tight_layout()
+        return {"What a solve takes.": svg(plt, figure)}
 
 
 def _poisson(law: str) -> float | None:

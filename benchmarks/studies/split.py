@@ -11,20 +11,17 @@ import numpy as np
 from ...lhm import expressions
 from ...lhm.errors import InputError, SoftdecaError
 from ...lhm.head import LayeredHead
-from ...lhm.identities.space import LinearSpace
 from ...lhm.mesh import Floats
-from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Parameters, Scene, neo_hookean_scene, solve
 from ...reference.linearised import TIGHT, Linearised
 from ...surrogate import Surrogate
 from ...surrogate.corpus.plan import CorpusPlan
 from ...surrogate.linear import linearised_face
-from ..gates import at_most
+from ..harness.gates import at_most
 from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
-from ..plots import png, pyplot
-from ..throughput import default_head
-from .asked import check_person
+from ..harness.study import Column, Task, Values
+from ..plots import pyplot, svg
+from .person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {
     "defaults": Parameters(),
@@ -43,7 +40,7 @@ FEM_TOLERANCE, NEAR = 1e-9, 1e-2
 
 
 @dataclass(frozen=True)
-class Split(Study):
+class Split(OfPerson):
     """The error of the shipped network on a person it has not seen, part by part; expressions by effects."""
 
     name = "split"
@@ -66,14 +63,11 @@ class Split(Study):
         default=tuple(EFFECTS), metadata={"help": f"of {', '.join(EFFECTS)}; repeat for several"}
     )
     seed: int = field(default=1_000_003, metadata={"help": "of the person"})
-    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
     refined: bool = field(default=False, metadata={"help": "also quadratic tets: minutes each"})
 
     def tasks(self) -> Sequence[Task]:
         """Each expression under each effect."""
-        for text in self.expressions:
-            expressions.parsed(text)
-        check_person(self.seed, self.level)
+        self.check(self.expressions)
         for name in self.effects:
             if name not in EFFECTS:
                 raise InputError(f"effect {name!r}: there are {', '.join(EFFECTS)}")
@@ -81,10 +75,10 @@ class Split(Study):
 
     def measure(self, task: Task) -> Values:
         """The skins of one frame by every method, and what lies between them."""
-        space, code, head = _person(self.seed, self.level)
-        linear = _prepared(self.seed, self.level, task.method)
+        of = self.person()
+        head, code, shape = of.head, of.code, of.shape(task.case)
+        linear = _prepared(self, task.method)
         weights = expressions.parsed(task.case)
-        shape = expressions.blend(space, code, weights)[0]
         scene = linear.face.scene(shape)
         network = (
             Surrogate.load()
@@ -125,7 +119,7 @@ class Split(Study):
         largest = max(means, key=lambda key: means[key])
         return f"Simulation moves the skin by {moved:.2f} mm on average. Of that: {parts}. Most is {PARTS[largest]}."
 
-    def pictures(self, rows: Sequence[Row]) -> Mapping[str, bytes]:
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """The parts as bars, a group per frame."""
         plt = pyplot()
         figure, axis = plt.subplots(figsize=(11, 0.42 * len(rows) + 1.6))
@@ -142,17 +136,12 @@ class Split(Study):
         axis.legend(fontsize=8)
         axis.grid(axis="x", alpha=0.25)
         figure.tight_layout()
-        return {"Mean distances, one after another; | is what simulation moves.": png(plt, figure)}
+        return {"Mean distances, one after another; | is what simulation moves.": svg(plt, figure)}
 
 
 @lru_cache(maxsize=1)
-def _person(seed: int, level: int) -> tuple[LinearSpace, Floats, LayeredHead]:
-    return default_head(seed, level)
-
-
-@lru_cache(maxsize=1)
-def _prepared(seed: int, level: int, effect: str) -> Linearised:
-    return linearised_face(_person(seed, level)[2], EFFECTS[effect])
+def _prepared(study: Split, effect: str) -> Linearised:
+    return linearised_face(study.person().head, EFFECTS[effect])
 
 
 def _fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
-from ...reference import problems
-from ..gates import at_most
+from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, problems, solve
+from .. import felupe_code
+from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
+from ..traces import farthest
 from .asked import solvers_asked
+from .person import person
 
+HEAD, FELUPE = "neo-Hookean head", "felupe"
+HEAD_EXPRESSION, HEAD_LEVEL, HEAD_BOUND = "mouthSmileLeft*0.3", 1, 1e-8
 Outcomes = Callable[[], Sequence[problems.Outcome]]
 
 
 @dataclass(frozen=True)
 class Verification(Study):
-    """Closed forms and published values, and with `fine` finer meshes, orders of convergence and locking by FEniCSx."""
+    """Closed forms, published values, another code on a head; with `fine` orders of convergence and locking too."""
 
     name = "verification"
     question = "Do the solvers give closed forms, published values and theory's orders of convergence?"
@@ -39,10 +45,18 @@ class Verification(Study):
         solvers = solvers_asked(self.solvers)
         posed = (*problems.ALL, *problems.FINE) if self.fine else problems.ALL
         found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
-        return found + [Task(name, "fenicsx") for name in (_fine() if self.fine and "fenicsx" in solvers else ())]
+        if "fenicsx" not in solvers:
+            return found
+        return [*found, Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_fine() if self.fine else ()))]
 
     def measure(self, task: Task) -> Values:
         """The outcomes of a problem, or of a series of meshes or materials."""
+        if task.case == HEAD:
+            of = person(level=HEAD_LEVEL)
+            scene = facial_scene(
+                of.head, Parameters(), of.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
+            )
+            return {"outcomes": [asdict(felupe_beside_fenicsx(neo_hookean_scene(scene)))]}
         fine = _fine().get(task.case)
         if fine is not None:
             return {"outcomes": [asdict(outcome) for outcome in fine()]}
@@ -66,6 +80,20 @@ class Verification(Study):
         within = sum(outcome["passed"] for outcome in outcomes)
         solvers = sorted({outcome["solver"] for outcome in outcomes})
         return f"{within} of {len(outcomes)} values by {', '.join(solvers)} are within their bounds."
+
+
+def felupe_beside_fenicsx(scene: Scene) -> problems.Outcome:
+    """The largest displacement [mm] by FElupe, and the largest distance to FEniCSx' answer over it."""
+    begin = time.perf_counter()
+    positions, iterations = felupe_code.solved(scene)
+    seconds = time.perf_counter() - begin
+    truth = solve(scene, solver="fenicsx", tolerance=1e-10)
+    value, reference = farthest(positions, scene.vertices), farthest(truth.positions, scene.vertices)
+    error = farthest(positions, truth.positions) / reference
+    return problems.Outcome(
+        HEAD, "an independent code: FElupe (PyPI); reference: FEniCSx", FELUPE, value, reference, error, HEAD_BOUND,
+        truth.converged and error <= HEAD_BOUND, truth.reason.name, seconds, iterations,
+    )  # fmt: skip
 
 
 def _fine() -> Mapping[str, Outcomes]:

@@ -1,17 +1,13 @@
 """softdeca bench dynamics: the study of a small sphere, its report, and what its configuration refuses."""
 
-import json
-
 import numpy as np
 import pytest
 
 pytest.importorskip("dolfinx")
 
-from softdeca.benchmarks import machine
-from softdeca.benchmarks.dynamics import DynamicsConfig, page
-from softdeca.benchmarks.dynamics_study import study
-from softdeca.benchmarks.release import swing
-from softdeca.cli.bench import _dynamics_lines
+from softdeca.benchmarks.harness import Row
+from softdeca.benchmarks.release import Release, swing
+from softdeca.benchmarks.studies.dynamics import OWN_MASS, RELEASED, SHAKEN, Dynamics, let_go, own_mass, shake
 from softdeca.lhm import InputError
 
 
@@ -35,49 +31,50 @@ def test_a_swing_of_few_values_is_not_taken_for_a_faster_one():
     assert found.frequency == pytest.approx(3.88, abs=0.01) and found.damping == pytest.approx(0.2, abs=0.01)
 
 
-def test_what_the_study_shows_on_a_small_sphere(spheres, tmp_path):
+def rows_of(release, frames):
+    found = {
+        RELEASED: let_go(release, frames),
+        OWN_MASS: {"rows": own_mass(release, frames)},
+        SHAKEN: shake(release, frames),
+    }
+    return [Row(case, "all marches", "done", "", values, 1.0, None, 0.0, "") for case, values in found.items()]
+
+
+def test_what_the_study_shows_on_a_small_sphere(spheres):
     """4 Hz at 60 frames per second: implicit Euler damps by 0.200 and swings 0.97 times as fast, by the closed form."""
     head = spheres(1)
     at = int(np.argmax(head.skin.vertices[:, 2] - np.abs(head.skin.vertices[:, 1] + 30.0)))
-    results = study(head, at, 10, lambda *_: None)
-    assert [gate["what"] for gate in results["gates"] if not gate["passed"]] == []
-    found = {row["name"]: row for row in results["release"]}
+    rows, study = rows_of(Release(head, at), 10), Dynamics()
+    assert [gate["what"] for gate in study.gates(rows) if not gate["passed"]] == []
+    found = {row["name"]: row for row in rows[0].values["rows"]}
     # The springs' share of all stiffness is nearly one; the tissue's raises the frequency a little.
     assert found["Eq. 9, p's frequency and damping"]["damping"] == pytest.approx(0.3, abs=0.01)
     euler, exact = found["FEM, implicit Euler"], found["FEM, Newmark, 4 per frame"]
     assert euler["damping"] == pytest.approx(0.2, abs=0.01)
     assert euler["frequency"] / exact["frequency"] == pytest.approx(0.97, abs=0.01)
     assert exact["frequency"] == pytest.approx(4.0, abs=0.2) and abs(exact["damping"]) < 5e-3
-    own = {row["name"]: row for row in results["own_mass"]}
+    own = {row["name"]: row for row in rows[1].values["rows"]}
     damped = own["springs, all, Rayleigh damping"]
     assert damped["to_a_tenth_s"] == pytest.approx(-np.log(0.1) * 0.055, abs=1.5 / 60)
-    html = page({"title": "dynamics", **results, "seconds": 1.0, "machine": machine.describe()})
-    assert "<svg" in html and all(f"<td>{name}</td>" in html.replace("&#39;", "'") for name in found)
-    json.dumps(results, allow_nan=False)
+    assert "FEM, implicit Euler: " in study.words(rows) and len(study.tables(rows)) == 1
+    assert "<svg" in next(iter(study.pictures(rows).values()))
 
 
-@pytest.mark.parametrize(("choice", "why"), [({"level": 4}, "level: there are 1, 2"), ({"frames": 3}, "at least 8")])
-def test_a_configuration_outside_its_range_is_refused(choice, why):
+@pytest.mark.parametrize(
+    ("choice", "why"), [({"level": 4}, "level: there are 1, 2"), ({"frames": 3}, "at least 8"), ({"seed": -1}, "seed")]
+)
+def test_options_outside_their_range_are_refused(choice, why):
     with pytest.raises(InputError, match=why):
-        DynamicsConfig(**choice)
-
-
-def test_the_command_says_what_it_cannot_do(command):
-    ended = command("bench", "dynamics", "--identities", "nobody")
-    assert ended.status != 0 and len(ended.errors) == 1
+        Dynamics(**choice).tasks()
 
 
 def test_a_march_that_stops_is_a_row_with_its_reason(spheres, monkeypatch):
     monkeypatch.setattr("softdeca.reference.fenicsx.dynamics.MAX_ITERATIONS", 2)
-    results = study(spheres(1), 0, 8, lambda *_: None)
-    marches = results["release"] + results["own_mass"] + results["shake"]["rows"]
-    stopped = [row for row in marches if not row["converged"]]
-    assert stopped and all("steps: iteration limit" in row["stopped"] for row in stopped)
+    rows, study = rows_of(Release(spheres(1), 0), 8), Dynamics()
+    marches = [line for row in rows for line in row.values["rows"]]
+    stopped = [line for line in marches if not line["converged"]]
+    assert stopped and all("steps: iteration limit" in line["stopped"] for line in stopped)
     assert len(stopped) < len(marches)
-    missed = {gate["what"]: gate["value"] for gate in results["gates"] if not gate["passed"]}
+    missed = {gate["what"]: gate["value"] for gate in study.gates(rows) if not gate["passed"]}
     assert missed["marches that did not reach what was asked"] == len(stopped)
     assert missed["shaken: PD to implicit Euler by FEM, of the largest displacement"] is None
-    html = page({"title": "dynamics", **results, "seconds": 1.0, "machine": machine.describe()})
-    assert "iteration limit" in html
-    assert "STOPPED shaken" in _dynamics_lines(results) and "not measured" in _dynamics_lines(results)
-    json.dumps(results, allow_nan=False)

@@ -67,7 +67,10 @@ ELSEWHERE = {
         "test_own_head.py::test_it_is_shown_and_simulated_without_a_word_more"
     ),
     "softdeca bench effects": "test_effects.py::test_palsy_is_measured",
-    "softdeca bench simulator": "test_bench_simulator.py::test_the_command_tells_gates_and_ends_by_them",
+    "softdeca bench work-precision": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench throughput": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench minimal": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
     "softdeca bench hard --laws": "test_laws_recovery.py::test_a_collapsed_or_inverted_block_comes_back",
     "softdeca bench convergence": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
@@ -83,8 +86,13 @@ ELSEWHERE = {
         "test_bench_depth.py::test_a_skull_deeper_than_predicted_by_so_much_gives_that_error"
     ),
     "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
-    "softdeca bench unknowns": "test_bench_unknowns.py::test_one_solve_is_measured_and_drawn",
+    "softdeca bench unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench split": "test_split.py::test_the_parts_of_an_error_and_their_check",
+    "softdeca bench report": "test_report.py::test_a_report_of_studies_says_what_they_found",
+    "softdeca bench surrogate --corpus corpus": (
+        "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
+    ),
+    "softdeca bench material": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
     "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",

@@ -42,6 +42,20 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert len(methods) == 12 and rows == kept["scores"] and kept["breakeven"]["training"] > 0
     assert (scores / "scores.md").read_text().count("\n") == len(rows) + 4
     assert (scores / "cost.png").read_bytes().startswith(b"\x89PNG")
+    # The study of the same gives the same figures; so little training beats nothing, which is told.
+    study = command(
+        "bench", "surrogate", "--corpus", corpus, "--weights", out / "modal.safetensors", "--out", tmp_path / "study",
+        "--json",
+    )  # fmt: skip
+    assert study.status == 1 and study.errors == []
+    results = json.loads(study.out)
+    found = {
+        (line["method"], line["kind"]): line["mean"] for row in results["rows"] for line in row["values"]["scores"]
+    }
+    wanted = {(row["method"], row["kind"]): row["mean"] for row in rows}
+    assert found == {key: pytest.approx(wanted[key]) for key in found} and len(results["rows"]) == 5
+    assert [gate["passed"] for gate in results["gates"]][:2] == [True, False]
+    assert "<svg" in (tmp_path / "study" / "index.html").read_text()
 
 
 def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):

@@ -2,8 +2,9 @@
 
 import pytest
 
-from softdeca.benchmarks.shapes import ALLOWED, ShapesTask, by_shape
-from softdeca.lhm import expressions, identities, load_template
+from softdeca.benchmarks.studies.person import person
+from softdeca.benchmarks.studies.shapes import ALLOWED, by_shape, shapes_of
+from softdeca.lhm import expressions
 
 WORST = (
     "cheekSquintRight eyeBlinkLeft eyeBlinkRight eyeLookDownLeft eyeSquintRight jawOpen jawRight mouthDimpleLeft "
@@ -16,12 +17,9 @@ BLINK = {"anny": 0.33, "ict": 0.22}
 @pytest.mark.parametrize("name", ["anny", "ict"])
 def test_full_weights_invert_no_soft_tissue(name, request):
     """Without a guard, and with bone behind the lids, 14 % of anny's pairs and 31 % of ICT-FaceKit's had some."""
-    if name == "anny":
-        space = identities.Anny()
-    else:
-        space = identities.ICTFaceKit(request.getfixturevalue("data") / "ict_facekit.npz")
-    task = ShapesTask(space, load_template(space), tuple(expressions.index(shape) for shape in WORST))
-    rows = [row for seed in (0, 1) for row in task(seed)]
+    whose = name if name == "anny" else f"ict:{request.getfixturevalue('data') / 'ict_facekit.npz'}"
+    chosen = tuple(expressions.index(shape) for shape in WORST)
+    rows = [row for seed in (0, 1) for row in shapes_of(person(whose, seed), chosen)]
     assert len(rows) == 2 * len(WORST) and all(row["converged"] for row in rows)
     assert sum(row["soft"] > 0 for row in rows) <= ALLOWED * len(rows)
     for row in by_shape(rows):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.convergence import ConvergenceConfig, convergence_gates, mesh_convergence
-from softdeca.benchmarks.convergence_report import errors_plot, page
-from softdeca.benchmarks.machine import describe
+from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.richardson import limit_of_three, limit_of_two
+from softdeca.benchmarks.studies.convergence import Convergence
+from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError
 
 
@@ -38,60 +38,48 @@ def test_an_order_out_of_range_is_told_and_not_used():
     assert late.observed is None and late.used == 0.5
 
 
-@pytest.fixture(scope="module")
-def small(spheres):
-    head = spheres(1)
-    rest = head.skin.vertices
-    targets = {"wider": rest * [1.05, 1.0, 1.0], "up": rest + [0.0, 0.02, 0.0] * np.abs(rest)}
-    return mesh_convergence(head, targets, 1e-8, lambda *_: None)
+class Wider(Person):
+    """A sphere whose one expression makes it wider."""
+
+    def shape(self, text):
+        return self.head.skin.vertices * [1.05, 1.0, 1.0]
 
 
-def test_every_mesh_is_solved_and_the_finest_is_nearest(small):
-    assert len(small["solves"]) == 8 and all(row["converged"] for row in small["solves"])
-    assert [gate["passed"] for gate in small["gates"][:2]] == [True, True]
+def measured(monkeypatch, head, **options):
+    study = Convergence(expressions=("jawOpen",), tolerance=1e-8, **options)
+    monkeypatch.setattr(Convergence, "person", lambda self: Wider(None, None, head))
+    (task,) = study.tasks()
+    return study, Row(task.case, task.method, "done", "", study.measure(task), 1.0, None, 0.0, "")
+
+
+def test_every_mesh_is_solved_and_the_finest_is_nearest(spheres, monkeypatch):
+    study, row = measured(monkeypatch, spheres(1))
+    found = row.values
+    assert len(found["solves"]) == 4 and all(solve["converged"] for solve in found["solves"])
+    assert [gate["passed"] for gate in study.gates([row])[:2]] == [True, True]
     # Tets split into eight are eight times as many as the head's.
-    counts = {(row["surface"], row["sub_layers"]): row["tets"] for row in small["solves"]}
+    counts = {(solve["surface"], solve["sub_layers"]): solve["tets"] for solve in found["solves"]}
     assert counts[1, 2] == 8 * counts[0, 1] and counts[0, 4] == 4 * counts[0, 1]
-    for row in small["expressions"]:
-        assert row["across"]["4"]["rms"] < row["across"]["2"]["rms"] < row["across"]["1"]["rms"]
-        assert row["along"]["1"]["rms"] == pytest.approx(0.5 * row["along"]["0"]["rms"])
-        assert row["own_mesh"]["rms"] <= row["across"]["1"]["rms"] + row["along"]["0"]["rms"] + 1e-12
+    assert found["across"]["4"]["rms"] < found["across"]["2"]["rms"] < found["across"]["1"]["rms"]
+    assert found["along"]["1"]["rms"] == pytest.approx(0.5 * found["along"]["0"]["rms"])
+    assert found["rms"] <= found["across"]["1"]["rms"] + found["along"]["0"]["rms"] + 1e-12
+    next(solve for solve in found["solves"] if solve["surface"] == 1)["energy"] = 1e9
+    rises = study.gates([row])[1]
+    assert rises["value"] == 1 and not rises["passed"]
 
 
-def test_an_energy_that_rises_on_the_finer_mesh_is_a_miss(small):
-    rows = [dict(row) for row in small["solves"]]
-    finest = next(row for row in rows if row["surface"] == 1)
-    finest["energy"] = 1e9
-    gates = convergence_gates(small["expressions"], rows)
-    assert gates[1]["value"] == 1 and not gates[1]["passed"]
-
-
-def test_the_page_shows_each_expression(small):
-    results = {**small, "title": "small", "machine": describe(), "seconds": 1.0, "tolerance": 1e-8}
-    text = page(results)
-    assert text.count("<tr><td>wider</td>") >= 4 and "Quadratic tets" not in text
-    assert "wider" in errors_plot(small["expressions"])
-
-
-def test_expressions_that_cannot_be_read_are_told():
-    with pytest.raises(InputError, match="grin"):
-        ConvergenceConfig(expressions=("grin",))
+def test_expressions_that_cannot_be_read_are_told(command, tmp_path):
     with pytest.raises(InputError, match="none"):
-        ConvergenceConfig(expressions=())
-
-
-def test_quadratic_tets_are_a_second_opinion(spheres):
-    pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
-    head = spheres(1)
-    targets = {"wider": head.skin.vertices * [1.05, 1.0, 1.0]}
-    study = mesh_convergence(head, targets, 1e-8, lambda *_: None, quadratic=True)
-    (row,) = study["expressions"]
-    assert study["solves"][-1]["element"] == "P2" and study["solves"][-1]["converged"]
-    # Quadratic displacements of the same mesh hold the linear ones, and its springs are the same.
-    assert study["solves"][-1]["energy"] < study["solves"][0]["energy"]
-    assert 0.0 < row["quadratic_to_own"]["rms"] < row["moved_mm"]
-
-
-def test_the_command_tells_a_bad_expression_in_a_line(command, tmp_path):
+        Convergence(expressions=()).tasks()
     ended = command("bench", "convergence", "--expression", "grin", "--out", tmp_path / "out")
     assert ended.status != 0 and len(ended.errors) == 1 and "grin" in ended.errors[0]
+
+
+def test_quadratic_tets_are_a_second_opinion(spheres, monkeypatch):
+    pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
+    _, row = measured(monkeypatch, spheres(1), quadratic=True)
+    solves = row.values["solves"]
+    assert solves[-1]["element"] == "P2" and solves[-1]["converged"]
+    # Quadratic displacements of the same mesh hold the linear ones, and its springs are the same.
+    assert solves[-1]["energy"] < solves[0]["energy"]
+    assert 0.0 < row.values["quadratic_to_own"]["rms"] < row.values["moved_mm"]

@@ -1,22 +1,22 @@
-"""Time per unknown: counts of nodes and entries, fitted exponents, and one small mesh measured."""
+"""Time per unknown: counts of nodes and entries, and gates."""
 
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.machine import describe
-from softdeca.benchmarks.unknowns import (
+from softdeca.benchmarks.costs import slope
+from softdeca.benchmarks.harness import Row, Task
+from softdeca.benchmarks.studies.unknowns import (
     CPU_SECONDS,
+    FLOORS,
     MESHES,
-    UnknownsConfig,
+    PARTS,
+    Unknowns,
     exponents,
     matrix_entries,
-    measure,
     nodes_of,
-    unknowns_gates,
 )
-from softdeca.benchmarks.unknowns_report import page
 from softdeca.lhm import InputError
-from softdeca.reference import Parameters, Scene, facial_scene
+from softdeca.reference import Scene
 from softdeca.reference.problems import meshes
 
 
@@ -36,51 +36,38 @@ def test_counts_are_the_solvers(element):
 
 def rows_of(power):
     return [
-        {"law": "PD", "element": "P1", "unknowns": n, "cpu_seconds": 1e-5 * n**power, "peak_mb": 7.0 * n}
-        | {"cpu_per_linear_iteration": 1e-7 * n, "linear_iterations": 30.0, "converged": True}
-        | {"level": 2, "sub_layers": k}
-        for k, n in enumerate((1000, 4000, 30000))
+        Row("level 2, 1 sub-layer, P1", "PD", "done", "", values, 1.0, None, 0.0, "")
+        for n in (1000, 4000, 30000)
+        for values in [
+            {"law": "PD", "element": "P1", "unknowns": n, "cpu_s": 1e-5 * n**power, "peak_mb": 7.0 * n}
+            | {"cpu_per_linear_iteration": 1e-7 * n, "linear_iterations": 30.0, "converged": True}
+        ]
     ]
 
 
 def test_exponents_are_those_that_the_figures_were_made_with():
-    (found,) = exponents([*rows_of(1.3), rows_of(1.0)[0] | {"element": "P2"}])  # one mesh has no slope
-    assert found["meshes"] == 3 and found["cpu_seconds"] == pytest.approx(1.3)
+    ((law, element, count, found),) = exponents(rows_of(1.3))
+    assert (law, element, count) == ("PD", "P1", 3) and found["cpu_s"] == pytest.approx(1.3)
     assert found["peak_mb"] == pytest.approx(1.0) and found["linear_iterations"] == pytest.approx(0.0, abs=1e-12)
+    assert exponents(rows_of(1.0)[:1]) == [] and slope([1.0], [2.0]) is None and slope([1.0, 2.0], [3.0, None]) is None
 
 
 def test_a_solve_that_did_not_converge_is_a_wrong_answer_and_a_slow_one_is_not():
-    slow, lost = rows_of(1.0)[1] | {"cpu_seconds": 1e3}, rows_of(1.0)[0] | {"converged": False}
-    answer, *speed = unknowns_gates([slow, lost])
+    slow, lost = rows_of(1.0)[:2]
+    slow.values["cpu_s"], lost.values["converged"] = 1e3, False
+    answer, *speed = Unknowns().gates([slow, lost])
     assert answer["answer"] and not answer["passed"]
-    assert [(gate["passed"], gate["answer"]) for gate in speed] == [(False, False)]
+    assert [(gate["passed"], gate["answer"]) for gate in speed] == [(False, False), (True, False)]
     assert f"at most {CPU_SECONDS['PD']:g}" == speed[0]["bound"]
 
 
 def test_meshes_are_chosen_by_their_unknowns():
-    assert UnknownsConfig(up_to=50_000).meshes == [mesh for mesh, count in MESHES.items() if count <= 50_000]
-    assert len(UnknownsConfig(max(MESHES.values())).meshes) == len(MESHES) > len(UnknownsConfig().meshes) > 2
+    few = [mesh for mesh, count in MESHES.items() if count <= 50_000]
+    assert list(Unknowns(up_to=50_000).meshes.values()) == few
+    tasks = Unknowns(up_to=50_000).tasks()
+    assert len(tasks) == 2 * len(few) + len(PARTS) and Task(FLOORS, next(iter(PARTS))) in tasks
+    assert len(Unknowns(up_to=max(MESHES.values())).meshes) == len(MESHES) > len(Unknowns().meshes) > 2
     with pytest.raises(InputError, match="18180"):
-        UnknownsConfig(up_to=100)
+        Unknowns(up_to=100).tasks()
     with pytest.raises(InputError, match="smirk"):
-        UnknownsConfig(expression="smirk")
-
-
-def test_one_solve_is_measured_and_drawn(sphere_head):
-    pytest.importorskip("dolfinx")
-    scene = facial_scene(sphere_head, Parameters(gravity=2.0), sphere_head.skin.vertices, bones="prescribed")
-    row = measure("PD", scene, "P1") | {"level": 1, "sub_layers": 1}
-    assert row["converged"] and row["linear_iterations"] >= row["iterations"] > 0 < row["cpu_seconds"]
-    assert row["unknowns"] == 3 * len(scene.vertices) and row["peak_mb"] > 50.0
-    results = {
-        "title": "time",
-        "tolerance": 1e-8,
-        "rows": [row],
-        "exponents": [],
-        "floors": [{"what": "assembly", "ms": 2.0, "floor_ms": 1.0, "ratio": 2.0, "megabytes": 3.0}],
-        "gates": unknowns_gates([row]),
-        "machine": describe(),
-        "seconds": 1.0,
-    }
-    html = page(results)
-    assert html.count("<svg") == 1 and str(row["unknowns"]) in html.replace(",", "").replace("\u202f", "")
+        Unknowns(expression="smirk").tasks()

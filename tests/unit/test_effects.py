@@ -11,8 +11,8 @@ from softdeca.benchmarks import effect_fan
 from softdeca.benchmarks.effect_cases import EFFECTS, Effect, named_effects
 from softdeca.benchmarks.effect_fan import SUSPECTS, fan
 from softdeca.benchmarks.effect_run import run_effect, with_effect
-from softdeca.benchmarks.effects import EffectsConfig, effect_gates
-from softdeca.benchmarks.effects_report import page
+from softdeca.benchmarks.harness import Row
+from softdeca.benchmarks.studies.effects import STARTS, Effects
 from softdeca.lhm.errors import InputError
 from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settled, settling, solve
@@ -214,51 +214,47 @@ def record() -> dict:
     }
 
 
+def rows_of(*records, spread=None) -> list[Row]:
+    values = [(record["name"], record) for record in records]
+    if spread is not None:
+        values.append((STARTS, {"spread_mm": spread, "starts": [start()], "suspects": {"no skin": 1e-5}}))
+    return [Row(case, "PD", "done", "", found, 1.0, None, 0.0, "") for case, found in values]
+
+
+def start() -> dict:
+    found = {"seed": 0, "moved": "waves", "jitter_mm": 1.0, "iterations": 7, "converged": True, "energy": 1.5}
+    return found | {"inverted_tets": 0, "to_lowest_mm": 0.25}
+
+
 def test_gates_miss_what_is_missed(record):
-    fine = {"spread_mm": 1e-4}
-    assert all(gate["passed"] for gate in effect_gates([record], fine))
+    study = Effects()
+    assert all(gate["passed"] for gate in study.gates(rows_of(record, spread=1e-4)))
     worse = copy.deepcopy(record)
     worse["runs"]["without"] |= {"gradient_ratio": 2e-6, "monotone": False}
     worse["to_other_start_mm"] = worse["reference"]["mm"] = 0.02
-    gates = effect_gates([record, worse], {"spread_mm": 0.5})
+    gates = study.gates(rows_of(record, worse, spread=0.5))
     assert len(gates) == 5 and not any(gate["passed"] for gate in gates)
     alone = record | {"reference": None}
-    assert len(effect_gates([alone], None)) == 3
+    assert len(study.gates(rows_of(alone))) == 3
 
 
-def test_the_page_shows_what_was_measured(record):
-    start = {
-        "seed": 0,
-        "moved": "waves",
-        "jitter_mm": 1.0,
-        "iterations": 7,
-        "converged": True,
-        "energy": 1.5,
-        "inverted_tets": 0,
-    }
-    results = {
-        "title": "effects",
-        "tets": 12,
-        "effects": [record],
-        "fan": {"starts": [start | {"to_lowest_mm": 0.25}], "spread_mm": 0.25, "suspects": {"no skin": 1e-5}},
-        "gates": effect_gates([record], {"spread_mm": 0.25}),
-        "machine": {"processor": "a CPU", "versions": {"numpy": "1.26.4"}},
-        "seconds": 3.0,
-    }
-    html = page(results, {name: b"png" for name in ("jaw", "jaw-side", "jaw-close")})
-    assert "Figure &lt;7&gt;" in html and "no skin" in html and "<span class=no>NO</span>" in html
-    assert html.count("data:image/png;base64,cG5n") == 3
+def test_scenes_and_starts_are_told(record):
+    rows = rows_of(record | {"max_mm": 2.0}, spread=0.25)
+    scenes, starts, suspects = Effects().tables(rows)
+    assert [row[:2] for row in scenes.rows] == [("jaw", "with"), ("jaw", "without")]
+    assert starts.rows[0][1] == "waves" and suspects.rows == [("no skin", 1e-5)]
+    assert "jaw changes the expression most, by 2.0 mm" in Effects().words(rows)
 
 
 @pytest.mark.parametrize(
-    "options, says", [({"effects": "x"}, "'x'"), ({"reference": "projective"}, "expected"), ({"fan": -1}, "fan")]
+    "options, says", [({"effects": ("x",)}, "'x'"), ({"reference": "projective"}, "expected"), ({"fan": -1}, "fan")]
 )
 def test_options_are_checked(options, says):
     with pytest.raises(InputError, match=says):
-        EffectsConfig(**options)
+        Effects(**options).tasks()
 
 
 def test_an_unknown_effect_is_one_line(command):
-    ended = command("bench", "effects", "--effects", "slimming")
+    ended = command("bench", "effects", "--effect", "slimming")
     assert ended.status == 1 and ended.out == ""
     assert len(ended.errors) == 1 and "unknown effect 'slimming'" in ended.errors[0]

@@ -14,7 +14,8 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from softdeca.benchmarks.ranks import PHASES, SETTINGS, RanksConfig, compare, without_notices
+from softdeca.benchmarks.harness import Row
+from softdeca.benchmarks.studies.ranks import PHASES, SETTINGS, Ranks, compared, without_notices
 from softdeca.lhm.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean
@@ -382,26 +383,21 @@ def test_the_command_says_an_error_once(tmp_path):
 
 @needs_mpirun
 def test_the_study_of_ranks_compares_answers_and_phases(cases):
-    results = compare({"block": cases["neo-Hookean"][0]}, RanksConfig(rounds=1, repeats=1), lambda *_: None)
-    one, two = results["rows"]
+    rows = compared(cases["neo-Hookean"][0], Ranks(rounds=1, repeats=1))
+    one, two = rows
     assert (one["processes"], two["processes"]) == (1, 2) and one["tets"] == 6000
     assert one["off"] == 0.0 < two["off"] <= 1e-10  # sums in another order
-    assert set(two["seconds"]) == set(two["gain"]) == set(PHASES)
-    for phase in PHASES:
-        assert two["gain"][phase] == pytest.approx(one["seconds"][phase] / two["seconds"][phase])
-    assert all(gate["passed"] for gate in results["gates"])
+    assert min(two[phase] for phase in PHASES) > 0 and two["gain"] == pytest.approx(one["whole"] / two["whole"])
+    row = Row("neo-Hookean", "FEniCSx", "done", "", {"rows": rows}, 1.0, None, 0.0, "")
+    assert all(gate["passed"] for gate in Ranks().gates([row])) and "2 processes solve" in Ranks().words([row])
+    two["off"] = 1e-9
+    assert [gate["passed"] for gate in Ranks().gates([row])] == [False, True]
 
 
-@pytest.mark.parametrize("counts", [(), (2, 1), (1, 0)])
+@pytest.mark.parametrize("counts", [(), ("2", "1"), ("1", "0"), ("1", "two")])
 def test_a_study_of_ranks_begins_with_one_process(counts):
     with pytest.raises(InputError, match="expected 1 and others"):
-        RanksConfig(counts=counts)
-
-
-def test_counts_that_are_no_numbers_are_refused(command):
-    ended = command("bench", "ranks", "--processes", "1,two")
-    assert ended.status == 1
-    assert ended.errors == ["softdeca: error: --processes: expected counts with commas between, got '1,two'"]
+        Ranks(processes=counts).tasks()
 
 
 def test_a_process_alone_has_no_followers(monkeypatch):

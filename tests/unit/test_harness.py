@@ -6,6 +6,8 @@ import sys
 import pytest
 
 from softdeca.benchmarks.harness import compared, run
+from softdeca.benchmarks.studies import STUDIES, study_of
+from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
 
 # Another process has to import what it measures.
@@ -15,7 +17,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from softdeca.benchmarks.gates import at_most
+from softdeca.benchmarks.harness.gates import at_most
 from softdeca.benchmarks.harness import Column, Study, Task
 from softdeca.lhm.errors import InputError, MissingDependencyError
 
@@ -168,3 +170,10 @@ def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
     same = command("bench", "compare", tmp_path, tmp_path / "results.json")
     assert same.status == 0 and same.out == "4 of 4 costs are the same within noise\n"
     assert "verification" in command("bench", "list").out
+
+
+def test_no_study_has_an_option_twice():
+    for name in STUDIES:
+        options = [option for parameter in command_of(study_of(name)).params for option in parameter.opts]
+        assert len(options) == len(set(options)), name
+    assert "--processes" in [option for parameter in command_of(study_of("ranks")).params for option in parameter.opts]

@@ -1,0 +1,152 @@
+"""Which hyperelastic law PD's energy stands for: stresses of a cube, over Poisson's ratio and strain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from ...lhm.errors import InputError, SoftdecaError
+from ...reference import solve
+from ...reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
+from ...reference.materials.material import Isotropic, lame
+from ...reference.problems.homogeneous import Row as Cube
+from ...reference.problems.homogeneous import held
+from ...reference.problems.meshes import unstructured
+from ...reference.terms import Hyperelastic, Strain, Term, Volume
+from ..harness.gates import at_most
+from ..harness.runner import Row
+from ..harness.study import Column, Study, Task, Values
+from ..plots import pyplot, svg
+
+LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
+    "neo-Hookean": NeoHookean.from_young,
+    "stable neo-Hookean": StableNeoHookean.from_young,
+    "isochoric neo-Hookean": IsochoricNeoHookean.from_young,
+    "corotated": Corotated.from_young,
+    "St. Venant-Kirchhoff": StVenantKirchhoff.from_young,
+}
+MODES = {"one axis": (1, 0), "two axes": (2, 0), "pure shear": (1, 1)}
+"""Axes that are stretched, and that keep their length."""
+BANDS = {"tiny": 0.005, "small": 0.05, "middle": 0.2, "large": 0.5}
+"""Largest strain |stretch - 1| of the figures."""
+STRETCHES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.995, 1.005, 1.05, 1.1, 1.2, 1.3, 1.4, 1.5)
+STEP = 1e-3
+"""Of the stretch, over which the energy's difference is its derivative, to its square."""
+TOLERANCE = 1e-6
+"""Of the gradient norm over its start; the energy is right to its square. A tighter one asks for less than rounding."""
+AGREED = 5.0
+"""[%] by which laws of the same moduli may differ at strains of 0.5 %."""
+SOLVER = "skfem"
+"""It has every law, and PD's energy."""
+
+
+@dataclass(frozen=True)
+class Material(Study):
+    """Poisson's ratios and modes of deformation by law."""
+
+    name = "material"
+    question = "Which hyperelastic law does projective dynamics' energy stand for, and up to what strain?"
+    columns = (
+        Column("tiny", "differs at 0.5 % strain, max [%]"),
+        Column("small", "at 5 % [%]"),
+        Column("middle", "at 20 % [%]"),
+        Column("large", "at 50 % [%]"),
+    )
+    note = (
+        "A unit cube on rollers of PD's energy, w_str/2 |F - R|² + w_vol/2 min |F - T|² over det T = 1, and of a law "
+        "with the same small-strain moduli: w_str = 2 mu, w_vol = 3 lmbda, E = 1 kPa. Nominal stresses (the energy's "
+        "derivative) at the same stretch, their difference over the law's; the other axes are free, or one of them "
+        "keeps its length in pure shear. By scikit-fem, which has every law and PD's energy."
+    )
+
+    poisson: tuple[str, ...] = field(
+        default=("0.3", "0.4", "0.45", "0.49"), metadata={"option": "--poisson", "help": "repeat for several"}
+    )
+    modes: tuple[str, ...] = field(default=tuple(MODES), metadata={"help": f"of {', '.join(MODES)}; repeat"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each Poisson's ratio and mode by each law; InputError for a ratio outside 0 to 0.5, and an unknown mode."""
+        for text in self.poisson:
+            try:
+                inside = 0.0 < float(text) < 0.5
+            except ValueError:
+                inside = False
+            if not inside:
+                raise InputError(f"poisson: expected ratios between 0 and 0.5, got {text!r}")
+        for mode in self.modes:
+            if mode not in MODES:
+                raise InputError(f"mode {mode!r}: there are {', '.join(MODES)}")
+        return [Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in self.modes for law in LAWS]
+
+    def measure(self, task: Task) -> Values:
+        """Stresses of both at every stretch, and the largest differences by strain."""
+        ratio, mode = task.case.removeprefix("nu = ").split(", ")
+        mu, lmbda = lame(1.0, float(ratio))
+        law = Hyperelastic(LAWS[task.method](1.0, float(ratio)))
+        ours, theirs = np.array(_stresses_of_pd(mu, lmbda, mode)), np.array(_stresses([law], mode))
+        off = 100.0 * np.abs(ours - theirs) / np.abs(theirs)
+        strain = np.abs(np.array(STRETCHES) - 1.0)
+        worst = {name: float(off[strain <= most + 1e-9].max()) for name, most in BANDS.items()}
+        return {"stretch": list(STRETCHES), "pd_kpa": ours.tolist(), "law_kpa": theirs.tolist(), **worst}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """The moduli at rest are the same, whatever the law."""
+        worst = max(row.values["tiny"] for row in rows)
+        return [at_most("largest difference at 0.5 % strain, all laws [%]", worst, AGREED)]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """The nearest law by strain, its difference the worst over cases."""
+        said = []
+        for name, most in list(BANDS.items())[1:]:
+            worst = {
+                law: max(row.values[name] for row in rows if row.method == law)
+                for law in dict.fromkeys(row.method for row in rows)
+            }
+            nearest = min(worst, key=lambda law: worst[law])
+            said.append(f"up to {100 * most:.0f} % strain the {nearest} law, to {worst[nearest]:.0f} % of its stress")
+        return f"PD's energy stands nearest for: {'; '.join(said)}."
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Stress against stretch: a panel per mode and ratio, PD's energy in black."""
+        cases = list(dict.fromkeys(row.case for row in rows))
+        plt = pyplot()
+        columns = len(self.modes)
+        lines = -(-len(cases) // columns)
+        figure, axes = plt.subplots(lines, columns, figsize=(3.6 * columns, 2.6 * lines), squeeze=False)
+        for axis, case in zip(axes.ravel(), cases, strict=False):
+            for row in (row for row in rows if row.case == case):
+                axis.plot(row.values["stretch"], row.values["law_kpa"], lw=1.0, label=row.method)
+            axis.plot(row.values["stretch"], row.values["pd_kpa"], "k--", lw=1.6, label="PD's energy")
+            low, high = np.min(row.values["pd_kpa"]), np.max(row.values["pd_kpa"])
+            axis.set_ylim(1.5 * low, 1.5 * high)
+            axis.set_title(case, fontsize=9)
+            axis.grid(alpha=0.25)
+        axes[0][0].legend(frameon=False, fontsize=7)
+        axes[-1][0].set(xlabel="stretch", ylabel="nominal stress [kPa]")
+        figure.tight_layout()
+        return {"Nominal stress against stretch.": svg(plt, figure)}
+
+
+@lru_cache
+def _stresses_of_pd(mu: float, lmbda: float, mode: str) -> tuple[float, ...]:
+    return tuple(_stresses([Strain(2.0 * mu), Volume(3.0 * lmbda)], mode))
+
+
+def _stresses(terms: Sequence[Term], mode: str) -> list[float]:
+    return [_stress(terms, mode, stretch) for stretch in STRETCHES]
+
+
+def _stress(terms: Sequence[Term], mode: str, stretch: float) -> float:
+    """The nominal stress [kPa] of each stretched axis: dW/dstretch, over their number."""
+    loaded, confined = MODES[mode]
+    densities = []
+    for at in (stretch - STEP, stretch + STEP):
+        cube = Cube("", lambda: list(terms), loaded, at, 0.0, 0.0, confined)
+        solution = solve(held(cube, unstructured(1)), solver=SOLVER, tolerance=TOLERANCE)
+        if not solution.converged:
+            raise SoftdecaError(f"stretch {at:g}: {solution.reason}")
+        densities.append(solution.energy)
+    return (densities[1] - densities[0]) / (2.0 * STEP) / loaded

@@ -1,0 +1,192 @@
+"""What each piece of the facial scene costs, what the face is wrong by without it, and the smallest that will do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from ...lhm import expressions
+from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.mesh import Floats
+from ...reference import FacialModel, Parameters, smallest_facial_scene
+from ...reference.connecting import bone_points
+from ...reference.minimal import FACIAL_PIECES, TOLERANCE
+from ...reference.sequence import Sequence as Simulation
+from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, timed
+from ..differences import distances
+from ..harness.gates import at_most
+from ..harness.runner import Row
+from ..harness.study import Column, Task, Values
+from ..plots import pyplot, svg
+from ..traces import Stopwatch
+from .person import OfPerson
+
+EFFECTS: Mapping[str, Parameters] = {
+    "20 % more soft tissue": Parameters(soft_volume=1.2),
+    "3 g": Parameters(gravity=3.0),
+}
+SMILE = "mouthSmileLeft*0.6+mouthSmileRight*0.6+jawOpen*0.2"
+WHOLE, SMALLEST = "whole scene", "smallest scene"
+TALK, STATIC, DYNAMIC = "talk at 60 Hz", "without inertia", "with the dynamics of Eq. 9"
+TALK_FRAMES, RATE = 12, 60.0
+
+Change = Callable[[FacialModel], FacialModel]
+ADDED: Mapping[str, Change] = {
+    "with contact of lips and lids": lambda model: model.choosing(contact=("lips", "lids")),
+    "with soft bones (Eq. 13)": lambda model: model.choosing(bones="soft"),
+    "with connecting tets to the skull": lambda model: model.choosing(attached=bone_points(model.head)),
+}
+LEFT_OUT: Mapping[str, Change] = {
+    f"without {piece}": change
+    for piece, change in FACIAL_PIECES.items()
+    if piece not in ("contact", "gravity beyond the scan's")
+}
+
+
+@dataclass(frozen=True)
+class Minimal(OfPerson):
+    """Three expressions and two effects, the whole scene and each with a piece more or less."""
+
+    name = "minimal"
+    question = "What does each term, layer, region and contact cost, and what is the face wrong by without it?"
+    columns = (
+        Column("tets", "tets"),
+        *TIMES,
+        *COUNTS,
+        MEMORY,
+        Column("mean_mm", "changes the skin, mean [mm]"),
+        Column("max_mm", "max [mm]"),
+        Column("without", "left out"),
+        ENDED,
+    )
+    note = (
+        "Projective dynamics from rest to a gradient norm of 1e-6 of its start, in a process of its own; memory beside "
+        "head and libraries. The change is the distance of the skins' vertices to the whole scene's, over all of the "
+        "skin. The whole scene: three wraps, membrane, rigid cranium and mandible. The smallest is chosen by "
+        "`reference.smallest_facial_scene`. Of talk, seconds and iterations are those of a frame."
+    )
+    timed = True
+    alone = True
+
+    expressions: tuple[str, ...] = field(
+        default=(
+            "jawOpen*0.7+mouthSmileLeft+mouthSmileRight",
+            "mouthPressLeft+mouthPressRight+mouthRollLower+mouthRollUpper+eyeBlinkLeft+eyeBlinkRight",
+            "mouthPucker+cheekPuff*0.5",
+        ),
+        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+    )
+    effects: tuple[str, ...] = field(
+        default=tuple(EFFECTS), metadata={"help": f"of {', '.join(EFFECTS)}; repeat for several"}
+    )
+    within: float = field(default=0.1, metadata={"help": "mm that the smallest scene may change a vertex of the skin"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each scene whole, with a piece more or less, and smallest; talk with and without dynamics."""
+        self.check(self.expressions)
+        for effect in self.effects:
+            if effect not in EFFECTS:
+                raise InputError(f"effect {effect!r}: there are {', '.join(EFFECTS)}")
+        if not self.within > 0.0:
+            raise InputError(f"within: must be above 0 mm, got {self.within}")
+        methods = (WHOLE, *LEFT_OUT, *ADDED, SMALLEST)
+        found = [Task(case, method) for case in (*self.expressions, *self.effects) for method in methods]
+        return [*found, Task(TALK, STATIC), Task(TALK, DYNAMIC)]
+
+    def measure(self, task: Task) -> Values:
+        """Costs, and the change from the whole."""
+        if task.case == TALK:
+            return self._talk(task.method)
+        whole = self.model(task.case)
+        if task.method == SMALLEST:
+            found = smallest_facial_scene(whole, within=self.within)
+            return _costs(found.model, whole) | {"without": list(found.without), "alone_mm": dict(found.changes)}
+        change = {**LEFT_OUT, **ADDED}.get(task.method)
+        return _costs(whole if change is None else change(whole), whole)
+
+    def model(self, case: str) -> FacialModel:
+        """The whole scene of an expression, or of a smile under an effect."""
+        of, effect = self.person(), EFFECTS.get(case)
+        shape = of.shape(case if effect is None else SMILE)
+        return FacialModel(of.head, effect or Parameters(), shape, {"bones": "rigid"})
+
+    def _talk(self, method: str) -> Values:
+        skins, rows = _talk(self, method == DYNAMIC)
+        if method == STATIC:
+            return rows
+        apart = np.array([distances(a, b) for a, b in zip(skins, _talk(self, False)[0], strict=True)])
+        return {**rows, "mean_mm": float(apart.mean()), "max_mm": float(apart.max())}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """All can be compared, and the smallest scene is as near as it has to be."""
+        unfinished = sum(not row.values["converged"] for row in rows)
+        chosen = [row.values["max_mm"] for row in rows if row.method == SMALLEST]
+        found = [at_most("scenes that did not reach what was asked", unfinished, 0)]
+        return found + ([at_most("change by the smallest scene [mm]", max(chosen), self.within)] if chosen else [])
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """What may go, and what it saves."""
+        said = []
+        for row in rows:
+            if row.method == SMALLEST:
+                whole = _cost(rows, row.case, WHOLE)
+                gone = ", ".join(row.values["without"]) or "nothing"
+                saved = f" ({row.values['cpu_s'] / whole:.0%} of the time)" if whole else ""
+                said.append(f"{row.case} does without {gone}{saved}")
+        return f"Within {self.within:g} mm: {'; '.join(said)}." if said else ""
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """The change by each piece against what it costs, a mark per scene."""
+        plt = pyplot()
+        figure, axis = plt.subplots(figsize=(9, 4.6))
+        for method in (*LEFT_OUT, *ADDED):
+            points = [
+                (_cost(rows, row.case, method) / whole, row.values["max_mm"])
+                for row in rows
+                if row.method == method and row.values["max_mm"] > 0 and (whole := _cost(rows, row.case, WHOLE))
+            ]
+            if points:
+                axis.plot(*zip(*points, strict=True), "o", label=method)
+        axis.axhline(self.within, color="#bbbbbb", lw=0.8, ls=":")
+        axis.set(xlabel="processor time over the whole scene's", ylabel="largest change of the skin [mm]", yscale="log")
+        axis.grid(alpha=0.25)
+        axis.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        figure.tight_layout()
+        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": svg(plt, figure)}
+
+
+def _cost(rows: Sequence[Row], case: str, method: str) -> float:
+    return next((row.values["cpu_s"] for row in rows if (row.case, row.method) == (case, method)), 0.0)
+
+
+def _costs(model: FacialModel, whole: FacialModel) -> dict:
+    held = megabytes(model.scene)
+    solution, costs = timed(model.scene, TOLERANCE)
+    if not solution.converged:
+        raise SoftdecaError(str(solution.reason))
+    skin = model.head.skin_after(model.targets, solution.positions[: len(model.head.bone)])
+    apart = distances(skin, whole.skin()) if model is not whole else np.zeros(1)
+    found = {"tets": len(model.scene().tets), **costs, "scene_mb": held}
+    return found | {"mean_mm": float(apart.mean()), "max_mm": float(apart.max())}
+
+
+@lru_cache(maxsize=2)
+def _talk(study: Minimal, dynamic: bool) -> tuple[list[Floats], dict]:
+    """Skins [mm] of frames of talk, and what a frame costs on average."""
+    of = study.person()
+    targets = of.blend(expressions.conversation(np.random.default_rng(3), TALK_FRAMES, rate=RATE))
+    running = Simulation(of.head, Parameters(), time_step=1.0 / RATE, dynamic=dynamic, bones="rigid")
+    running.frame(targets[0])
+    skins, laps, solutions = [], [], []
+    for shape in targets[1:]:
+        watch = Stopwatch()
+        solutions.append(running.frame(shape))
+        laps.append(watch.lap())
+        skins.append(running.skin(shape, solutions[-1]))
+    wall, cpu = np.mean(laps, axis=0)
+    ended = next((s for s in solutions if not s.converged), solutions[-1])
+    iterations = float(np.mean([s.iterations for s in solutions]))
+    return skins, {"solve_s": wall, "cpu_s": cpu, **counts(ended), "iterations": iterations}

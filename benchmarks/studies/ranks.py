@@ -1,0 +1,259 @@
+"""What several processes gain: FEniCSx's phases on one head by 1, 2, ... processes of mpirun, and whether they agree.
+
+Every count of processes has its turn in each round, and a phase's seconds are the least of all its repeats, so that
+what else runs on the machine spoils little.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
+from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, ranks
+from ..cases import NEO_HOOKEAN, PD_ENERGY
+from ..harness.gates import at_most
+from ..harness.runner import Row
+from ..harness.study import Column, Task, Values
+from ..plots import pyplot, svg
+from .person import OfPerson
+
+PHASES = ("prepare", "energy", "gradient", "hessian", "first_solve", "next_solve", "whole")
+RELATIVE = 1e-6  # of a linear system's right-hand side
+TIGHT = 1e-12
+AGREEMENT = 1e-10  # of the largest displacement
+START = "from softdeca.benchmarks.studies.ranks import measure_here; measure_here()"
+SETTINGS = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMPI_MCA_orte_execute_quiet": "1"}
+
+
+@dataclass(frozen=True)
+class Ranks(OfPerson):
+    """Counts of processes, the first of which is 1, on both energies of one head."""
+
+    name = "ranks"
+    question = "What do several processes of mpirun gain FEniCSx, phase by phase, and do their answers agree?"
+    columns = (
+        Column("processes", "processes"),
+        Column("tets", "tets"),
+        *(Column(phase, f"{phase.replace('_', ' ')} [s]", cost=True) for phase in PHASES),
+        Column("gain", "whole: times as fast as one process"),
+        Column("iterations", "iterations", cost=True),
+        Column("linear_iterations", "CG iterations", cost=True),
+        Column("off", "off one process' answer, of the largest displacement"),
+        Column("peak_mb", "the largest process [MB]", cost=True),
+    )
+    note = (
+        "Energy, gradient and hessian are those of a state near rest; first solve makes multigrid's levels and solves "
+        "one system, next solve another with new values; whole is a solve to a gradient norm of 1e-12 of its start."
+    )
+    timed = True
+
+    processes: tuple[str, ...] = field(
+        default=("1", "2"), metadata={"option": "--processes", "help": "counts to compare, the first is 1; repeat"}
+    )
+    expression: str = field(default="jawOpen*0.5", metadata={"help": "as jawOpen*0.5+cheekPuff"})
+    rounds: int = field(default=2, metadata={"help": "in which every count has its turn"})
+    repeats: int = field(default=5, metadata={"help": "of a phase in each round"})
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Of processes; InputError for other than 1 and others."""
+        wanted = f"processes: expected 1 and others, got {', '.join(self.processes) or 'none'}"
+        if not all(text.isdecimal() for text in self.processes):
+            raise InputError(wanted)
+        counts = tuple(map(int, self.processes))
+        if not counts or counts[0] != 1 or min(counts) < 1:
+            raise InputError(wanted)
+        return counts
+
+    def tasks(self) -> Sequence[Task]:
+        """An energy each: answers by several counts are compared with that by one."""
+        self.check([self.expression])
+        if self.rounds < 1 or self.repeats < 1:
+            raise InputError(f"rounds: {self.rounds}, repeats: {self.repeats}; expected 1 or more")
+        method = f"FEniCSx by {', '.join(map(str, self.counts))} processes"
+        return [Task(NEO_HOOKEAN, method), Task(PD_ENERGY, method)]
+
+    def measure(self, task: Task) -> Values:
+        """A row per count of processes."""
+        of = self.person()
+        scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
+        return {"rows": compared(neo_hookean_scene(scene) if task.case == NEO_HOOKEAN else scene, self)}
+
+    @staticmethod
+    def lines(values: Values) -> Sequence[Values]:
+        """A count each."""
+        lines: Sequence[Values] = values["rows"]
+        return lines
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """All agree and converge."""
+        lines = [line for row in rows for line in row.values["rows"]]
+        what = "distance to one process' answer, of the largest displacement"
+        return [
+            at_most(what, max(line["off"] for line in lines), AGREEMENT),
+            at_most("solves that did not converge", sum(not line["converged"] for line in lines), 0),
+        ]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """What a whole solve gains."""
+        return " ".join(
+            f"{row.case}: {line['processes']} processes solve {line['gain']:.2f} times as fast as one."
+            for row in rows
+            for line in row.values["rows"][1:]
+        )
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """The gain of each phase."""
+        plt = pyplot()
+        figure, axes = plt.subplots(1, len(rows), figsize=(5.2 * len(rows), 3.4), sharey=True, squeeze=False)
+        for axis, row in zip(axes[0], rows, strict=True):
+            one, *others = row.values["rows"]
+            for line in others:
+                gains = [one[phase] / line[phase] for phase in PHASES]
+                axis.plot(gains, "o-", label=f"{line['processes']} processes")
+            axis.set_xticks(range(len(PHASES)), [phase.replace("_", " ") for phase in PHASES], rotation=40, fontsize=8)
+            axis.axhline(1.0, color="#bbbbbb", lw=0.8)
+            axis.set_title(row.case, fontsize=10)
+            axis.legend(frameon=False, fontsize=8)
+        axes[0][0].set_ylabel("times as fast as one process")
+        figure.tight_layout()
+        return {"What several processes gain, phase by phase.": svg(plt, figure)}
+
+
+def compared(scene: Scene, study: Ranks) -> list[dict]:
+    """A scene by each count of processes: seconds of phases, and how far its answer is from one process'.
+
+    Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
+    """
+    if shutil.which("mpirun") is None:
+        raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
+    found: dict[int, dict] = {}
+    for _ in range(study.rounds):
+        for count in study.counts:
+            found[count] = _best(found.get(count), _spawned(count, scene, study.repeats))
+    alone = found[1]["positions"]
+    largest = float(np.linalg.norm(alone - scene.vertices, axis=1).max())
+    rows = []
+    for count, result in found.items():
+        off = float(np.abs(result.pop("positions") - alone).max()) / largest
+        gain = found[1]["whole"] / result["whole"]
+        rows.append({"tets": len(scene.tets), "processes": count, **result, "gain": gain, "off": off})
+    return rows
+
+
+def _best(before: dict | None, now: dict) -> dict:
+    if before is None:
+        return now
+    return {**now, **{phase: min(before[phase], now[phase]) for phase in PHASES}}
+
+
+def _spawned(count: int, scene: Scene, repeats: int) -> dict:
+    """What `measure` says in processes of mpirun, which the system may move between processors."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, told = Path(folder) / "given", Path(folder) / "told"
+        given.write_bytes(pickle.dumps((scene, repeats)))
+        command = [
+            "mpirun",
+            "--bind-to",
+            "none",
+            "--oversubscribe",
+            "-n",
+            str(count),
+            sys.executable,
+            "-c",
+            START,
+        ]
+        outer = {key: value for key, value in os.environ.items() if not key.startswith(ranks.INHERITED)}
+        done = subprocess.run([*command, given, told], env={**outer, **SETTINGS}, capture_output=True, text=True)
+        if done.returncode != 0:
+            why = without_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]
+            raise SoftdecaError(f"mpirun -n {count}: {why[-1]}")
+        return pickle.loads(told.read_bytes())
+
+
+def without_notices(errors: str) -> str:
+    """What processes have written to stderr, without mpirun's own notices: between rules, or of processes it ended."""
+    said = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
+    return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", said, flags=re.MULTILINE)
+
+
+def measure_here() -> None:
+    """Measure the scene of the file that the command names first, into the one that it names second."""
+    given, told = sys.argv[-2:]
+    scene, repeats = pickle.loads(Path(given).read_bytes())
+    found = measure(scene, repeats)
+    from ...reference.fenicsx.dolfinx_version import ALL
+
+    found["peak_mb"] = max(ALL.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3))
+    if ALL.rank == 0:
+        Path(told).write_bytes(pickle.dumps(found))
+
+
+def measure(scene: Scene, repeats: int) -> dict:
+    """Seconds of each phase (the least of some repeats), and the answer, by all processes that mpirun has started.
+
+    energy, gradient and hessian are those of a state near rest; first_solve makes multigrid's levels and solves one
+    system, next_solve solves another with new values; whole is a solve to TIGHT of a prepared scene.
+    """
+    from ...reference.fenicsx import prepare
+    from ...reference.fenicsx.linear import LINEAR_SOLVERS, hold
+    from ...reference.fenicsx.numbering import Numbering
+    from ...reference.fenicsx.prepared import processes_for
+    from ...reference.fenicsx.problem import Problem
+
+    prepare(scene).solve(max_iterations=1)  # compiles
+    times: dict[str, list[float]] = {phase: [] for phase in PHASES}
+    order = Numbering(scene, comm=processes_for(scene))
+    problem = Problem(scene, order)
+    owned = order.nodes.owned
+    held = np.flatnonzero((order.held(scene.dirichlet()[0]) | problem.unsupported[:, None])[:owned])
+    rng = np.random.default_rng(0)
+    for _ in range(repeats):
+        seconds, prepared = _timed(lambda: prepare(scene))
+        times["prepare"].append(seconds)
+        u = rng.normal(0.0, 1e-3, (owned, 3))
+        u.flat[held] = 0.0
+        u = order.nodes.spread(u)
+        seconds, state = _timed(lambda u=u: problem.at(u))
+        times["energy"].append(seconds)
+        seconds, gradient = _timed(state.gradient)
+        times["gradient"].append(seconds)
+        solver = LINEAR_SOLVERS["cg"](problem.matrix)
+        for phase in ("first_solve", "next_solve"):
+            seconds, hessian = _timed(lambda state=state: state.softened_hessian(0.0))
+            times["hessian"].append(seconds)
+            b = -gradient.ravel()
+            hold(hessian, held, np.zeros(len(held)), b)
+            seconds, answer = _timed(lambda solver=solver, b=b: solver.solve(b, relative=RELATIVE))
+            if not answer.found:
+                raise SoftdecaError(f"the linear system near rest is not solved: {answer.why}")
+            times[phase].append(seconds)
+    for _ in range(max(1, repeats // 2)):
+        seconds, solution = _timed(lambda: prepared.solve(tolerance=TIGHT))
+        times["whole"].append(seconds)
+    return {
+        **{phase: min(found) for phase, found in times.items()},
+        "iterations": solution.iterations,
+        "linear_iterations": solution.detail["linear_iterations"],
+        "converged": solution.converged,
+        "positions": solution.positions,
+    }
+
+
+def _timed(work: Callable):
+    begin = time.perf_counter()
+    result = work()
+    return time.perf_counter() - begin, result

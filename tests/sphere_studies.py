@@ -1,0 +1,129 @@
+"""Studies of a layered sphere in place of a head, for processes that import them: tests put this folder on the path."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from types import SimpleNamespace
+
+import numpy as np
+from conftest import layered_sphere
+
+from softdeca.benchmarks.studies.convergence import Convergence
+from softdeca.benchmarks.studies.dynamics import Dynamics
+from softdeca.benchmarks.studies.effects import Effects
+from softdeca.benchmarks.studies.minimal import Minimal
+from softdeca.benchmarks.studies.mixed import Mixed
+from softdeca.benchmarks.studies.person import Person
+from softdeca.benchmarks.studies.ranks import Ranks
+from softdeca.benchmarks.studies.scaling import Scaling
+from softdeca.benchmarks.studies.shapes import Shapes
+from softdeca.benchmarks.studies.throughput import Throughput
+from softdeca.benchmarks.studies.unknowns import Unknowns
+from softdeca.benchmarks.studies.work_precision import WorkPrecision
+from softdeca.lhm import expressions
+
+
+class Sphere(Person):
+    """A sphere whose expressions draw its front out by 3 mm a weight."""
+
+    def blend(self, weights):
+        skin = self.head.skin.vertices
+        front = np.maximum(skin[:, 2:] / np.abs(skin).max(), 0.0) * np.array([0.0, 0.3, 1.0])
+        return skin + 3.0 * np.sum(weights, axis=1)[:, None, None] * front
+
+    def shape(self, text):
+        return self.blend(expressions.parsed(text)[None])[0]
+
+
+def with_regions(head):
+    """A sphere with a mouth before and below its middle, and eyes above it."""
+    x = head.skin_wrap.vertices
+    front = x[:, 2] > 0
+    regions = {"face": front & (x[:, 1] > -80), "neck": x[:, 1] <= -80}
+    regions["lips"] = front & (np.abs(x[:, 0]) < 30) & (np.abs(x[:, 1] + 40) < 12)
+    eyes = front & (np.abs(np.abs(x[:, 0]) - 35) < 10) & (np.abs(x[:, 1] - 30) < 8)
+    return replace(head, regions=regions | dict.fromkeys(("lids", "mouth", "eyes", "teeth", "ears"), eyes))
+
+
+@lru_cache
+def sphere(level):
+    head = layered_sphere(level)
+    return Sphere(SimpleNamespace(name="spheres"), np.zeros(3), with_regions(head) if level > 2 else head)
+
+
+class OfSphere:
+    alone = False  # a process for all of a study, as loading costs more than spheres
+
+    def person(self, level=None, seed=None):
+        return sphere(level or self.level)
+
+
+@dataclass(frozen=True)
+class SphereScaling(OfSphere, Scaling):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereUnknowns(OfSphere, Unknowns):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereConvergence(OfSphere, Convergence):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereMinimal(OfSphere, Minimal):
+    def tasks(self):
+        # A sphere has no face with lips.
+        return [task for task in super().tasks() if "face" not in task.method and "lips" not in task.method]
+
+
+@dataclass(frozen=True)
+class SphereThroughput(OfSphere, Throughput):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereWorkPrecision(OfSphere, WorkPrecision):
+    def tasks(self):
+        # No network knows spheres.
+        return [task for task in super().tasks() if "learned" not in task.method]
+
+
+@dataclass(frozen=True)
+class SphereEffects(OfSphere, Effects):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereDynamics(OfSphere, Dynamics):
+    def person(self, level=None, seed=None):
+        of = sphere(1)
+        front = of.head.skin.vertices[:, 2] > 0
+        return replace(of, head=replace(of.head, regions={"face": front, "lips": front}))
+
+
+@dataclass(frozen=True)
+class SphereRanks(OfSphere, Ranks):
+    pass
+
+
+@dataclass(frozen=True)
+class SphereMixed(OfSphere, Mixed):
+    pass
+
+
+class Drawn(SimpleNamespace):
+    """A space of two shapes, of which one does nothing."""
+
+    def expression_deltas(self, code):
+        deltas = np.zeros((52, len(sphere(3).head.skin.vertices), 3))
+        deltas[expressions.index("jawOpen")] = sphere(3).shape("jawOpen") - sphere(3).head.skin.vertices
+        return deltas
+
+
+@dataclass(frozen=True)
+class SphereShapes(OfSphere, Shapes):
+    def person(self, level=None, seed=None):
+        return replace(sphere(3), space=Drawn())

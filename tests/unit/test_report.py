@@ -1,0 +1,73 @@
+"""The report of many studies: what they found in prose, and the same as Markdown, JSON and LaTeX."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from softdeca.benchmarks.harness import Table, run
+from softdeca.benchmarks.harness.report import read, write
+from softdeca.benchmarks.harness.tables import latex, markdown
+from softdeca.benchmarks.studies import study_of
+from softdeca.benchmarks.studies.verification import Verification
+from softdeca.lhm import InputError
+
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("verification")
+    run(Verification(solvers=("skfem",)), out, match="two layers", workers=1)
+    return out
+
+
+def test_a_report_of_studies_says_what_they_found(made, command, tmp_path):
+    ended = command("bench", "report", made, "--title", "mine & <yours>", "--out", tmp_path)
+    assert ended.status == 0 and len(ended.out.splitlines()) == 4
+    text = (tmp_path / "index.html").read_text()
+    assert "mine &amp; &lt;yours&gt;" in text and "4 of 4 values by skfem are within their bounds." in text
+    assert "Is projective dynamics right?" in text and "All that was asked is reached." in text
+    assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)
+    assert "**Is projective dynamics right?** 4 of 4" in (tmp_path / "report.md").read_text()
+    assert json.loads((tmp_path / "report.json").read_text())["verification"]["options"]["solvers"] == ["skfem"]
+    tables = (tmp_path / "tables.tex").read_text()
+    assert tables.count(r"\begin{table}") == tables.count(r"\bottomrule") == 1 and r"\label{tab:verification" in tables
+
+
+def test_results_that_are_none_are_named(made, command, tmp_path):
+    (tmp_path / "results.json").write_text("{}")
+    with pytest.raises(InputError, match="results.json: no results of a study"):
+        read(tmp_path, study_of)
+    once = read(made, study_of)
+    with pytest.raises(InputError, match="each study once"):
+        write([once, once], tmp_path, "twice")
+    found = json.loads((made / "results.json").read_text())
+    del found["rows"][0]["values"]["outcomes"]
+    (tmp_path / "results.json").write_text(json.dumps(found))
+    ended = command("bench", "report", tmp_path, "--out", tmp_path / "out")
+    assert ended.status == 1 and "another version" in ended.errors[0] and not (tmp_path / "out").exists()
+
+
+def test_a_table_as_markdown_and_latex():
+    table = Table("50 % of |x|", ["law", "error [mm]"], [("a_b & c", 0.00012345), (True, None)], "by hand")
+    assert markdown(table).splitlines()[2:6] == [
+        "| law | error [mm] |",
+        "|---|---|",
+        "| a_b & c | 1.2e-04 |",
+        "| yes | – |",
+    ]
+    text = latex(table, "laws, by hand")
+    assert r"a\_b \& c & 1.2e-04 \\" in text and r"50 \% of |x|" in text and r"\label{tab:laws-by-hand}" in text
+
+
+KEPT = sorted(name for name in RESULTS.glob("*.json") if '"study"' in name.read_text()[:40])
+
+
+def test_results_that_are_kept_can_be_reported(tmp_path):
+    assert {path.stem for path in KEPT} >= {"material", "split", "verification"}
+    made = [read(path, study_of) for path in KEPT]
+    assert all(each.results.machine["commit"] and each.results.passed for each in made)
+    text = write(made, tmp_path, "kept")[0].read_text()
+    assert all(f'<h2 id="{path.stem}">' in text for path in KEPT)

@@ -1,0 +1,78 @@
+"""Every study from its options to its page, on small spheres."""
+
+import json
+import re
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from softdeca.benchmarks import felupe_code
+from softdeca.benchmarks.harness import run
+from softdeca.benchmarks.studies.material import Material
+from softdeca.benchmarks.studies.verification import felupe_beside_fenicsx
+from softdeca.lhm import InputError
+from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene
+
+CHEAP = {
+    "SphereScaling": {"level": 1, "levels": ("1", "2"), "frames": ("2", "4"), "processes": (), "repeats": 1},
+    "SphereUnknowns": {"level": 1, "up_to": 50_000},
+    "SphereConvergence": {"level": 1, "expressions": ("jawOpen",)},
+    "SphereMinimal": {"level": 1, "expressions": ("jawOpen",), "effects": ("3 g",)},
+    "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
+    "SphereEffects": {"level": 3, "effects": ("bells-palsy",), "fan": 1},
+    "SphereMixed": {"level": 1, "expressions": ("jawOpen",), "laws": ("incompressible",)},
+    "SphereShapes": {"count": 1},
+    "SphereDynamics": {"frames": 8},
+    "SphereRanks": {"level": 1, "rounds": 1, "repeats": 1},
+    "SphereWorkPrecision": {"level": 1, "expressions": ("jawOpen",), "repeats": 1, "slow": True},
+}
+
+
+@pytest.fixture
+def of_spheres(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1])
+    import sphere_studies
+
+    return sphere_studies
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_a_study_of_a_sphere_from_its_tasks_to_its_page(of_spheres, tmp_path, name):
+    study = getattr(of_spheres, name)(**CHEAP[name])
+    results = run(study, tmp_path)
+    assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
+    assert results.passed and results.words
+    text = unescape((tmp_path / "index.html").read_text())
+    assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)
+    assert ("<svg" in text or "<img" in text) and all(row.case in text for row in results.rows)
+    json.loads((tmp_path / "results.json").read_text(), parse_constant=pytest.fail)
+
+
+def test_the_law_that_pd_stands_for(tmp_path):
+    study = Material(poisson=("0.45",), modes=("one axis",))
+    results = run(study, tmp_path, match="corotated", workers=1)
+    (row,) = results.rows
+    assert results.passed and "corotated law" in results.words and "<svg" in (tmp_path / "index.html").read_text()
+    # Verified: the corotated law's nominal stress along one axis is E times the strain.
+    strain = [stretch - 1.0 for stretch in row.values["stretch"]]
+    assert row.values["law_kpa"] == pytest.approx(strain, abs=1e-6)
+    # At rest PD's energy is as stiff; compressed to half, volume's projection is softer than tr² of the strain.
+    assert row.values["pd_kpa"][6:8] == pytest.approx(strain[6:8], rel=0.01)
+
+
+@pytest.mark.parametrize("wrong", [{"poisson": ("0.5",)}, {"poisson": ("much",)}, {"modes": ("torsion",)}])
+def test_options_of_material_are_checked(wrong):
+    with pytest.raises(InputError):
+        Material(**wrong).tasks()
+
+
+def test_felupe_finds_what_fenicsx_finds(sphere_head):
+    pytest.importorskip("felupe", reason="FElupe is not installed")
+    pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
+    skin = sphere_head.skin.vertices
+    scene = facial_scene(sphere_head, Parameters(), skin * [1.02, 1.0, 1.0], bones="prescribed", without=("skin",))
+    outcome = felupe_beside_fenicsx(neo_hookean_scene(scene))
+    assert outcome.passed and outcome.error < 1e-8 and outcome.value > 1.0
+    with pytest.raises(SceneError, match="Strain is not modelled"):
+        felupe_code.solved(scene)
