@@ -42,14 +42,16 @@ class Breakeven:
         return (self.corpus + self.training) / (self.linearised_face - self.own_face)
 
 
-def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven:
-    """Of a network with its note and its scores, and of the corpus' training people that are there."""
+def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
+    """Of a network with its note and scores, and of the corpus' training people; None if none of them has frames."""
     manifest = read_manifest(corpus)
     people = range(int(manifest["content"]["identities"]) - int(manifest["tested"]))
     labels = [read_label(path) for path in (shard_path(corpus, k) for k in people) if path.exists()]
     spent = {phase: sum(label.seconds.get(phase, 0.0) for label in labels) for phase in PAID}
     groups = len(labels) * int(manifest["content"]["groups"])
     frames = groups * int(manifest["content"]["frames"])
+    if not frames:
+        return None
     return Breakeven(
         corpus=sum(spent.values()),
         training=float(note.curve[-1]["seconds"]),

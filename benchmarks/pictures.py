@@ -98,8 +98,8 @@ def strip(
 ) -> bytes:
     """Panels side by side at one scale, with a colour bar under each coloured one.
 
-    The picture is as high as the points `framed` [mm], shape (k, 3), by default all of the first surface's. What is
-    hidden in `rest`, the head at rest, is drawn dark.
+    Captions of coloured panels say what the bar's end stands for. The picture is as high as the points `framed` [mm],
+    shape (k, 3), by default all of the first surface's. What is hidden in `rest`, the head at rest, is drawn dark.
     """
     pyvista = _pyvista()
     colours = None if rest is None else shades(rest)
@@ -107,7 +107,8 @@ def strip(
         off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
     )
     points = panels[0].surface.vertices if framed is None else framed
-    centre, height = (points.max(0) + points.min(0)) / 2, 1.12 * np.ptp(points[:, 1])
+    tall = np.ptp(points[:, 1])
+    centre, height = (points.max(0) + points.min(0)) / 2 + [0.0, 0.08 * tall, 0.0], 1.28 * tall  # captions above
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
         mesh = _poly(pyvista, panel.surface.vertices, panel.surface.triangles)
@@ -118,10 +119,8 @@ def strip(
         else:
             bar = {
                 "title": f"mm, {column + 1}",
-                "n_labels": 2,
-                "fmt": "%.2g",
+                "n_labels": 0,
                 "title_font_size": 1,
-                "label_font_size": 14,
             }
             bar |= {"width": 0.7, "height": 0.05, "position_x": 0.15, "position_y": 0.02, "color": "black"}
             plotter.add_mesh(
@@ -132,7 +131,8 @@ def strip(
                 smooth_shading=True,
                 scalar_bar_args=bar,
             )
-        plotter.add_text(panel.caption, position="upper_edge", font_size=9, color="black")
+        caption = panel.caption if panel.values is None else f"{panel.caption}\n0 to {panel.top:.2g} mm"
+        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
         plotter.set_background("white")
         _look(plotter, centre, height, view)
     return _png(plotter)

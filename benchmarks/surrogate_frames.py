@@ -1,13 +1,18 @@
-"""Held-out frames in rows: blendshapes, projective dynamics and the surrogate, and how far each is off. PNG."""
+"""Held-out frames in rows: blendshapes, PD, FEniCSx and the surrogate, and how far each is off. PNG."""
 
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..lhm.errors import InputError
+from ..lhm.mesh import Floats32
 from ..lhm.progress import OnProgress
+from ..surrogate.corpus.references import FEM_LAWS
+from ..surrogate.evaluate_references import referenced
 from ..surrogate.modal.faces import Faces
 from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals.modal import ModalMethod
@@ -20,21 +25,21 @@ SIZE = 230
 
 
 def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: OnProgress) -> bytes:
-    """Six frames of the test people, from one that hardly moves to one that moves much."""
+    """Six frames of the test people, from one that hardly moves to one that moves much.
+
+    Where FEniCSx has solved frames of the corpus on PD's energy, they are of these, with its answer beside the others.
+    """
     from PIL import Image
 
     faces = Faces(corpus, "test", partial=partial)
-    moved = [(index, k, size) for index in range(len(faces)) for k, size in enumerate(faces.moved(index))]
-    order = np.argsort([size for *_, size in moved])
     methods = ModalMethod(weights), ModalMethod(weights, exact=True)
     rows = []
-    for number, share in enumerate(SHOWN):
-        index, k, _ = moved[order[round(share * (len(order) - 1))]]
-        face, frames = faces.face(index), faces.frames(index, np.array([k]))
+    for number, frame in enumerate(_shown(corpus, faces, partial)):
+        face = faces.face(frame.face)
         skin = faces.skin(face.identity)
-        blended = skin.vertices + np.tensordot(frames.weights[0], faces.shapes(face.identity), axes=1)
-        truth = frames.corrected[0].astype(np.float64)
-        own, exact = (method.bind(face)(frames.weights)[0].astype(np.float64) for method in methods)
+        blended = skin.vertices + np.tensordot(frame.weights, face.shapes, axes=1)
+        truth = frame.simulated.astype(np.float64)
+        own, exact = (method.bind(face)(frame.weights[None])[0].astype(np.float64) for method in methods)
         top = max(0.5, float(np.percentile(np.linalg.norm(truth, axis=1), 99.0)))
         simulated = skin.with_vertices(blended + truth)
         panels = [
@@ -45,6 +50,10 @@ def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: 
             Panel("|network - T|", simulated, np.linalg.norm(own - truth, axis=1), top),
             Panel("|exact bind - T|", simulated, np.linalg.norm(exact - truth, axis=1), top),
         ]
+        if frame.fenicsx is not None:
+            away = np.linalg.norm(frame.fenicsx - truth, axis=1)
+            panels.insert(2, Panel("FEniCSx", skin.with_vertices(blended + frame.fenicsx)))
+            panels.append(Panel("|FEniCSx - T|", simulated, away, top))
         y = skin.vertices[:, 1]
         framed = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
         rows.append(Image.open(io.BytesIO(strip(panels, size=SIZE, framed=framed))).convert("RGB"))
@@ -55,3 +64,36 @@ def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: 
     buffer = io.BytesIO()
     sheet.save(buffer, "PNG")
     return buffer.getvalue()
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """A frame of a face: weights (52,), T - S (n, 3) [mm] by PD, and by FEniCSx where it is known."""
+
+    face: int
+    weights: Floats32
+    simulated: Floats32
+    fenicsx: Floats32 | None
+
+
+def _shown(corpus: Path, faces: Faces, partial: bool) -> list[_Frame]:
+    known = _solved(corpus, faces, partial)
+    if known:
+        order = np.argsort([np.percentile(np.linalg.norm(frame.simulated, axis=1), 95.0) for frame in known])
+        return [known[order[round(share * (len(order) - 1))]] for share in SHOWN]
+    moved = [(index, k, size) for index in range(len(faces)) for k, size in enumerate(faces.moved(index))]
+    order = np.argsort([size for *_, size in moved])
+    found = []
+    for share in SHOWN:
+        index, k, _ = moved[order[round(share * (len(order) - 1))]]
+        frames = faces.frames(index, np.array([k]))
+        found.append(_Frame(index, frames.weights[0], frames.corrected[0].astype(np.float32), None))
+    return found
+
+
+def _solved(corpus: Path, faces: Faces, partial: bool) -> list[_Frame]:
+    try:
+        frames = [one for one in referenced(corpus, "test", faces, partial=partial) if one.law == FEM_LAWS[0]]
+    except InputError:  # a corpus without references
+        return []
+    return [_Frame(one.face, one.weights, one.simulated, one.fenicsx) for one in frames]

@@ -64,9 +64,9 @@ def compare(
     """Scores of all methods, and the files written.
 
     On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
-    FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL. On so many of the test
-    faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs people whose heads
-    can be fitted, and the default people's network on parameters that it has not seen.
+    FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL, and sequences. On so
+    many of the test faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs
+    people whose heads can be fitted, and the default people's network on parameters that it has not seen.
     """
     network = Surrogate.load(surrogate)
     test = faces_of(corpus, "test", partial, network)
@@ -89,16 +89,19 @@ def compare(
     if elsewhere is not None:
         others = evaluate(ready, elsewhere, on_progress=progress)
         scores += [replace(score, kind=EXTERNAL) for score in others if score.kind == "all"]
+        if external is not None and read_manifest(external)["content"]["sequences"] and known is not None:
+            moving = evaluate_dynamic(ready, external, None, known, partial=partial, on_progress=progress)
+            scores += [replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in moving]
     if simulated:
         scores += _beside_simulation(ready, test, simulated, progress)
         scores += beyond(network, progress) if network.space == "anny" else []
     paid = breakeven(corpus, network.weights.note, scores[0])
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:
-        found = {"scores": [asdict(score) for score in scores], "breakeven": asdict(paid)}
+        found = {"scores": [asdict(score) for score in scores], "breakeven": None if paid is None else asdict(paid)}
         path.write_text(json.dumps(found, indent=1))
     with replaced(written[1]) as path:
-        path.write_text(table(scores) + "\n" + told(paid))
+        path.write_text(table(scores) + ("" if paid is None else "\n" + told(paid)))
     with replaced(written[2]) as path:
         path.write_bytes(plots.error_against_cost([score for score in scores if score.kind == "all"]))
     with replaced(written[3]) as path:

@@ -31,6 +31,17 @@ from .written_file import FOLDER
 @click.option(
     "--neutrals", type=click.Path(path_type=Path), help="another corpus, of settled neutral faces: preset neutral"
 )
+@click.option(
+    "--start",
+    type=click.Path(path_type=Path),
+    help="weights to go on from: their neutral faces are kept, what w does is learned on",
+)
+@click.option(
+    "--share",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    default=1.0,
+    help="of the people: the first ones alone, for the curve of errors over the corpus' size",
+)
 @click.option("--partial", is_flag=True, help="learn from the people that are there, of a corpus not yet complete")
 def train(
     corpus: Path,
@@ -40,6 +51,8 @@ def train(
     device: str,
     precision: str,
     neutrals: Path | None,
+    start: Path | None,
+    share: float,
     partial: bool,
 ) -> int:
     """Train a surrogate on CORPUS, a folder of `softdeca corpus generate`; a training that was stopped goes on.
@@ -53,7 +66,8 @@ def train(
     with shown() as progress:
         if network == "modal":
             config = {"steps": steps, "device": device, "precision": precision}
-            path, curve = _modal(corpus, neutrals, out, config, partial, progress)
+            read = {"partial": partial, "share": share}
+            path, curve = _modal(corpus, neutrals, start, out, config, read, progress)
         else:
             path, curve = _paper(corpus, out, steps, progress)
     with replaced(out / "curve.json") as temporary:
@@ -64,18 +78,20 @@ def train(
     return 0
 
 
-def _modal(corpus: Path, neutrals: Path | None, out: Path, options: dict, partial: bool, progress):
+def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_of
     from ..surrogate.modal.faces import Faces, Neutrals
     from ..surrogate.modal.looseness import Looseness
     from ..surrogate.modal.training import ModalTraining, train_modal
+    from ..surrogate.modal.weights import ModalWeights
 
     config = ModalTraining(**{name: value for name, value in options.items() if value is not None})
-    faces = Faces(corpus, "train", partial=partial)
-    more = None if neutrals is None else Neutrals(neutrals, "train", partial=partial)
+    faces = Faces(corpus, "train", **read)
+    more = None if neutrals is None else Neutrals(neutrals, "train", **read)
     out.mkdir(parents=True, exist_ok=True)
-    weights = train_modal(faces, config, neutrals=more, state=out / "modal.pt", on_progress=progress)
-    if faces.space == "anny":
+    begun = None if start is None else ModalWeights.load(start)
+    weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)
+    if faces.space == "anny" and weights.looseness is None:
         weights = replace(weights, looseness=Looseness.of(people_of("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
@@ -147,7 +163,7 @@ def evaluate(
         return 0
     for score in scores:
         if (
-            score.kind in ("all", "dynamic", "external")
+            score.kind in ("all", "dynamic", "external", "external, dynamic")
             or score.kind.startswith("against")
             or score.kind.endswith(("faces", "clamped"))
         ):

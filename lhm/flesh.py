@@ -1,4 +1,4 @@
-"""Where a face has fat that hangs free of bone: fleshy parts and cheeks, as shares over the wraps' vertices."""
+"""Where a face has fat that hangs free of bone, and where muscles move it: shares over the wraps' vertices."""
 
 from __future__ import annotations
 
@@ -39,6 +39,20 @@ def cheeks(head: LayeredHead) -> Floats:
     up = x[:, 1] - 0.5 * (lips[:, 1].max() + lids[:, 1].min())
     off = np.hypot(np.abs(x[:, 0] - middle) - 1.25 * half, up)
     return fleshy(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
+
+
+def expressive(head: LayeredHead, *, fade: float = FADE) -> Floats:
+    """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
+
+    The share rises over `fade` [mm] along the skin. A head without the region "face" is one everywhere.
+    """
+    n = len(head.skin_wrap.vertices)
+    none = np.zeros(n, dtype=bool)
+    if not head.regions.get("face", none).any():
+        return np.ones(n)
+    names = ("face", *(name for name in LEAN_REGIONS if name != "ears"))
+    inside = np.any([head.regions.get(name, none) for name in names], axis=0)
+    return np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / fade)
 
 
 def on_triangles(head: LayeredHead, share: Floats) -> Floats:

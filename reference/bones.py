@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..lhm.flesh import expressive
 from ..lhm.geometry.rigid import rigid_motion
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ..lhm.mesh import Floats, Surface
@@ -121,19 +122,33 @@ def soft_bones(head: LayeredHead, parameters: Parameters, stack: Floats, first: 
     ]
 
 
-def paralysed_share(parameters: Parameters, wrap: Surface) -> Floats:
-    """The share of its targets' stiffness that each vertex of the skin wrap keeps, shape (n,): Bell's palsy.
+def left_share(skin: Surface) -> Floats:
+    """How far each vertex of a head's skin or skin wrap is on the subject's left (+x), in [0, 1], shape (n,).
 
-    A paralysed half has no activation: nothing draws its skin to the expression. +x is the subject's left; the two
-    halves blend over `SEAM` millimetres to each side of the middle.
+    The two halves blend over `SEAM` millimetres to each side of the middle.
     """
-    x = wrap.vertices[:, 0] - 0.5 * (wrap.vertices[:, 0].min() + wrap.vertices[:, 0].max())
+    x = skin.vertices[:, 0] - 0.5 * (skin.vertices[:, 0].min() + skin.vertices[:, 0].max())
     t = np.clip(0.5 + 0.5 * x / SEAM, 0.0, 1.0)
-    left = t * t * (3.0 - 2.0 * t)
-    return (1.0 - parameters.paralysis_left * left) * (1.0 - parameters.paralysis_right * (1.0 - left))
+    return t * t * (3.0 - 2.0 * t)
 
 
-def target_stiffness(parameters: Parameters, wrap: Surface) -> Floats:
-    """Stiffness [mN/mm] of each skin-wrap vertex' spring to its target: per area, less what is paralysed."""
+def kept_share(left, paralysis_left, paralysis_right):
+    """The share of its targets' stiffness that skin keeps, by its `left_share`: Bell's palsy.
+
+    A paralysed half has no activation: nothing draws its skin to the expression.
+    """
+    return (1.0 - paralysis_left * left) * (1.0 - paralysis_right * (1.0 - left))
+
+
+def target_stiffness(parameters: Parameters, head: LayeredHead) -> Floats:
+    """Stiffness [mN/mm] of each skin-wrap vertex' spring to its target: per area, less what is paralysed.
+
+    A palsy takes the springs of the face alone: scalp, ears and neck stay where they are tied to what is below.
+    """
+    wrap = head.skin_wrap
     local = on_vertices("target_stiffness", parameters.target_stiffness, wrap)
-    return local * wrap.vertex_areas * paralysed_share(parameters, wrap)
+    paralyses = parameters.paralysis_left, parameters.paralysis_right
+    kept = 1.0
+    if any(paralyses):
+        kept = 1.0 - expressive(head) * (1.0 - kept_share(left_share(wrap), *paralyses))
+    return local * wrap.vertex_areas * kept

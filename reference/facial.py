@@ -84,7 +84,7 @@ def facial_scene(
     parts = list(tissue.terms)
     if "skin" not in without:
         parts += _skin(head, parameters, inside)
-    springs = target_stiffness(parameters, head.skin_wrap)
+    springs = target_stiffness(parameters, head)
     parts.append(terms.Target(np.arange(len(springs)), wrap_targets, springs))
     elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
     if bones == "soft":

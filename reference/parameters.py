@@ -156,7 +156,7 @@ class Parameters:
         0.0,
         1.0,
         "1",
-        "share of its targets' stiffness that the subject's left half loses (Bell's palsy, Figure 1)",
+        "share of its targets' stiffness that the left half of the subject's face loses (Bell's palsy, Figure 1)",
     )
     paralysis_right: float = _parameter(0.0, 0.0, 1.0, "1", "the same of the right half")
     frequency: float | Floats = _parameter(

@@ -44,7 +44,7 @@ DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
 def evaluate_dynamic(
     methods: Sequence[Method],
     folder: str | PathLike[str],
-    split: Split,
+    split: Split | None,
     looseness: Looseness,
     *,
     partial: bool = False,
@@ -59,7 +59,7 @@ def evaluate_dynamic(
     rows = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
     pairs = [(k, rows[key]) for k, key in enumerate(map(tuple, table.groups.tolist())) if key in rows]
     if not pairs:
-        raise InputError(f"corpus {folder}: no sequence of the {split} split is of a face with derivatives")
+        raise InputError(f"corpus {folder}: no sequence of the {split or 'whole'} split is of a face with derivatives")
     scores = []
     for number, method in enumerate(methods):
         played = [_played(method, table, k, faces.face(row), looseness) for k, row in pairs]

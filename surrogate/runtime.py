@@ -82,11 +82,11 @@ class Surrogate:
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
         values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
         beyond the ranges that the network has seen is refused, or clamped with a warning, by `beyond`. expressions:
-        what the 52 weights add [mm], shape (52, n, 3); by default the space's, and where that is no built-in one
-        `frame` needs `blended`. With `exact`, offset and responses are the simulator's, on `head` or on one that is
-        fitted to the skin (the default space's only), and the network adds what is not linear. `dynamic` frames follow
-        p's frequency and damping. Raises InputError for a skin of another template, a code of another size and
-        parameters that are refused, and what the simulator raises.
+        what the 52 weights add [mm], shape (52, n, 3); by default the built-in space's, for another they are needed.
+        With `exact`, offset and responses are the simulator's, on `head` or on one that is fitted to the skin (the
+        default space's only), and the network adds what is not linear. `dynamic` frames follow p's frequency and
+        damping. Raises InputError for a skin of another template, a code of another size and parameters that are
+        refused, and what the simulator raises.
         """
         self._check_skin(skin)
         mean, weights = self.weights.mean, self.weights
@@ -94,10 +94,8 @@ class Surrogate:
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        modes = compressed(self._modal.bound(code, at_vertices))
+        modes = compressed(self._modal.bound(code, at_vertices, shapes))
         if exact:
-            if shapes is None:
-                raise InputError("expressions: not known for the weights' space; bind(exact=True) needs expressions=")
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
             modes = replace(modes, offset=offset, responses=responses)
@@ -113,10 +111,10 @@ class Surrogate:
     def _check_skin(self, skin: Surface) -> None:
         checked_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
 
-    def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32 | None:
+    def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32:
         if expressions is None:
             if self.space != "anny":
-                return None
+                raise InputError("expressions: not known for the weights' space; bind needs expressions=")
             expressions = self._people.expression_deltas(code)
         return checked_shapes(expressions, len(self.weights.mean.vertices))
 
@@ -150,7 +148,7 @@ class BoundSurrogate:
     skin: the person's without p. `swing` is what `dynamic` needs; None where the weights do not know it.
     """
 
-    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32 | None, swing: Swing | None):
+    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32, swing: Swing | None):
         self.skin, self.modes, self.swing = skin, modes, swing
         self._expressions = expressions
         self._skin = skin.vertices.astype(np.float32)
@@ -159,10 +157,8 @@ class BoundSurrogate:
         self._added = np.concatenate([modes.responses, modes.modes]).reshape(EXPRESSIONS + count, 3 * n)
         self._offset = np.ascontiguousarray(modes.offset.ravel())
         self._amplitudes = np.zeros(EXPRESSIONS + count, dtype=np.float32)
-        self._shapes: Floats32 | None = None
-        if expressions is not None:
-            self._shapes = self._added.copy()
-            self._shapes[:EXPRESSIONS] += expressions.reshape(EXPRESSIONS, -1)
+        self._shapes = self._added.copy()
+        self._shapes[:EXPRESSIONS] += expressions.reshape(EXPRESSIONS, -1)
 
     @property
     def neutral(self) -> Floats32:
@@ -181,8 +177,6 @@ class BoundSurrogate:
         self._amplitudes[:EXPRESSIONS] = weights
         self.modes.remainder_of.of_one(weights, self._amplitudes[EXPRESSIONS:])
         if blended is None:
-            if self._shapes is None:
-                raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
             flat[:] = self._settled
             add_combination(self._amplitudes, self._shapes, flat)
         else:
@@ -192,9 +186,7 @@ class BoundSurrogate:
         return surface
 
     def blend(self, weights) -> Floats32:
-        """Linear blendshapes S_t [mm], shape (n, 3), without p; InputError where the expressions are not known."""
-        if self._expressions is None:
-            raise InputError("expressions: not known for the weights' space; give bind(expressions=) or blended=")
+        """Linear blendshapes S_t [mm], shape (n, 3), without p."""
         surface = self._skin.copy()
         shapes = self._expressions.reshape(EXPRESSIONS, -1)
         add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
@@ -202,8 +194,6 @@ class BoundSurrogate:
 
     def bake(self, rank: int = 64) -> BakedRig:
         """Plain morph targets, at most `rank` of them, with their error; InputError for a rank out of range."""
-        if self._shapes is None:
-            raise InputError("expressions: not known for the weights' space; bake needs bind(expressions=)")
         return baked(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
 
     @checked

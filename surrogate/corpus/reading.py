@@ -60,12 +60,20 @@ class Table:
     """The accepted rows of one table ("statics", "sequences", "responses", ...) of a split of a corpus, or of both.
 
     A row is a dict: identity, code (c,), varied (P,), coefficients (P, 1 + WAVES), and the fields of the table as
-    `shard` says, without the first axis. With `partial`, people that are not there yet are left out. Raises InputError
-    for a folder that is no corpus, an unknown table or split, shards that are missing or damaged, and where no row is
-    accepted.
+    `shard` says, without the first axis. With `partial`, people that are not there yet are left out. `share` of the
+    people, the first of them, have rows. Raises InputError for a folder that is no corpus, an unknown table or split,
+    shards that are missing or damaged, and where no row is accepted.
     """
 
-    def __init__(self, folder: str | PathLike[str], table: str, split: Split | None, *, partial: bool = False):
+    def __init__(
+        self,
+        folder: str | PathLike[str],
+        table: str,
+        split: Split | None,
+        *,
+        partial: bool = False,
+        share: float = 1.0,
+    ):
         if table not in SMALL or split not in (None, *SPLITS):
             raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
         self.folder, self.table = Path(folder), table
@@ -76,8 +84,9 @@ class Table:
         people = int(manifest["content"]["identities"])
         first = people - int(manifest["tested"])
         numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
-        paths = {k: shard_path(self.folder, k) for k in numbers}
-        self._people = {k: self._person(path, owner) for k, path in paths.items() if path.exists() or not partial}
+        there = [k for k in numbers if not partial or shard_path(self.folder, k).exists()]
+        chosen = there[: round(share * len(there))]
+        self._people = {k: self._person(shard_path(self.folder, k), owner) for k in chosen}
         rows = [(k, row) for k, person in self._people.items() for row in _accepted(person.small)]
         if not rows:
             raise InputError(
@@ -114,13 +123,19 @@ class Table:
     def __getitem__(self, index: int) -> Row:
         identity, row = self.rows[index]
         person = self._people[int(identity)]
+        return self.described(index) | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
+
+    def described(self, index: int) -> Row:
+        """A row without its large fields: nothing is read for it."""
+        identity, row = self.rows[index]
+        person = self._people[int(identity)]
         small = {name: values[row] for name, values in person.small.items()}
         found: Row = {"identity": identity, "code": person.code, **small}
         if self.table == "groups" or "group" in small:
             group = row if self.table == "groups" else small["group"]
             found |= {"kind": person.kinds[group], "varied": person.varied[group]}
             found["coefficients"] = person.coefficients[group]
-        return found | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
+        return found
 
     def small(self, index: int, name: str) -> Any:
         """One of a row's small fields, which are in memory."""

@@ -41,10 +41,8 @@ def _reference(group: Group, weights: Floats, positions: Floats, answer: Answer,
         scene = group.scene(weights)
         prepared = prepare(scene if law == FEM_LAWS[0] else neo_hookean_scene(scene), solver="fenicsx")
         # Relative to rest, or to small targets where that is the answer: at PD's own the gradient is rounding already.
-        norms = [prepared.solve(start=start, max_iterations=0).history.gradient_norm[0] for start in (None, positions)]
-        asked = TOLERANCE * max(norms[0], SMALL * spring_norm(scene))
-        tolerance = min(asked / max(norms[1], asked), 0.5)
-        solution = prepared.solve(start=positions, tolerance=tolerance)
+        rest = prepared.solve(max_iterations=0).history.gradient_norm[0]
+        solution = prepared.solve(start=positions, absolute=TOLERANCE * max(rest, SMALL * spring_norm(scene)))
     except SoftdecaError as error:
         return Reference(none, f"fenicsx: {error}")
     if not solution.converged:

@@ -37,7 +37,7 @@ from .shard import (
     texts,
 )
 
-GENERATOR = 4
+GENERATOR = 5
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
 
 

@@ -12,6 +12,7 @@ from ..corpus.mixture import NAMES
 from ..corpus.plan import Split
 from ..corpus.reading import Table
 from .features import STATIC, Features, normalised_code
+from .weights import ModalWeights
 
 _COLUMNS = [NAMES.index(name) for name in STATIC]
 
@@ -25,6 +26,7 @@ def static_of(coefficients: Floats) -> Floats:
 class Face:
     """code (c,), coefficients of STATIC (P, 1 + WAVES), offset (n, 3) and responses (52, n, 3) of T - S [mm].
 
+    shapes (52, n, 3) [mm]: what the weights add to the person's skin.
     settled (n, 3) [mm]: the part of the offset by which p moved the neutral skin, before targets hold it there.
     """
 
@@ -35,6 +37,7 @@ class Face:
     settled: np.ndarray
     offset: np.ndarray
     responses: np.ndarray
+    shapes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +56,12 @@ class Frames:
 class Faces:
     """The faces of a split of a corpus, or of both, that have derivatives; read as they are asked for.
 
-    With `partial`, those that are there yet. Raises what `reading.Table` raises.
+    `partial`, `share` and what is raised: as of `reading.Table`.
     """
 
-    def __init__(self, folder: str | PathLike[str], split: Split | None, *, partial: bool = False):
-        self._responses = Table(folder, "responses", split, partial=partial)
-        self._statics = Table(folder, "statics", split, partial=partial)
+    def __init__(self, folder: str | PathLike[str], split: Split | None, *, partial: bool = False, share: float = 1.0):
+        self._responses = Table(folder, "responses", split, partial=partial, share=share)
+        self._statics = Table(folder, "statics", split, partial=partial, share=share)
         self.groups = self._responses.groups
         rows: dict[tuple[int, int], list[int]] = {}
         for row, (identity, group) in enumerate(self._statics.groups.tolist()):
@@ -80,10 +83,13 @@ class Faces:
         """The name of the people's space."""
         return self._responses.people
 
-    @property
-    def personal(self) -> bool:
-        """Whether each person has shapes of their own."""
-        return self._responses.template.shapes is None
+    def code(self, index: int) -> Floats:
+        """The code (c,) of a face's person."""
+        return np.asarray(self._responses.described(index)["code"], dtype=np.float64)
+
+    def coefficients(self, index: int) -> Floats:
+        """A face's coefficients of STATIC (P, 1 + WAVES)."""
+        return static_of(self._responses.described(index)["coefficients"])
 
     def face(self, index: int) -> Face:
         """One face."""
@@ -96,15 +102,17 @@ class Faces:
             settled=self._responses.settled(*self.groups[index]),
             offset=row["offset"],
             responses=row["expressions"],
+            shapes=self._responses.shapes(int(row["identity"])),
         )
 
     def skin(self, identity: int) -> Surface:
         """A person's neutral skin [mm]."""
         return self._responses.skin(identity)
 
-    def shapes(self, identity: int) -> np.ndarray:
-        """What each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
-        return self._responses.shapes(identity)
+    @property
+    def personal(self) -> bool:
+        """Whether each person has shapes of their own."""
+        return self._responses.template.shapes is None
 
     def moved(self, index: int) -> list[float]:
         """By how much simulation moves the face in each of a face's static frames: 95 % of |T - S| [mm]."""
@@ -131,10 +139,10 @@ class Neutral:
 
 
 class Neutrals:
-    """The settled neutral faces of a split of a corpus; read as they are asked for. Raises as `reading.Table`."""
+    """The settled neutral faces of a split of a corpus; read as they are asked for. Otherwise like `Faces`."""
 
-    def __init__(self, folder: str | PathLike[str], split: Split | None, *, partial: bool = False):
-        self._table = Table(folder, "groups", split, partial=partial)
+    def __init__(self, folder: str | PathLike[str], split: Split | None, *, partial: bool = False, share: float = 1.0):
+        self._table = Table(folder, "groups", split, partial=partial, share=share)
 
     def __len__(self) -> int:
         return len(self._table)
@@ -166,9 +174,14 @@ class Inputs:
     @classmethod
     def of(cls, faces: Faces) -> Inputs:
         """From the codes of all faces."""
-        codes = np.array([faces.face(k).code for k in range(len(faces))])
+        codes = np.array([faces.code(k) for k in range(len(faces))])
         people = np.unique(faces.groups[:, 0], return_index=True)[1]
         return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
+
+    @classmethod
+    def as_of(cls, weights: ModalWeights) -> Inputs:
+        """As trained weights have them."""
+        return cls(Features(weights.mean), weights.code_mean, weights.code_scale)
 
     def code(self, code: Floats) -> Floats:
         """See `normalised_code`."""

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ...lhm.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
+from ...reference.bones import kept_share, left_share
 from ...reference.settling import GROWING
 from ..corpus.fields import basis
 from ..corpus.mixture import NAMES
@@ -22,16 +23,22 @@ STATIC = tuple(name for name in NAMES if name not in ("frequency", "damping"))
 """The parameters that a static frame depends on, in the order of the columns here."""
 POINTS = 24
 """Places at which the summary has what varies over the face."""
+DEPTH = 30.0
+"""[mm] Over which soft tissue's stiffness works against that of targets: 30 rather than 10 by a corpus' responses."""
 MIRRORED = 1e-3
 """[mm] Within which a mirrored mean skin meets itself, if it is symmetric."""
 _INFOS = {name: Parameters.info(name) for name in STATIC}
 _LOCAL = tuple(k for k, name in enumerate(STATIC) if _INFOS[name].local)
 _SOFT = STATIC.index("soft_stiffness")
+_TARGET = STATIC.index("target_stiffness")
+_PARALYSES = STATIC.index("paralysis_left"), STATIC.index("paralysis_right")
 _GRAVITY = tuple(STATIC.index(name) for name in ("gravity", "gravity_x", "gravity_y", "gravity_z"))
 _THERE = tuple(STATIC.index(name) for name in GROWING)
 _BONES = tuple(STATIC.index(f"{bone}_scale_{axis}") for bone in ("mandible", "cranium") for axis in "xyz")
 _MOVING = _THERE + _GRAVITY + _BONES
 """What moves a neutral face; at the default of these it stays where it is, whatever the materials."""
+GIVE = -1
+"""The column of `local` that holds `give`."""
 EFFECTS = len(_THERE) + len(_BONES) + 3
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
 _OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
@@ -48,16 +55,20 @@ class Features:
     @property
     def local_size(self) -> int:
         """Columns of `local`."""
-        return len(STATIC) + 6
+        return len(STATIC) + 7
 
     @property
     def summary_size(self) -> int:
         """Columns of `summary`, besides the code's."""
-        return len(STATIC) + 6 + POINTS * len(_LOCAL)
+        return len(STATIC) + 8 + POINTS * len(_LOCAL)
 
     @cached_property
     def _basis(self) -> Floats:
         return basis(self.mean.vertices)
+
+    @cached_property
+    def _left(self) -> Floats:
+        return left_share(self.mean)
 
     @cached_property
     def mirror(self) -> Ints | None:
@@ -90,7 +101,8 @@ class Features:
     def local(self, at_vertices: Floats) -> Floats32:
         """Features of each vertex, shape (n, local_size)."""
         gravity = np.broadcast_to(_added_gravity(at_vertices[0]), (len(at_vertices), 3))
-        parts = at_vertices, 0.5 * gravity, 0.5 * gravity / _softness(at_vertices[:, [_SOFT]])
+        give = self.give(at_vertices)[:, None]
+        parts = at_vertices, 0.5 * gravity, 0.5 * gravity / _softness(at_vertices[:, [_SOFT]]), give
         return np.hstack(parts).astype(np.float32)
 
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
@@ -98,8 +110,20 @@ class Features:
         level = at_vertices.mean(axis=0)
         gravity = _added_gravity(level)
         waves = (at_vertices[self.points] - level)[:, list(_LOCAL)].T.ravel()
-        parts = code, 0.5 * gravity, 0.5 * gravity / _softness(level[_SOFT]), level, waves
+        left, give = self._left, self.give(at_vertices)
+        halves = np.array([np.average(give, weights=left), np.average(give, weights=1.0 - left)])
+        parts = code, 0.5 * gravity, 0.5 * gravity / _softness(level[_SOFT]), level, halves, waves
         return np.concatenate(parts).astype(np.float32)
+
+    def give(self, at_vertices: Floats) -> Floats:
+        """How little targets hold the skin at each vertex, in (0, 1], shape (n,): all of it in a complete palsy.
+
+        The share of soft tissue in the stiffness of both, by which a palsy of 90 % is still far from one of 100 %.
+        """
+        soft = _INFOS["soft_stiffness"].denormalise(at_vertices[:, _SOFT])
+        target = _INFOS["target_stiffness"].denormalise(at_vertices[:, _TARGET])
+        paralyses = (_INFOS[STATIC[column]].denormalise(at_vertices[:, column]) for column in _PARALYSES)
+        return soft / (soft + DEPTH * target * kept_share(self._left, *paralyses))
 
     def effects(self, at_vertices: Floats) -> Floats32:
         """How strong each effect is at each vertex, shape (n, EFFECTS), all zero at the defaults.

@@ -1,9 +1,11 @@
 """The modal surrogate as a torch module: offset, responses and remainder in modes whose gains follow p and h locally.
 
-    T - S = Σ_e e(v) E_e(v) + Σ_k (a_k + b_k) g_k(v) B_k(v) + Σ_j w_j Σ_k Z_jk g_k(v) B_k(v) + Σ_k N_k(w) g_k(v) B_k(v)
+    T - S = Σ_e e(v) E_e(v) + Σ_k (a_k + b_k) g_k(v) B_k(v)
+            + Σ_j w_j [Σ_k Z_jk g_k(v) B_k(v) - l(v) S_j(v)] + Σ_k N_k(w) g_k(v) B_k(v)
 
 with effects e(v) of p at a vertex (see `Features.effects`) and a table E of what they do to the mean face, then modes
-B_k (n, 3) of each of PARTS, gains g_k(v) from p at the vertex, the code and a trained position of the vertex, and
+B_k (n, 3) of each of PARTS, gains g_k(v) from p at the vertex, the code and a trained position of the vertex, a lag
+l(v) of the person's shapes S_j, which is `Features.give` times such a gain, and
 amplitudes a, b, Z and N from a summary of p and h; N(0) = 0, and a = b = 0 where nothing of p moves the neutral face.
 The paper's L(p, h) in the vertex form of its ablation, where a separable table of modes takes the place of one network
 per face.
@@ -18,6 +20,7 @@ import numpy as np
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats32, Surface
 from ..learning import nn, torch
+from .features import GIVE
 
 WEIGHTS = 52
 PARTS = ("settled", "relaxed", "responses", "remainder")
@@ -31,7 +34,7 @@ class ModalConfig:
     settled_modes: int = 64
     relaxed_modes: int = 24  # a twentieth of the motion
     response_modes: int = 96
-    remainder_modes: int = 48  # what a frame costs
+    remainder_modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
     position: int = 16  # trained position of a vertex
     local: int = 32  # hidden width of the gains, which every vertex evaluates at bind
     summary: int = 48  # hidden width of what the whole face evaluates
@@ -75,6 +78,7 @@ class ModalNetwork(nn.Module):
         self.gain_code = nn.Linear(code_size, wide, bias=False)
         self.gain_middle = nn.Linear(wide, wide)
         self.gain_out = nn.Linear(wide, sum(config.modes))
+        self.lag = nn.Linear(wide, 1)
         total, hidden = code_size + summary_size, config.summary
         self.settled_linear = nn.Linear(total, settled, bias=False)
         self.settled = nn.Sequential(*_hidden(total, 2 * hidden, 2 * hidden), nn.Linear(2 * hidden, settled))
@@ -93,19 +97,22 @@ class ModalNetwork(nn.Module):
         self.remainder_out = nn.Linear(config.expression // 2, remainder, bias=False)
         self.remainder_linear = nn.Linear(WEIGHTS, remainder, bias=False)
         with torch.no_grad():
-            quiet = [self.gain_out, self.settled[-1], self.relaxed[-1], self.response_gain, self.response_mix]
+            quiet = [self.gain_out, self.lag, self.settled[-1], self.relaxed[-1], self.response_gain, self.response_mix]
             for layer in (*quiet, self.remainder_gain, self.remainder_modulation):
                 assert isinstance(layer, nn.Linear)
                 layer.weight.mul_(0.1)
                 layer.bias.zero_()
             self.remainder_linear.weight.zero_()
 
-    def bases(self, local, summary, vertices, parts):
-        """g_k(v) B_k(v) of some parts at some vertices, shape (batch, k, 3 v), from local (batch, v, local_size)."""
+    def hidden(self, local, summary, vertices):
+        """What gains follow from at some vertices, shape (batch, v, local), from local (batch, v, local_size)."""
         code = summary[:, : self.code_size]
         inputs = torch.cat([local, self.position[vertices].expand(len(local), -1, -1)], dim=2)
         hidden = silu(self.gain_in(inputs) + self.gain_code(code)[:, None])
-        hidden = silu(self.gain_middle(hidden) + hidden)
+        return silu(self.gain_middle(hidden) + hidden)
+
+    def bases(self, hidden, vertices, parts):
+        """g_k(v) B_k(v) of some parts at some vertices, shape (batch, k, 3 v)."""
         begins = np.cumsum([0, *self.config.modes])
         found = []
         for part in parts:
@@ -114,6 +121,10 @@ class ModalNetwork(nn.Module):
             scaled = self.modes[part][:, vertices] / self.scale
             found.append((gain.transpose(1, 2)[..., None] * scaled).flatten(2))
         return found
+
+    def lags(self, hidden, local):
+        """l(v), shape (batch, v): the share of every shape by which skin stays behind."""
+        return local[..., GIVE] * (1.0 + self.lag(hidden)[..., 0])
 
     def settled_amplitudes(self, summary, unmoved):
         """a, shape (batch, k), from summaries, and those of the same faces unmoved, where it is zero."""

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from ...lhm.mesh import Floats, Floats32
-from .features import Features, normalised_code
+from .features import GIVE, Features, normalised_code
 from .weights import ModalWeights
 
 
@@ -21,8 +21,11 @@ class Modal:
         modes = (weights.network[f"modes.{k}"] for k in range(4))
         self._modes: list[Floats32] = [np.ascontiguousarray(part.transpose(1, 0, 2)) for part in modes]  # (n, k, 3)
 
-    def bound(self, code: Floats, at_vertices: Floats) -> BoundModes:
-        """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P)."""
+    def bound(self, code: Floats, at_vertices: Floats, shapes: np.ndarray) -> BoundModes:
+        """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P).
+
+        shapes: what the 52 weights add to the person's skin [mm], shape (52, n, 3).
+        """
         network, weights = self.weights.network, self.weights
         known = normalised_code(code, weights.code_mean, weights.code_scale)
         summary = self.features.summary(known, at_vertices)
@@ -33,7 +36,9 @@ class Modal:
         columns = local.shape[1]
         inputs = local @ wide[:, :columns].T + network["position"] @ wide[:, columns:].T
         hidden = _silu(inputs + network["gain_in.bias"] + network["gain_code.weight"] @ own)
-        gains = 1.0 + _linear(network, "gain_out", _silu(_linear(network, "gain_middle", hidden) + hidden))
+        hidden = _silu(_linear(network, "gain_middle", hidden) + hidden)
+        gains = 1.0 + _linear(network, "gain_out", hidden)
+        lag = local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
         split = np.cumsum([modes.shape[1] for modes in self._modes])[:-1]
         settled, relaxed, responses, remainder = (
             gain[:, :, None] * modes for gain, modes in zip(np.split(gains, split, axis=1), self._modes, strict=True)
@@ -46,7 +51,8 @@ class Modal:
         first = np.einsum("ne,enc->nc", self.features.effects(at_vertices), network["effects"])
         return BoundModes(
             offset=first + bent[0] + bent[1],
-            responses=_combined(_response_amplitudes(network, summary) * scale, responses),
+            responses=_combined(_response_amplitudes(network, summary) * scale, responses)
+            - lag * shapes.astype(np.float32),
             modes=np.ascontiguousarray(remainder.transpose(1, 0, 2)) * scale,
             remainder_of=Remainder.of(network, summary),
         )

@@ -25,8 +25,12 @@ from .weights import ModalWeights, TrainingNote
 
 Precision = Literal["float32", "bfloat16"]
 WIDENED = 0.05
+AGAIN = 0.3
+"""Of the learning rate, where a training begins with weights that know most already."""
 SLOW = ("modes", "position", "effects")
 """Tables over the vertices, which start near where they end."""
+EXPRESSIVE = ("lag", "response_", "remainder_", "modes.2", "modes.3")
+"""What a training that begins with weights goes on with: what w does. Neutral faces stay as they were learned."""
 
 
 @dataclass(frozen=True)
@@ -70,18 +74,22 @@ def train_modal(
     config: ModalTraining | None = None,
     *,
     neutrals: Neutrals | None = None,
+    start: ModalWeights | None = None,
     state: str | PathLike[str] | None = None,
     on_progress: OnProgress = silent,
 ) -> ModalWeights:
     """Fit the network to a corpus' training faces, and to more settled `neutrals` of the same space, where given.
 
-    With `state`, a file, the training is kept there now and then, and goes on from there when called again. Under
-    torchrun each process takes a batch of its own, and all end with the same weights. Raises
-    InputError for fewer than ten people, a device that is not there, and a state of another training.
+    It begins with principal components of what it learns, or with `start`, weights of another corpus of the same space:
+    then it learns what w does alone, neutral faces stay those of the start, and its ranges count as seen. With
+    `state`, a file, the training is kept there now and then, and goes on from there when called again. Under torchrun
+    each process takes a batch of its own, and all end with the same weights. Raises InputError for fewer than ten
+    people, a device that is not there, a `start` with neutrals, of another mesh or of other sizes than the config's,
+    and a state of another training.
     """
     config = ModalTraining() if config is None else config
     with processes(config.device) as group:
-        return _trained(_Loop(faces, config, neutrals, group), state, on_progress if group.first else silent)
+        return _trained(_Loop(faces, config, neutrals, group, start), state, on_progress if group.first else silent)
 
 
 def _trained(loop: _Loop, state: str | PathLike[str] | None, on_progress: OnProgress) -> ModalWeights:
@@ -105,8 +113,17 @@ def _trained(loop: _Loop, state: str | PathLike[str] | None, on_progress: OnProg
 class _Loop:
     """All that a training holds; its steps depend on seed and number alone."""
 
-    def __init__(self, faces: Faces, config: ModalTraining, neutrals: Neutrals | None = None, group: Processes = ALONE):
-        self.faces, self.config, self.neutrals, self.group = faces, config, neutrals, group
+    def __init__(
+        self,
+        faces: Faces,
+        config: ModalTraining,
+        neutrals: Neutrals | None = None,
+        group: Processes = ALONE,
+        start: ModalWeights | None = None,
+    ):
+        self.faces, self.config, self.neutrals, self.group, self.start = faces, config, neutrals, group, start
+        if neutrals is not None and start is not None:
+            raise InputError("training: from weights it learns no neutral faces; leave out one of start and neutrals")
         if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
             raise InputError("training: the neutral faces are of another space or level than the corpus")
         if faces.personal:
@@ -122,15 +139,22 @@ class _Loop:
         enough = np.array([len(rows) >= config.frames for rows in faces.frames_of])
         is_held = np.isin(faces.groups[:, 0], held)
         self.training, self.validation = np.flatnonzero(~is_held & enough), np.flatnonzero(is_held & enough)
-        self.inputs = Inputs.of(faces)
+        self.inputs = Inputs.of(faces) if start is None else Inputs.as_of(start)
         self.features = self.inputs.features
         self.seen = _seen(faces, self.training, self.features)
         torch.manual_seed(config.seed)
-        self.network = _started(faces, self.training, neutrals, self.inputs, config, rng).to(self.device)
-        named = list(self.network.named_parameters())
+        if start is None:
+            network = _started(faces, self.training, neutrals, self.inputs, config, rng)
+        else:
+            network = _again(start, faces, self.inputs, config)
+            self.seen = {name: _hull(seen, start.note.seen[name]) for name, seen in self.seen.items()}
+        self.network = network.to(self.device)
+        for name, value in self.network.named_parameters():
+            value.requires_grad_(start is None or name.startswith(EXPRESSIVE))
+        named = [(name, value) for name, value in self.network.named_parameters() if value.requires_grad]
         slow = [value for name, value in named if name.startswith(SLOW)]
         rest = [value for name, value in named if not name.startswith(SLOW)]
-        rate = config.learning_rate
+        rate = config.learning_rate * (1.0 if start is None else AGAIN)
         self.optimiser = torch.optim.AdamW(
             [{"params": rest, "weight_decay": config.weight_decay}, {"params": slow, "weight_decay": 0.0}], lr=rate
         )
@@ -171,16 +195,19 @@ class _Loop:
         """Mean distances [mm] of neutral faces, responses, and frames after exact derivatives."""
         network = self.network
         faces = [self.faces.face(int(index)) for index in batch]
-        loss = self._settled_loss(faces + self._some_neutrals(rng), rng, vertices)
-
+        loss = 0.0 if self.start is not None else self._settled_loss(faces + self._some_neutrals(rng), rng, vertices)
         p = [self.features.at_vertices(face.coefficients) for face in faces]
         local, summary, unmoved = self._features(faces, p, vertices)
-        relaxed_basis, response_basis, remainder_basis = network.bases(local, summary, vertices, (1, 2, 3))
-        relaxed = self._tensor([(face.offset.astype(np.float32) - face.settled)[vertices].ravel() for face in faces])
-        own = (network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed_basis)[:, 0]
-        loss = loss + _distance(own - relaxed)
+        hidden = network.hidden(local, summary, vertices)
+        relaxed_basis, response_basis, remainder_basis = network.bases(hidden, vertices, (1, 2, 3))
+        if self.start is None:
+            relaxed = [(face.offset.astype(np.float32) - face.settled)[vertices].ravel() for face in faces]
+            own = (network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed_basis)[:, 0]
+            loss = loss + _distance(own - self._tensor(relaxed))
         responses = self._tensor([face.responses[:, vertices].reshape(WEIGHTS, -1) for face in faces])
-        loss = loss + 2.0 * _distance(network.response_amplitudes(summary) @ response_basis - responses)
+        shapes = self._tensor([face.shapes[:, vertices] for face in faces])
+        lagging = (network.lags(hidden, local)[:, None, :, None] * shapes).flatten(2)
+        loss = loss + 2.0 * _distance(network.response_amplitudes(summary) @ response_basis - lagging - responses)
         weights, remainders = [], []
         for index, face in zip(batch, faces, strict=True):
             chosen = rng.choice(len(self.faces.frames_of[index]), self.config.frames, replace=False)
@@ -208,7 +235,7 @@ class _Loop:
             p.append(at_vertices)
             settled.append(move[vertices])
         local, summary, unmoved = self._features(faces, p, vertices)
-        (basis,) = network.bases(local, summary, vertices, (0,))
+        (basis,) = network.bases(network.hidden(local, summary, vertices), vertices, (0,))
         effects = self._tensor([self.features.effects(one)[vertices] for one in p])
         own = (network.settled_amplitudes(summary, unmoved)[:, None] @ basis)[:, 0]
         own = own + torch.einsum("bve,evc->bvc", effects, network.effects[:, vertices]).flatten(1)
@@ -221,7 +248,7 @@ class _Loop:
 
     def _features(self, faces, p, vertices):
         """Of faces: `local` at some vertices, the summary, and that of nothing moved."""
-        local = [self.features.local(one[vertices]) for one in p]
+        local = [self.features.local(one)[vertices] for one in p]
         summaries = (
             [self.inputs.summary(face.code, one) for face, one in zip(faces, at_vertices, strict=True)]
             for at_vertices in (p, [self.features.unmoved(one) for one in p])
@@ -247,13 +274,18 @@ class _Loop:
             curve=tuple(asdict(point) for point in self.curve),
             seen=self.seen,
             neutrals=len(self.neutrals or ()),
+            before=None if self.start is None else asdict(self.start.note),
         )
-        return ModalWeights(faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale, arrays, note)
+        looseness = None if self.start is None else self.start.looseness
+        return ModalWeights(
+            faces.space, faces.mean, self.inputs.code_mean, self.inputs.code_scale, arrays, note, looseness
+        )
 
     @property
     def _of(self) -> list[str]:
         """What a kept state has to be of."""
-        return [repr(self.config), f"{len(self.faces)} faces", f"{len(self.neutrals or ())} neutrals"]
+        begun = "" if self.start is None else f"begun after {self.start.note.steps} steps"
+        return [repr(self.config), f"{len(self.faces)} faces", f"{len(self.neutrals or ())} neutrals", begun]
 
     def keep(self, path: Path):
         """Write all that `restore` needs, whole or not at all."""
@@ -294,7 +326,7 @@ def errors_of(weights: ModalWeights, faces: Faces, chosen) -> dict[str, float]:
         face, frames = faces.face(int(index)), faces.frames(int(index))
         if not len(frames.weights):
             continue
-        bound = modal.bound(face.code, modal.features.at_vertices(face.coefficients))
+        bound = modal.bound(face.code, modal.features.at_vertices(face.coefficients), face.shapes)
         remainder = frames.remainder(face)
         own = bound.remainder(frames.weights)
         linear = (
@@ -313,12 +345,38 @@ def errors_of(weights: ModalWeights, faces: Faces, chosen) -> dict[str, float]:
 
 def _seen(faces: Faces, training, features: Features) -> dict[str, tuple[float, float]]:
     """The range of each parameter over the faces, a little widened, since ends of a range are hardly ever drawn."""
-    values = [features.at_vertices(faces.face(int(index)).coefficients) for index in training]
+    values = [features.at_vertices(faces.coefficients(int(index))) for index in training]
     low = np.min([value.min(axis=0) for value in values], axis=0)
     high = np.max([value.max(axis=0) for value in values], axis=0)
     widened = np.where(high > low, WIDENED, 0.0)
     low, high = np.maximum(low - widened, -1.0), np.minimum(high + widened, 1.0)
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(STATIC)}
+
+
+def _hull(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return min(one[0], other[0]), max(one[1], other[1])
+
+
+def _again(start: ModalWeights, faces: Faces, inputs: Inputs, config: ModalTraining) -> ModalNetwork:
+    """The network of earlier weights; InputError where they do not fit."""
+    if start.template != surface_hash(faces.mean):
+        raise InputError("training: the weights to begin with are of another space or level than the corpus")
+    n3 = 3 * len(faces.mean.vertices)
+    network = ModalNetwork(
+        config.network,
+        code_size=len(inputs.code_mean),
+        local_size=inputs.features.local_size,
+        summary_size=inputs.features.summary_size,
+        effects=np.zeros((EFFECTS, n3 // 3, 3)),
+        modes=[np.zeros((count, n3)) for count in config.network.modes],
+        sizes=[np.zeros(count) for count in config.network.modes],
+        means=np.zeros((WEIGHTS, config.network.response_modes)),
+    )
+    try:
+        network.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in start.network.items()})
+    except RuntimeError:
+        raise InputError("training: the weights to begin with have other sizes than the network's config") from None
+    return network
 
 
 def _started(
@@ -335,7 +393,8 @@ def _started(
     relaxed = [(face.offset.astype(np.float32) - face.settled).ravel() for face in known]
     responses, remainders, total = [], [], np.zeros((WEIGHTS, n3))
     for face, index in zip(known, rng.permutation(training)[: config.sampled], strict=True):
-        flat = face.responses.reshape(WEIGHTS, n3).astype(np.float32)
+        give = inputs.features.give(inputs.features.at_vertices(face.coefficients))[:, None]
+        flat = (face.responses + give * face.shapes).reshape(WEIGHTS, n3).astype(np.float32)
         total += flat / len(known)
         kept = rng.permutation(WEIGHTS)[:12]
         responses.append(flat[kept] / np.sqrt(np.maximum(np.linalg.norm(flat[kept], axis=1), 1e-2))[:, None])

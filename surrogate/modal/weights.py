@@ -20,7 +20,7 @@ from ..surface_hash import surface_hash
 from .features import STATIC
 from .looseness import Looseness
 
-FORMAT = "softdeca-modal-1"
+FORMAT = "softdeca-modal-2"
 COARSE = ("modes.", "position", "response_table", "effects")
 """Kept in float16, which rounds an answer of 10 mm by some thousandths: what most of the file is."""
 
@@ -29,7 +29,8 @@ COARSE = ("modes.", "position", "response_table", "effects")
 class TrainingNote:
     """What weights say of their training: people, faces (each under one p), frames, neutrals, steps, options, curve.
 
-    seen: lowest and highest value of each parameter that it saw, mapped to [-1, 1].
+    seen: lowest and highest value of each parameter that it saw, mapped to [-1, 1]. before: the same of the weights
+    that the training began with, if it did.
     """
 
     people: int
@@ -40,6 +41,7 @@ class TrainingNote:
     config: Mapping[str, Any]
     curve: tuple[Mapping[str, float], ...]
     seen: Mapping[str, tuple[float, float]]
+    before: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)

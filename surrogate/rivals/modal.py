@@ -24,7 +24,7 @@ class ModalMethod:
     def bind(self, face: Face) -> Bound:
         """By the run time's own arithmetic."""
         modal = self._modal
-        bound = compressed(modal.bound(face.code, modal.features.at_vertices(face.coefficients)))
+        bound = compressed(modal.bound(face.code, modal.features.at_vertices(face.coefficients), face.shapes))
         offset = face.offset.astype(np.float32) if self.simulates else bound.offset
         responses = face.responses.astype(np.float32) if self.simulates else bound.responses
         return lambda weights: offset + np.tensordot(weights, responses, axes=1) + bound.remainder(weights)

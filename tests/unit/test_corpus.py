@@ -306,3 +306,4 @@ def test_a_part_of_a_corpus_can_be_read(tmp_path):
         Table(tmp_path, "statics", "train")
     assert set(Table(tmp_path, "statics", "train", partial=True).rows[:, 0]) == {1}
     assert set(Table(tmp_path, "statics", None, partial=True).rows[:, 0]) == {1, 2}
+    assert set(Table(tmp_path, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}

@@ -1,5 +1,7 @@
 """Methods on sequences, and against FEniCSx: what a small corpus of spheres with both gives."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -77,7 +79,7 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
     assert found["blendshapes (T = S)", KINDS["PD"]].share == pytest.approx(1.0)
 
 
-def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus):
+def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
     score = evaluate([Linearised()], Faces(corpus, "test"))[0]
     found = breakeven(corpus, note, score)
@@ -86,6 +88,8 @@ def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus):
         (found.corpus + 100.0) / (found.simulated_frame - 1e-3 * score.frame_ms), rel=1e-9
     )
     assert np.isfinite(found.faces)
+    shutil.copy(corpus / "corpus.json", tmp_path)
+    assert breakeven(tmp_path, note, score) is None
 
 
 def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):

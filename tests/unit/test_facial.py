@@ -142,11 +142,16 @@ def test_parameters_may_vary_over_the_face(sphere_head):
 
 
 def test_a_paralysed_half_lets_go_of_its_targets(sphere_head):
-    wrap = sphere_head.skin_wrap
-    kept = target_stiffness(Parameters(paralysis_left=1.0), wrap) / target_stiffness(Parameters(), wrap)
-    x = wrap.vertices[:, 0]
+    palsied = Parameters(paralysis_left=1.0)
+    kept = target_stiffness(palsied, sphere_head) / target_stiffness(Parameters(), sphere_head)
+    x, _, z = sphere_head.skin_wrap.vertices.T
     assert np.all(kept[x > 10.0] == 0.0) and np.all(kept[x < -10.0] == 1.0)
     assert kept[np.argmin(np.abs(x))] == pytest.approx(0.5, abs=0.2)
+    # What is not face stays tied.
+    faced = replace(sphere_head, regions={"face": z > 0.0})
+    kept = target_stiffness(palsied, faced) / target_stiffness(Parameters(), faced)
+    assert np.all(kept[z <= 0.0] == 1.0) and np.all(kept[x < -10.0] == 1.0)
+    assert kept[(x > 10.0) & (z > 60.0)].max() < 0.1
 
 
 def test_gravity_acts_as_the_difference_to_the_scans_own():

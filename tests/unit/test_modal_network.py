@@ -93,14 +93,14 @@ def test_rivals_that_learn_are_scored_by_kind(faces):
     assert {score.kind for score in scores} == {"all", "both", "effects", VARYING}
     overall = [score for score in scores if score.kind == "all"]
     assert [score.method for score in overall] == [method.name for method in methods]
-    assert overall[0].share < 0.7 and all(np.isfinite(score.mean) and score.fit_seconds > 0 for score in overall)
+    assert overall[0].share < 0.85 and all(np.isfinite(score.mean) and score.fit_seconds > 0 for score in overall)
 
 
 def test_networks_of_others_learn_and_are_bound(faces):
     methods = [SoftSMPL("small", 150), SoftSMPL("large", 150), VerticesOnly(150), FaceWise(150)]
     scores = [score for score in evaluate(methods, faces["train"], faces["train"]) if score.kind == "all"]
     assert [score.method for score in scores] == [method.name for method in methods]
-    assert all(score.share < 0.9 and score.fit_seconds > 0 for score in scores)
+    assert all(score.share < 0.95 and score.fit_seconds > 0 for score in scores)
     # Bound or not, a network is the same function of w, p and h.
     method, face, w = methods[2], faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
     summary = (method._inputs.summary_of(face) - method._mean) / method._scale
@@ -166,23 +166,47 @@ def test_bfloat16_learns_alike(faces):
         train_modal(faces["train"], replace(config, precision="float8"))
 
 
+def test_training_goes_on_from_weights(faces, weights, tmp_path):
+    weights.save(tmp_path / "weights.safetensors")
+    start = ModalWeights.load(tmp_path / "weights.safetensors")
+    more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
+    begun = _Loop(faces["train"], CONFIG, start=start).weights()
+    assert all(np.array_equal(value, start.network[name]) for name, value in begun.network.items())
+    kept = ("settled", "relaxed", "gain", "position", "effects", "modes.0", "modes.1", "size")
+    for name, value in more.network.items():
+        assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
+    assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
+    with pytest.raises(InputError, match="learns no neutral faces"):
+        train_modal(faces["train"], CONFIG, start=start, neutrals=object())
+    assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
+    more.save(tmp_path / "more.safetensors")
+    assert ModalWeights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
+    with pytest.raises(InputError, match="other sizes"):
+        train_modal(faces["train"], replace(CONFIG, network=replace(NETWORK, local=8)), start=start)
+    other = replace(start, mean=Surface(start.mean.vertices * 2.0, start.mean.triangles))
+    with pytest.raises(InputError, match="another space or level"):
+        train_modal(faces["train"], CONFIG, start=other)
+
+
 def test_run_time_equals_torch(faces):
     loop = _Loop(faces["train"], CONFIG)
     loop.run(3)
     modal, network = Modal(loop.weights()), loop.network
     face = faces["test"].face(1)
     p = modal.features.at_vertices(face.coefficients)
-    found = modal.bound(face.code, p)
+    found = modal.bound(face.code, p, face.shapes)
     every = np.arange(N)
     expressions = np.random.default_rng(0).random((3, 52)).astype(np.float32)
     with torch.no_grad():
         local, summary, unmoved = loop._features([face], [p], every)
-        settled, relaxed, responses, remainder = network.bases(local, summary, every, (0, 1, 2, 3))
+        hidden = network.hidden(local, summary, every)
+        settled, relaxed, responses, remainder = network.bases(hidden, every, (0, 1, 2, 3))
+        lagging = (network.lags(hidden, local)[0, :, None] * torch.from_numpy(face.shapes).float()).flatten(1)
         expected = [
             network.settled_amplitudes(summary, unmoved)[:, None] @ settled
             + network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed
             + torch.einsum("ve,evc->vc", torch.from_numpy(modal.features.effects(p)), network.effects).flatten(),
-            network.response_amplitudes(summary) @ responses,
+            network.response_amplitudes(summary) @ responses - lagging,
             network.remainder_amplitudes(summary, torch.from_numpy(expressions)[None]) @ remainder,
         ]
     for one, other in zip((found.offset, found.responses, found.remainder(expressions)), expected, strict=True):
@@ -240,7 +264,7 @@ def test_exact_is_the_linearised_simulator_and_the_remainder(surrogate):
     assert np.abs(rig.frame(weights) - expected).max() < 1e-2
     with pytest.raises(InputError, match="head: none is fitted"):
         bound(surrogate, exact=True)
-    with pytest.raises(InputError, match="needs expressions="):
+    with pytest.raises(InputError, match="bind needs expressions="):
         bound(surrogate, exact=True, head=head, expressions=None)
 
 
@@ -269,12 +293,9 @@ def test_own_blendshapes_are_corrected_alike(surrogate):
     rig = bound(surrogate, parameters=Parameters(soft_volume=1.2))
     weights = np.linspace(0.0, 0.5, 52)
     assert np.abs(rig.frame(weights) - rig.frame(weights, blended=rig.blend(weights))).max() < 1e-3
-    unknown = bound(surrogate, expressions=None)
+    assert np.isfinite(rig.frame(weights, blended=1.1 * SPACE.mean.vertices)).all()
     with pytest.raises(InputError, match="expressions: not known"):
-        unknown.frame(weights)
-    with pytest.raises(InputError, match="expressions: not known"):
-        unknown.bake(4)
-    assert np.isfinite(unknown.frame(weights, blended=SPACE.mean.vertices)).all()
+        bound(surrogate, expressions=None)
 
 
 def test_parameters_per_face(surrogate):
