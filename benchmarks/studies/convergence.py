@@ -78,6 +78,8 @@ class Convergence(OfPerson):
         self.check(self.expressions)
         if not self.expressions:
             raise InputError("expressions: there is none")
+        if not 0.0 < self.tolerance < 1.0:
+            raise InputError(f"tolerance: expected a number in (0, 1), got {self.tolerance}")
         return [Task(text, QUADRATIC if self.quadratic else LINEAR) for text in self.expressions]
 
     def measure(self, task: Task) -> Values:

@@ -47,7 +47,8 @@ class OfPerson(Study):
         return person(self.identities, self.seed if seed is None else seed, level or self.level)
 
     def check(self, texts: Sequence[str] = ()) -> None:
-        """InputError for a seed or level out of range, for no expression, and for one that cannot be read."""
+        """InputError for a space that cannot be read, a seed or level out of range, and expressions likewise."""
+        identities.from_text(self.identities)
         check_person(self.seed, self.level)
         for text in texts:
             expressions.parsed(text)

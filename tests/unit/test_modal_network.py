@@ -304,7 +304,7 @@ def test_parameters_per_face(surrogate):
     per_face = np.tile(heavy.vector(STATIC), (count, 1))
 
     def frame(parameters):
-        rig = surrogate.bind(SPACE.mean, code, parameters)
+        rig = surrogate.bind(SPACE.mean, code, parameters, expressions=shapes())
         return rig.frame(weights, blended=1.02 * SPACE.mean.vertices)
 
     assert np.abs(frame(per_face) - frame(heavy)).max() < 1e-4

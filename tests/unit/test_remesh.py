@@ -38,7 +38,8 @@ def test_a_scene_on_it_moves_as_on_prisms(gmsh, sphere_head):
     skins = []
     for head in (sphere_head, remeshed(sphere_head, 10.0)):
         scene = facial_scene(head, Parameters(), targets, bones="prescribed")
-        assert {len(strain.tets) for strain in scene.of(terms.Strain)} == {len(head.soft.tets), len(head.muscle.tets)}
+        # Besides, a guard of the few tets that gmsh may leave flat.
+        assert {len(head.soft.tets), len(head.muscle.tets)} <= {len(strain.tets) for strain in scene.of(terms.Strain)}
         solution = solve(scene)
         assert solution.converged
         skins.append(head.skin_after(targets, solution.positions[: len(head.bone)]))
