@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import Field, fields
 from pathlib import Path
@@ -101,6 +102,11 @@ def command_of(kind: type[Study]) -> click.Command:
     ]
 
     def run(match: str, only: Any, workers: int | None, out: Path, as_json: bool, **options: Any) -> int:
+        for name, value in options.items():
+            if isinstance(value, tuple) and "" in value:
+                raise InputError(f"{name}: an empty text is none of them")
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(f"{name}: expected a finite number, got {value}")
         return _run(kind(**options), match, only, workers, out, as_json)
 
     text = f"""{kind.question}
