@@ -55,6 +55,16 @@ def expressive(head: LayeredHead, *, fade: float = FADE) -> Floats:
     return np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / fade)
 
 
+def linings(head: LayeredHead, *, fade: float = FADE) -> Floats:
+    """What lines mouth and eyes, shape (n,), 0 at the edge of lips and lids, and 1 from `fade` [mm] within."""
+    found, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
+    for lining, edge in (("mouth", "lips"), ("eyes", "lids")):
+        inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
+        if inside.any() and not inside.all():
+            found[inside] = _smooth_step(_path_from(head, ~inside) / fade)[inside]
+    return found
+
+
 def on_triangles(head: LayeredHead, share: Floats) -> Floats:
     """A share per vertex (n,) as the mean per triangle of the wraps, shape (m,)."""
     return share[head.skin_wrap.triangles].mean(axis=1)

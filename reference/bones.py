@@ -10,12 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..lhm.flesh import expressive
 from ..lhm.geometry.rigid import rigid_motion
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ..lhm.mesh import Floats, Surface
+from ..lhm.mesh import Floats
 from . import terms
-from .local import on_vertices
 from .parameters import Parameters
 
 Bones = Literal["rigid", "prescribed", "soft"]
@@ -24,8 +22,6 @@ BONE_STIFFNESS = 1e3
 """Of bone over skin in the soft mode (Eq. 13)."""
 HOLD = 10.0
 """Stiffness of the springs that hold a soft cranium behind the face, over the mean of the targets'."""
-SEAM = 10.0
-"""Half the width [mm] over which a paralysed half of the face blends into the other."""
 CONDYLE = 0.05
 """The mandible is scaled about the mean of this share of its vertices, the highest behind its middle."""
 
@@ -120,35 +116,3 @@ def soft_bones(head: LayeredHead, parameters: Parameters, stack: Floats, first: 
         terms.Bending(first + triangles, stiffness * edge**2, rest=rest),
         terms.Target(first + behind, rest[first + behind], spring),
     ]
-
-
-def left_share(skin: Surface) -> Floats:
-    """How far each vertex of a head's skin or skin wrap is on the subject's left (+x), in [0, 1], shape (n,).
-
-    The two halves blend over `SEAM` millimetres to each side of the middle.
-    """
-    x = skin.vertices[:, 0] - 0.5 * (skin.vertices[:, 0].min() + skin.vertices[:, 0].max())
-    t = np.clip(0.5 + 0.5 * x / SEAM, 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
-def kept_share(left, paralysis_left, paralysis_right):
-    """The share of its targets' stiffness that skin keeps, by its `left_share`: Bell's palsy.
-
-    A paralysed half has no activation: nothing draws its skin to the expression.
-    """
-    return (1.0 - paralysis_left * left) * (1.0 - paralysis_right * (1.0 - left))
-
-
-def target_stiffness(parameters: Parameters, head: LayeredHead) -> Floats:
-    """Stiffness [mN/mm] of each skin-wrap vertex' spring to its target: per area, less what is paralysed.
-
-    A palsy takes the springs of the face alone: scalp, ears and neck stay where they are tied to what is below.
-    """
-    wrap = head.skin_wrap
-    local = on_vertices("target_stiffness", parameters.target_stiffness, wrap)
-    paralyses = parameters.paralysis_left, parameters.paralysis_right
-    kept = 1.0
-    if any(paralyses):
-        kept = 1.0 - expressive(head) * (1.0 - kept_share(left_share(wrap), *paralyses))
-    return local * wrap.vertex_areas * kept

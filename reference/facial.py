@@ -17,11 +17,12 @@ from ..lhm.errors import SceneError
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ..lhm.mesh import Floats, Ints
 from . import terms
-from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones, target_stiffness
+from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones
 from .connecting import Attached, connecting_tets
 from .guard import guard, is_guard
 from .local import TETS_PER_PRISM, on_tets, on_triangles
 from .materials import NeoHookean
+from .palsy import Springs
 from .parameters import TISSUE_DENSITY, Parameters
 from .scene import Scene
 from .stack import Stack
@@ -51,6 +52,7 @@ def facial_scene(
     parameters: Parameters,
     targets: Floats,
     *,
+    neutral: Floats | None = None,
     bones: Bones = "rigid",
     layers: tuple[int, int] = (1, 1),
     without: Collection[str] = (),
@@ -62,7 +64,8 @@ def facial_scene(
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
     Vertices are the head's, the skin wrap's first, then the points of `attached`. Only what p and these
-    choices ask for is built. `bones` are "rigid" (cranium held, mandible a free rigid body), "prescribed" (the mandible
+    choices ask for is built. `neutral` [mm], of the targets' shape, is the skin at rest, by default the head's: where
+    linings of a paralysed half are tied (see `palsy`). `bones` are "rigid" (cranium held, mandible a free rigid body), "prescribed" (the mandible
     put where the skin over it goes) or "soft" (the paper's stiff surfaces). `layers` of tets divide soft tissue and
     muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to skull, no muscle wrap) and "skin"
     (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices, or at a named one, and holds the
@@ -74,6 +77,7 @@ def facial_scene(
     unknown or contradicting choices.
     """
     targets = _checked_targets(head, targets)
+    neutral = head.skin.vertices if neutral is None else _checked_targets(head, neutral, "neutral")
     _check_choices(bones, without, attached)
     wrap_targets = head.wrap_targets(targets)
     stack = Stack.of(head, layers, without)
@@ -84,8 +88,9 @@ def facial_scene(
     parts = list(tissue.terms)
     if "skin" not in without:
         parts += _skin(head, parameters, inside)
-    springs = target_stiffness(parameters, head)
-    parts.append(terms.Target(np.arange(len(springs)), wrap_targets, springs))
+    springs = Springs.of(head, parameters)
+    drawn_to = springs.positions(wrap_targets, head.wrap_targets(neutral))
+    parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness))
     elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
     if bones == "soft":
         parts += soft_bones(head, parameters, vertices, first)
@@ -247,19 +252,19 @@ def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
     return triangles[touching[triangles].all(axis=1)]
 
 
-def _checked_targets(head: LayeredHead, targets) -> Floats:
+def _checked_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
     try:
         targets = np.asarray(targets, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"targets: expected numbers of shape {head.skin.vertices.shape}") from None
+        raise SceneError(f"{name}: expected numbers of shape {head.skin.vertices.shape}") from None
     if targets.shape != head.skin.vertices.shape:
-        raise SceneError(f"targets: expected the skin's shape {head.skin.vertices.shape}, got {targets.shape}")
+        raise SceneError(f"{name}: expected the skin's shape {head.skin.vertices.shape}, got {targets.shape}")
     if not np.isfinite(targets).all():
-        raise SceneError(f"targets: {np.count_nonzero(~np.isfinite(targets))} values are not finite")
+        raise SceneError(f"{name}: {np.count_nonzero(~np.isfinite(targets))} values are not finite")
     away = np.linalg.norm(targets - head.skin.vertices, axis=1)
     if away.max() > FARTHEST:
         raise SceneError(
-            f"targets: vertex {away.argmax()} is {away.max():.4g} mm from the neutral skin, expected at most "
+            f"{name}: vertex {away.argmax()} is {away.max():.4g} mm from the neutral skin, expected at most "
             f"{FARTHEST:g} mm; are its units off, or its place?"
         )
     return targets

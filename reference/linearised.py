@@ -50,11 +50,14 @@ class Linearised:
         head = self.face.head
         return head.skin_after(self.face.skin, self.answer.positions[: len(head.bone)]) - self.face.skin
 
+    def first_order(self, deltas: Floats) -> Floats:
+        """How the scene's vertices move [mm], (k, n, 3), per unit weight of shapes that add `deltas` to the skin."""
+        return expression_responses(self.tangent, self.face.head, self.face.parameters, deltas)
+
     def start(self, expression: Floats) -> Floats:
         """The first-order answer [mm], shape (scene's vertices, 3), to an expression of the head without p."""
-        head = self.face.head
-        moved = head.wrap_from_skin @ (np.asarray(expression, dtype=np.float64) - head.skin.vertices)
-        return self.answer.positions + self.tangent.of_targets(moved[None])[0]
+        moved = np.asarray(expression, dtype=np.float64) - self.face.head.skin.vertices
+        return self.answer.positions + self.first_order(moved[None])[0]
 
     def solve(
         self,
@@ -83,7 +86,7 @@ class Linearised:
 
     def of_expressions(self, deltas: Floats) -> Floats:
         """How the skin moves [mm], (k, skin vertices, 3), per unit weight of shapes that add `deltas` to it."""
-        return skin_responses(self.face.head, expression_responses(self.tangent, self.face.head, deltas), deltas)
+        return skin_responses(self.face.head, self.first_order(deltas), deltas)
 
     def of_parameters(self, along: Mapping[str, float | Floats]) -> dict[str, Floats]:
         """How the simulated neutral skin moves [mm], (skin vertices, 3), per unit of parameters, as it settles anew.

@@ -15,6 +15,7 @@ import numpy as np
 from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
+from .palsy import Springs
 from .parameters import Parameters
 from .scene import Scene
 
@@ -34,12 +35,13 @@ class Tangent(Protocol):
         ...
 
 
-def expression_responses(tangent: Tangent, head: LayeredHead, deltas: Floats) -> Floats:
+def expression_responses(tangent: Tangent, head: LayeredHead, parameters: Parameters, deltas: Floats) -> Floats:
     """How the scene's vertices move [mm], shape (k, n, 3), per unit weight of shapes that add `deltas` to the skin.
 
     deltas [mm], shape (k, skin vertices, 3). How the skin itself moves is told by `skin_responses`.
     """
-    return tangent.of_targets(np.stack([head.wrap_from_skin @ delta for delta in deltas]))
+    moved = np.stack([head.wrap_from_skin @ delta for delta in deltas])
+    return tangent.of_targets(Springs.of(head, parameters).moved(moved))
 
 
 def parameter_responses(

@@ -149,7 +149,8 @@ class Sequence:
         return targets if self._neutral is None else self._neutral.targets(targets)
 
     def _solved(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
-        scene = facial_scene(self.head, self.parameters, self._drawn(targets), **self._choices)
+        neutral = {} if self._neutral is None else {"neutral": self._neutral.skin}
+        scene = facial_scene(self.head, self.parameters, self._drawn(targets), **neutral | self._choices)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
         asked = self._tolerance * float(np.linalg.norm(springs))

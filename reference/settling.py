@@ -12,14 +12,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import spsolve
 
 from ..lhm.checked import checked
 from ..lhm.errors import SceneError
 from ..lhm.flesh import LEAN_REGIONS, fleshy
 from ..lhm.head import FREE, LayeredHead
 from ..lhm.mesh import Floats
+from ..lhm.wraps.harmonic import harmonic
 from . import terms
 from .bones import scaled_skull
 from .facial import facial_scene
@@ -74,7 +73,8 @@ class Settled:
 
     def scene(self, expression: Floats, **choices: Any) -> Scene:
         """The scene of an expression [mm], shape (skin vertices, 3), of the settled face; see `facial_scene`."""
-        return facial_scene(self.head, self.parameters, self.targets(expression), **self.choices | choices)
+        given = {"neutral": self.skin} | self.choices | choices
+        return facial_scene(self.head, self.parameters, self.targets(expression), **given)
 
 
 @checked
@@ -114,7 +114,11 @@ def changes_neutral(parameters: Parameters) -> bool:
 
 
 def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> Scene:
-    """The scene in which the neutral face settles: bones at their scaled rest, no target where the face is fleshy."""
+    """The scene in which the neutral face settles: bones at their scaled rest, no target where the face is fleshy.
+
+    A palsy takes no part: it is of what draws a face to an expression.
+    """
+    parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
     moved = head.skin_from_wrap @ bones_displacement(head, parameters)
     scene = facial_scene(head, parameters, head.skin.vertices + moved, **choices | {"bones": "prescribed"})
     kept = 1.0 - (fleshy(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
@@ -129,14 +133,7 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
 def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
     """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
     moved = scaled_skull(head, parameters) - head.skull_wrap.vertices
-    free = head.bone == FREE
-    if moved.any() and free.any():
-        a, b = head.skull_wrap.triangles.ravel(), np.roll(head.skull_wrap.triangles, -1, axis=1).ravel()
-        n = len(free)
-        near = csr_matrix((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(n, n))
-        laplacian = (diags(np.asarray(near.sum(axis=1)).ravel()) - near).tocsr()
-        moved[free] = spsolve(laplacian[free][:, free].tocsc(), -laplacian[free][:, ~free] @ moved[~free])
-    return moved
+    return harmonic(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
 
 
 def carried_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from ..errors import MeshError
-from ..geometry.factor import factorise
 from ..identities.space import MOUTH
 from ..mesh import Floats, Ints, Surface
 from ..registration.registration import Registration
+from ..wraps.harmonic import harmonic
 from ..wraps.landmarks import Mask
 from ..wraps.shrinkwrap import neighbours
 from .cutting import Slit, slit
@@ -178,9 +178,7 @@ def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: 
     graph = csr_matrix((gaps, (pairs.row, pairs.col)), shape=edges.shape)
     free = dijkstra(graph, directed=False, indices=rim, min_only=True) < FADES
     free[rim] = False
-    laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel()) - edges).tocsr()
-    shift[free] = factorise(laplacian[free][:, free].tocsc())(-(laplacian[free][:, rim] @ shift[rim]))
-    return x + shift
+    return x + harmonic(template.triangles, shift, ~free)
 
 
 def _strip(outer: Ints, inner: Ints, local: Floats, triangles: Ints) -> Ints:

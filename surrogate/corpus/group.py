@@ -13,7 +13,7 @@ from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
-from ...reference.responses import expression_responses, skin_responses
+from ...reference.responses import skin_responses
 from ...reference.settling import FOR_TARGETS
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
@@ -72,7 +72,7 @@ class Group:
         linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
         _last.clear()
         _last[people.name] = linear
-        moved = expression_responses(linear.tangent, head, person.shapes)
+        moved = linear.first_order(person.shapes)
         return cls(plan, person, drawn, linear, moved, plan.has_responses(number))
 
     @property

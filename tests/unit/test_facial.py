@@ -8,10 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
 from softdeca.lhm.geometry.rigid import rigid_motion
+from softdeca.lhm.head import MANDIBLE
 from softdeca.lhm.refine import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
-from softdeca.reference.bones import carried, target_stiffness
+from softdeca.reference.bones import carried
 from softdeca.reference.connecting import Attached, bone_points, connecting_tets, eyeballs
+from softdeca.reference.palsy import Springs
 from softdeca.reference.stack import Stack
 
 
@@ -143,15 +145,36 @@ def test_parameters_may_vary_over_the_face(sphere_head):
 
 def test_a_paralysed_half_lets_go_of_its_targets(sphere_head):
     palsied = Parameters(paralysis_left=1.0)
-    kept = target_stiffness(palsied, sphere_head) / target_stiffness(Parameters(), sphere_head)
+    whole = Springs.of(sphere_head, Parameters()).stiffness
+    kept = Springs.of(sphere_head, palsied).stiffness / whole
     x, _, z = sphere_head.skin_wrap.vertices.T
     assert np.all(kept[x > 10.0] == 0.0) and np.all(kept[x < -10.0] == 1.0)
     assert kept[np.argmin(np.abs(x))] == pytest.approx(0.5, abs=0.2)
     # What is not face stays tied.
     faced = replace(sphere_head, regions={"face": z > 0.0})
-    kept = target_stiffness(palsied, faced) / target_stiffness(Parameters(), faced)
+    kept = Springs.of(faced, palsied).stiffness / whole
     assert np.all(kept[z <= 0.0] == 1.0) and np.all(kept[x < -10.0] == 1.0)
     assert kept[(x > 10.0) & (z > 60.0)].max() < 0.1
+
+
+def test_linings_of_a_paralysed_half_stay_with_the_face_at_rest_and_go_with_the_jaw(sphere_head):
+    x = sphere_head.skin_wrap.vertices
+    lips, mouth = (x[:, 2] > 40.0) & (x[:, 2] <= 60.0), x[:, 2] > 60.0
+    head = replace(sphere_head, regions={"lips": lips, "mouth": mouth})
+    springs, whole = (Springs.of(head, Parameters(paralysis_left=share)) for share in (1.0, 0.0))
+    inner = (x[:, 2] > 85.0) & (x[:, 0] > 12.0)
+    assert inner.any() and np.allclose(springs.stiffness[inner], whole.stiffness[inner])
+    assert np.all(springs.stiffness[lips & (x[:, 0] > 12.0)] == 0.0)
+    # A smile leaves them, and a rigid motion of all takes those along that are the mandible's alone.
+    smile = x + 3.0 * (head.bone != MANDIBLE)[:, None] * np.array([1.0, 1.0, 0.0])
+    assert np.array_equal(springs.positions(smile, x)[inner], x[inner])
+    assert np.array_equal(springs.positions(smile, x)[x[:, 0] < -12.0], smile[x[:, 0] < -12.0])
+    turned = x @ Rotation.from_euler("x", 0.3).as_matrix().T
+    found = springs.positions(turned, x)
+    share = np.linalg.norm(found - x, axis=1)[inner] / np.linalg.norm(turned - x, axis=1)[inner]
+    assert share.min() >= 0.0 and share.max() <= 1.0 + 1e-9 and np.ptp(share) > 0.2
+    half = Springs.of(head, Parameters(paralysis_left=0.5))
+    assert np.allclose(half.positions(smile, x)[inner], 0.5 * (smile + x)[inner])
 
 
 def test_gravity_acts_as_the_difference_to_the_scans_own():

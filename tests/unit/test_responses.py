@@ -11,7 +11,9 @@ from softdeca.reference.responses import expression_responses, parameter_respons
 from softdeca.surrogate.sphere import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
-HEAD = SPACE.fit(SPACE.skin(CODE))
+_FITTED = SPACE.fit(SPACE.skin(CODE))
+_FRONT = _FITTED.skin_wrap.vertices[:, 2]
+HEAD = replace(_FITTED, regions={"lips": (_FRONT > 50.0) & (_FRONT <= 80.0), "mouth": _FRONT > 80.0})
 DELTAS = SPACE.expression_deltas(CODE)
 TARGETS = HEAD.skin.vertices + 1.5 * DELTAS[3]
 P = Parameters(
@@ -54,7 +56,7 @@ def assert_near(found, difference, share=1e-3):
 @pytest.mark.parametrize("shape", [0, 3, 17])
 def test_an_expression_moves_the_face_as_differences_say(settled, shape):
     answer, tangent = settled
-    moved = expression_responses(tangent, HEAD, DELTAS)
+    moved = expression_responses(tangent, HEAD, P, DELTAS)
     assert moved.shape == (52, *HEAD.vertices.shape)
     ends = [tight(P, TARGETS + h * DELTAS[shape], answer) for h in (0.01, -0.01)]
     assert_near(moved[shape], (ends[0] - ends[1]) / 0.02)
