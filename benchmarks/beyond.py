@@ -46,8 +46,7 @@ def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_L
         linear = linearised(face, accuracy=DIRECT)
         for weights in rows:
             drawn = skin.vertices + np.tensordot(weights, space.expressions, axes=1)
-            wrap = linear.solve(drawn).positions[: len(head.bone)]
-            truth = head.skin_after(face.targets(drawn), wrap)
+            truth = face.skin_after(drawn, linear.solve(drawn).positions)
             own.append(np.linalg.norm(rig.frame(weights) - truth, axis=1))
             nothing.append(np.linalg.norm(drawn - truth, axis=1))
         progress(f"evaluate, {KIND}", (number + 1) / len(CASES))

@@ -64,7 +64,6 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
 
     expression [mm], shape (skin vertices, 3), is that of the head without the effect; reference, a solver's name.
     """
-    n = len(head.bone)
     at_rest, ended = with_effect(head, effect, expression)
     plain_scene = facial_scene(head, effect.without(head), expression, bones="rigid")
     plain = solved(plain_scene, expression, plain_scene.vertices)
@@ -72,7 +71,8 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
     other = solved(ended.scene, ended.targets, displaced(head, ended.targets), tolerance=TIGHT).solution
     near = solved(ended.scene, ended.targets, answer, tolerance=TIGHT / TOLERANCE).solution
     compared = None if reference is None else _compared(ended, reference)
-    skins = [head.skin_after(run.targets, run.solution.positions[:n]) for run in (plain, ended)]
+    skins = [head.skin_after(plain.targets, plain.solution.positions[: len(head.bone)])]
+    skins.append(at_rest.skin_after(expression, answer))
     change = distances(*skins)
     record = {
         "name": effect.name,

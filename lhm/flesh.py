@@ -14,6 +14,8 @@ FADE = 12.0
 """Width [mm], along the skin wrap, over which the share of flesh rises from 0 to 1."""
 BROW = 10.0
 """Height [mm] above the lids' highest point up to which a face is fleshy."""
+THROAT = (15.0, 30.0)
+"""[mm] From the lips inward along the mouth's lining, between which it ends to follow facial muscles."""
 CHEEK = 15.0
 """Radius [mm] of a cheek's middle, seen from the front; its share falls to 0 over as much again."""
 LEAN_REGIONS = ("lips", "lids", "mouth", "eyes", "teeth", "ears")
@@ -44,7 +46,8 @@ def cheeks(head: LayeredHead) -> Floats:
 def expressive(head: LayeredHead, *, fade: float = FADE) -> Floats:
     """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
 
-    The share rises over `fade` [mm] along the skin. A head without the region "face" is one everywhere.
+    The share rises over `fade` [mm] along the skin, and falls again far within the mouth, whose lining goes with the
+    jaw. A head without the region "face" is one everywhere.
     """
     n = len(head.skin_wrap.vertices)
     none = np.zeros(n, dtype=bool)
@@ -52,22 +55,28 @@ def expressive(head: LayeredHead, *, fade: float = FADE) -> Floats:
         return np.ones(n)
     names = ("face", *(name for name in LEAN_REGIONS if name != "ears"))
     inside = np.any([head.regions.get(name, none) for name in names], axis=0)
-    return np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / fade)
+    share = np.ones(n) if inside.all() else _smooth_step(_path_from(head, ~inside) / fade)
+    return np.minimum(share, 1.0 - _within(head, "mouth", "lips", THROAT))
 
 
-def linings(head: LayeredHead, *, fade: float = FADE) -> Floats:
-    """What lines mouth and eyes, shape (n,), 0 at the edge of lips and lids, and 1 from `fade` [mm] within."""
-    found, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
-    for lining, edge in (("mouth", "lips"), ("eyes", "lids")):
-        inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
-        if inside.any() and not inside.all():
-            found[inside] = _smooth_step(_path_from(head, ~inside) / fade)[inside]
-    return found
+def eye_sockets(head: LayeredHead, *, fade: float = FADE) -> Floats:
+    """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` [mm] within."""
+    return _within(head, "eyes", "lids", (0.0, fade))
 
 
 def on_triangles(head: LayeredHead, share: Floats) -> Floats:
     """A share per vertex (n,) as the mean per triangle of the wraps, shape (m,)."""
     return share[head.skin_wrap.triangles].mean(axis=1)
+
+
+def _within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
+    """How far within a lining, shape (n,): from 0 to 1 `between` these distances [mm] from the region at its edge."""
+    found, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
+    inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
+    if inside.any() and not inside.all():
+        near, far = between
+        found[inside] = _smooth_step((_path_from(head, ~inside)[inside] - near) / (far - near))
+    return found
 
 
 def _region(head: LayeredHead, name: str) -> np.ndarray:

@@ -63,16 +63,16 @@ def facial_scene(
 ) -> Scene:
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
-    Vertices are the head's, the skin wrap's first, then the points of `attached`. Only what p and these
-    choices ask for is built. `neutral` [mm], of the targets' shape, is the skin at rest, by default the head's: where
-    linings of a paralysed half are tied (see `palsy`). `bones` are "rigid" (cranium held, mandible a free rigid body), "prescribed" (the mandible
-    put where the skin over it goes) or "soft" (the paper's stiff surfaces). `layers` of tets divide soft tissue and
-    muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to skull, no muscle wrap) and "skin"
-    (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices, or at a named one, and holds the
-    others where the expression carries them; a head's own volume mesh is taken whole, with one number per parameter of
-    its tets. `contact` names regions whose triangles are kept apart. `attached` things
-    are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is the soft tissue's beyond
-    its strain limit: see `terms.Strain`.
+    Vertices are the head's, the skin wrap's first, then the points of `attached`. Only what p and these choices ask
+    for is built. `neutral` [mm], of the targets' shape, is the skin at rest, by default the head's: where what lines
+    a paralysed eye is tied (see `palsy`). `bones` are "rigid" (cranium held, mandible a free rigid body),
+    "prescribed" (the mandible put where the skin over it goes) or "soft" (the paper's stiff surfaces). `layers` of
+    tets divide soft tissue and muscle from wrap to wrap. `without` may name "muscle" (soft tissue from skin to
+    skull, no muscle wrap) and "skin" (no membrane). `region` keeps the tets at a mask (n,) of the wraps' vertices,
+    or at a named one, and holds the others where the expression carries them; a head's own volume mesh is taken
+    whole, with one number per parameter of its tets. `contact` names regions whose triangles are kept apart.
+    `attached` things are tied to the skull wrap by connecting tets and replace the bone that they are. `rule` is
+    the soft tissue's beyond its strain limit: see `terms.Strain`.
     Raises SceneError for targets of another shape, that are not finite or more than 200 mm from the skin, and for
     unknown or contradicting choices.
     """

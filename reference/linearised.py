@@ -47,8 +47,7 @@ class Linearised:
     @property
     def offset(self) -> Floats:
         """By how much the simulated neutral skin differs from its targets [mm], shape (skin vertices, 3)."""
-        head = self.face.head
-        return head.skin_after(self.face.skin, self.answer.positions[: len(head.bone)]) - self.face.skin
+        return self.face.skin_after(self.face.head.skin.vertices, self.answer.positions) - self.face.skin
 
     def first_order(self, deltas: Floats) -> Floats:
         """How the scene's vertices move [mm], (k, n, 3), per unit weight of shapes that add `deltas` to the skin."""
@@ -86,7 +85,12 @@ class Linearised:
 
     def of_expressions(self, deltas: Floats) -> Floats:
         """How the skin moves [mm], (k, skin vertices, 3), per unit weight of shapes that add `deltas` to it."""
-        return skin_responses(self.face.head, self.first_order(deltas), deltas)
+        return self.skin_moved(self.first_order(deltas), deltas)
+
+    def skin_moved(self, moved: Floats, deltas: Floats) -> Floats:
+        """How the skin moves [mm], (k, skin vertices, 3), where `deltas` move the scene's vertices by `first_order`."""
+        kept = self.face.kept
+        return skin_responses(self.face.head, moved, deltas if kept is None else kept * deltas)
 
     def of_parameters(self, along: Mapping[str, float | Floats]) -> dict[str, Floats]:
         """How the simulated neutral skin moves [mm], (skin vertices, 3), per unit of parameters, as it settles anew.

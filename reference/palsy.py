@@ -1,19 +1,19 @@
 """Bell's palsy: which springs draw a face's skin wrap to an expression, and where to, when a half has no activation.
 
-Nothing draws paralysed skin to the expression. The linings of mouth and eyes would then hang on nothing, since no bone
-of the model is behind them: they are tied to where a face at rest has them, and go with the jaw.
+Nothing draws paralysed skin to the expression. What lines mouth and eyes would then hang on nothing, since no bone of
+the model is behind it. Far within the mouth it goes with the jaw, which an expression tells: there its springs stay as
+they are. In the eyes they draw to where the face at rest has it, since an expression closes the lids.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.flesh import expressive, linings
-from ..lhm.head import CRANIUM, MANDIBLE, LayeredHead
-from ..lhm.mesh import Floats, Ints, Surface
-from ..lhm.wraps.harmonic import harmonic
+from ..lhm.flesh import expressive, eye_sockets
+from ..lhm.head import LayeredHead
+from ..lhm.mesh import Floats, Surface
 from .local import on_vertices
 from .parameters import Parameters
 
@@ -39,59 +39,55 @@ def kept_share(left, paralysis_left, paralysis_right):
     return (1.0 - paralysis_left * left) * (1.0 - paralysis_right * (1.0 - left))
 
 
+def kept(head: LayeredHead, parameters: Parameters) -> Floats:
+    """The share of activation left at each vertex of the skin wrap, shape (n,).
+
+    A palsy is of the face alone: scalp, ears and neck stay tied to what is below.
+    """
+    share = kept_share(left_share(head.skin_wrap), parameters.paralysis_left, parameters.paralysis_right)
+    return 1.0 - expressive(head) * (1.0 - share)
+
+
+def kept_of_skin(head: LayeredHead, parameters: Parameters) -> Floats | None:
+    """The same at each vertex of the skin, shape (skin vertices, 1), or None where there is no palsy.
+
+    Detail that an expression has finer than the wrap, such as a closed lid's, is of the skin in that share only.
+    """
+    return (head.skin_from_wrap @ kept(head, parameters))[:, None] if has_palsy(parameters) else None
+
+
+def has_palsy(parameters: Parameters) -> bool:
+    """Whether anything is paralysed."""
+    return parameters.paralysis_left > 0.0 or parameters.paralysis_right > 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Springs:
     """The springs of a head's skin wrap of n vertices under p.
 
-    stiffness (n,) [mN/mm]. A vertex is drawn to the expression, but the vertices `tied` (k,) only by the share
-    `active` (k,) of it, and for the rest to where the neutral face has them, moved by `jaw` (k, m) times what the
-    expression adds to the m vertices of the skin wrap over the mandible.
+    stiffness (n,) [mN/mm]. A vertex is drawn to the expression by the share `active` (n, 1), and for the rest to where
+    the neutral face has it; None is 1 everywhere.
     """
 
     stiffness: Floats
-    tied: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    active: Floats = field(default_factory=lambda: np.empty(0))
-    jaw: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    mandible: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    active: Floats | None = None
 
     @classmethod
     def of(cls, head: LayeredHead, parameters: Parameters) -> Springs:
-        """Per area, less what is paralysed: of the face alone, scalp, ears and neck stay tied to what is below."""
+        """Per area, less what is paralysed, but where eyes are lined: there springs stay, and draw elsewhere."""
         wrap = head.skin_wrap
         whole = on_vertices("target_stiffness", parameters.target_stiffness, wrap) * wrap.vertex_areas
-        paralyses = parameters.paralysis_left, parameters.paralysis_right
-        if not any(paralyses):
+        if not has_palsy(parameters):
             return cls(whole)
-        kept = 1.0 - expressive(head) * (1.0 - kept_share(left_share(wrap), *paralyses))
-        passive = (1.0 - kept) * linings(head)
-        tied = np.flatnonzero(passive)
-        active = kept[tied] / (kept[tied] + passive[tied])
-        mandible = np.flatnonzero(head.bone == MANDIBLE)
-        return cls(whole * (kept + passive), tied, active, _with_the_jaw(head, tied, mandible), mandible)
+        share = kept(head, parameters)
+        passive = (1.0 - share) * eye_sockets(head)
+        active = np.divide(share, share + passive, out=np.ones_like(share), where=passive > 0.0)
+        return cls(whole * (share + passive), active[:, None])
 
     def positions(self, wrap_targets: Floats, neutral: Floats) -> Floats:
         """What the springs draw to [mm], shape (n, 3), for an expression of the skin wrap and its neutral place."""
-        return neutral + self.moved(wrap_targets - neutral) if self.tied.size else wrap_targets
+        return wrap_targets if self.active is None else neutral + self.active * (wrap_targets - neutral)
 
     def moved(self, displacements: Floats) -> Floats:
         """How `positions` move [mm] where the expression does, both of shape (..., n, 3)."""
-        if not self.tied.size:
-            return displacements
-        found = np.array(displacements)
-        active = self.active[:, None]
-        passive = self.jaw @ displacements[..., self.mandible, :]
-        found[..., self.tied, :] = active * found[..., self.tied, :] + (1.0 - active) * passive
-        return found
-
-
-def _with_the_jaw(head: LayeredHead, tied: Ints, mandible: Ints) -> Floats:
-    """How vertices `tied` (k,) go with those over the mandible (m,), shape (k, m): by the affine map nearest to these.
-
-    All of it at the mandible, nothing at the cranium, harmonic along the skin wrap between. Rigid motions come out exact.
-    """
-    if len(mandible) < 4:
-        return np.zeros((len(tied), len(mandible)))
-    X = head.skin_wrap.vertices - head.skin_wrap.vertices[mandible].mean(axis=0)
-    X = np.column_stack([X / np.abs(X).max(), np.ones(len(X))])
-    share = harmonic(head.skin_wrap.triangles, head.bone == MANDIBLE, np.isin(head.bone, (CRANIUM, MANDIBLE)))
-    return share[tied, None] * (X[tied] @ np.linalg.pinv(X[mandible]))
+        return displacements if self.active is None else self.active * displacements

@@ -15,7 +15,6 @@ from ..lhm.mesh import Floats
 from .base import lag, pivot, rotation, turns
 from .bones import carried
 from .dynamics import Recurrence
-from .facial import facial_scene
 from .inertia import recurrence
 from .parameters import Parameters
 from .scene import Scene
@@ -81,7 +80,7 @@ class Sequence:
         self._solver, self._options, self._choices = solver, dict(options or {}), choices
         self._stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
         self._prepared: dict[bool, Prepared] = {}
-        self._neutral: Settled | None = None
+        self._neutral = Settled(head, parameters, self._stack.vertices, np.zeros_like(head.skin.vertices))
         self._pivot = pivot(head)
 
     @classmethod
@@ -142,15 +141,10 @@ class Sequence:
     @checked
     def skin(self, targets: Floats, solution: Solution) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
-        return self.head.skin_after(self._drawn(targets), solution.positions[: len(self.head.bone)])
-
-    def _drawn(self, targets: Floats) -> Floats:
-        """What the skin is drawn to [mm] for an expression of the head without p."""
-        return targets if self._neutral is None else self._neutral.targets(targets)
+        return self._neutral.skin_after(targets, solution.positions)
 
     def _solved(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
-        neutral = {} if self._neutral is None else {"neutral": self._neutral.skin}
-        scene = facial_scene(self.head, self.parameters, self._drawn(targets), **neutral | self._choices)
+        scene = self._neutral.scene(targets, **self._choices)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
         asked = self._tolerance * float(np.linalg.norm(springs))
@@ -200,7 +194,7 @@ class Sequence:
 
     def _last(self) -> State | None:
         """What the next frame starts from: the last, or the neutral face settled under p."""
-        if self.state is not None or self._neutral is None or not self._neutral.displacement.any():
+        if self.state is not None or not self._neutral.displacement.any():
             return self.state
         positions, n = self._neutral.positions, len(self.head.bone)
         return State(positions, self.head.wrap_targets(self._neutral.skin), positions[:n])

@@ -9,6 +9,7 @@ every target, so an expression moves the settled face.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..lhm.wraps.harmonic import harmonic
 from . import terms
 from .bones import scaled_skull
 from .facial import facial_scene
+from .palsy import kept_of_skin
 from .parameters import Parameters
 from .scene import Scene
 from .solution import Reason, Solution
@@ -70,6 +72,18 @@ class Settled:
     def targets(self, expression: Floats) -> Floats:
         """What the skin is drawn to [mm] for an expression of the head without p, shape (..., skin vertices, 3)."""
         return expression + self.displacement
+
+    @cached_property
+    def kept(self) -> Floats | None:
+        """See `palsy.kept_of_skin`."""
+        return kept_of_skin(self.head, self.parameters)
+
+    def skin_after(self, expression: Floats, positions: Floats) -> Floats:
+        """The skin [mm], shape (skin vertices, 3), of an expression of the head without p, by its scene's positions."""
+        goal = self.targets(expression)
+        if self.kept is not None:
+            goal = self.skin + self.kept * (goal - self.skin)
+        return self.head.skin_after(goal, positions[: len(self.head.bone)])
 
     def scene(self, expression: Floats, **choices: Any) -> Scene:
         """The scene of an expression [mm], shape (skin vertices, 3), of the settled face; see `facial_scene`."""

@@ -10,7 +10,6 @@ from ..lhm import expressions
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..reference import Parameters
-from ..reference.responses import skin_responses
 from ..surrogate.linear import linearised_face
 from .page import Layer, Pose, Rig, page
 
@@ -42,7 +41,7 @@ def face_page(
     """
     linear, n = linearised_face(head, parameters), len(head.bone)
     moved = linear.first_order(np.asarray(shapes, dtype=np.float64))
-    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, skin_responses(head, moved, shapes))
+    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_moved(moved, shapes))
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return page(
         title,

@@ -10,7 +10,6 @@ import numpy as np
 
 from ...lhm import expressions
 from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
 from ...reference import Parameters, Scene, neo_hookean_scene, solve
 from ...reference.linearised import TIGHT, Linearised
@@ -94,11 +93,11 @@ class Split(OfPerson):
         neo = _fem(hyperelastic, tight.positions if tight.volume_ratio.min() > 0 else None, FEM_TOLERANCE)
         skins: list[Floats] = [
             network,
-            *(_skin(head, linear, shape, x) for x in (trained.positions, tight.positions, neo)),
+            *(linear.face.skin_after(shape, x) for x in (trained.positions, tight.positions, neo)),
         ]
         found = {"moved": _mean(skins[2] - shape), "fenicsx": float(np.abs(tight.positions - same).max())}
         if self.refined:
-            skins.append(_skin(head, linear, shape, _fem(hyperelastic, neo, FEM_TOLERANCE, element="P2")))
+            skins.append(linear.face.skin_after(shape, _fem(hyperelastic, neo, FEM_TOLERANCE, element="P2")))
         pairs = zip(PARTS, skins[:-1], skins[1:], strict=False)
         return found | {key: _mean(one - other) for key, one, other in pairs} | {"total": _mean(network - skins[-1])}
 
@@ -149,10 +148,6 @@ def _fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P
     if not solution.converged:
         raise SoftdecaError(f"FEniCSx: {solution.reason}")
     return solution.positions
-
-
-def _skin(head: LayeredHead, linear: Linearised, shape: Floats, positions: Floats) -> Floats:
-    return head.skin_after(linear.face.targets(shape), positions[: len(head.bone)])
 
 
 def _mean(difference: Floats) -> float:

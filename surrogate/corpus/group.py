@@ -13,7 +13,6 @@ from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
-from ...reference.responses import skin_responses
 from ...reference.settling import FOR_TARGETS
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
@@ -98,7 +97,7 @@ class Group:
     @cached_property
     def responses(self) -> Floats:
         """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
-        return skin_responses(self.head, self.first_order, self.person.shapes) - self.person.shapes
+        return self.linear.skin_moved(self.first_order, self.person.shapes) - self.person.shapes
 
     @cached_property
     def parameter_responses(self) -> dict[str, Floats]:
@@ -151,8 +150,7 @@ class Group:
     def corrected(self, weights: Floats, positions: Floats) -> Floats:
         """T - S [mm], shape (n, 3), of a scene's positions."""
         expression = self.expression(weights)
-        targets = self.neutral.targets(expression)
-        return self.head.skin_after(targets, positions[: len(self.head.bone)]) - expression
+        return self.neutral.skin_after(expression, positions) - expression
 
     def static(self, weights: Floats) -> Answer:
         """One static frame; a failure is a status."""

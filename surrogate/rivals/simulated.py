@@ -41,8 +41,7 @@ class _Face:
             solution = self.linear.prepared.solve(
                 scene, start=start, absolute=TOLERANCE * norm, max_iterations=iterations, untangle=False
             )
-        wrap = solution.positions[: len(self.head.bone)]
-        return self.head.skin_after(neutral.targets(expression), wrap) - expression
+        return neutral.skin_after(expression, solution.positions) - expression
 
 
 class CoarsePD:

@@ -13,7 +13,7 @@ from softdeca.surrogate.sphere import Spheres
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
 _FITTED = SPACE.fit(SPACE.skin(CODE))
 _FRONT = _FITTED.skin_wrap.vertices[:, 2]
-HEAD = replace(_FITTED, regions={"lips": (_FRONT > 50.0) & (_FRONT <= 80.0), "mouth": _FRONT > 80.0})
+HEAD = replace(_FITTED, regions={"lids": (_FRONT > 50.0) & (_FRONT <= 80.0), "eyes": _FRONT > 80.0})
 DELTAS = SPACE.expression_deltas(CODE)
 TARGETS = HEAD.skin.vertices + 1.5 * DELTAS[3]
 P = Parameters(
