@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -97,6 +97,7 @@ def march(
     keep: Ints | None = None,
     tolerance: float = 1e-8,
     on_step: OnStep | None = None,
+    prepared: Any = None,
     **options,
 ) -> Trajectory:
     """March a scene through `steps` of `time_step` [s]: M a + C v + f(u) = 0 by an implicit scheme.
@@ -109,7 +110,8 @@ def march(
     `scenes` gives the scene by time: it may differ in targets, held positions, loads, limits and volumes sought.
     positions [mm] and velocities [mm/s] are those at the start, shape (n, 3), default rest; keep (kept,) vertices are
     recorded, default all. tolerance: of the forces that act if nothing moves on in a step, the largest so far.
-    Options of fenicsx: `element`, "P1" or "P2".
+    Options of fenicsx: `element`, "P1" or "P2". What it has `prepared` for this scene lends element, mesh, forms and
+    matrix; `prepared.march(...)` is short for it.
 
     Raises SceneError for what is out of range, a scene with Inertia (mass is given here) or no mass at all, and what
     the solver cannot model; MissingDependencyError if its packages are not installed.
@@ -120,6 +122,10 @@ def march(
         scene, time_step, steps, _scheme(scheme, spectral_radius), density, skin, skin_density, mass, damping,
         targets, fixed, scenes, acceleration, positions, velocities, keep, tolerance, on_step,
     )  # fmt: skip
+    if prepared is not None:
+        if options:
+            raise SceneError(f"march: what is prepared has its own {', '.join(options)}")
+        return prepared.carry_out(motion)
     for option in options:
         if option != "element":
             raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has element")

@@ -211,8 +211,8 @@ def measure(scene: Scene, repeats: int) -> dict:
     from ...reference.fenicsx import prepare
     from ...reference.fenicsx.linear import LINEAR_SOLVERS, hold
     from ...reference.fenicsx.numbering import Numbering
-    from ...reference.fenicsx.prepared import processes_for
     from ...reference.fenicsx.problem import Problem
+    from ...reference.fenicsx.scope import processes_for
 
     prepare(scene).solve(max_iterations=1)  # compiles
     times: dict[str, list[float]] = {phase: [] for phase in PHASES}

@@ -6,7 +6,7 @@ How to read it, from what is asked to what is solved:
   says which strategies are tried and when the next one is. `MirroredFenicsx` is for commands under mpirun.
 - The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, for
   elements with a pressure), `load_path` (continuation of the equations of `equilibrium`).
-  `dynamics` marches through time by minimisations.
+  `dynamics` marches through time by minimisations. What can be modelled is in `scope`.
 - What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (`hyperelastic` laws by UFL from
   `densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
   (`membrane`, `bending`, `follower`) and loads. `bodies` makes parts rigid, `moving` adds a time step.

@@ -15,18 +15,16 @@ from ..march import Motion
 from ..ranks import Mirrored, followers
 from ..scene import Scene, refuse_unknown
 from ..solution import Reason
-from ..terms import Inertia, Pressure, RigidBody, Target
+from ..terms import Target
 from ..trajectory import Energies, Trajectory
 from .dolfinx_version import PETSc
 from .masses import accelerations, mass_matrix, times
 from .moving import Chord, MovingProblem, MovingState
 from .numbering import Numbering
-from .prepared import LAWS, processes_for
-from .prepared import TERMS as STATIC_TERMS
 from .problem import Problem
+from .scope import LAWS, MOVING_TERMS, processes_for
 from .shared import anywhere, check_same, dot, norm
 
-TERMS = tuple(kind for kind in STATIC_TERMS if kind not in (RigidBody, Pressure, Inertia))
 ELEMENTS = {"P1": 1, "P2": 2}
 MAX_ITERATIONS = 100
 
@@ -50,14 +48,23 @@ class Moment:
 
 def march(motion: Motion, *, element: str = "P1") -> Trajectory:
     """See `softdeca.reference.march`. Edge nodes of "P2" begin in the middle of their ends."""
-    if element not in ELEMENTS:
-        raise SceneError(f"march: unknown element {element!r}; there are {', '.join(ELEMENTS)}")
-    refuse_unknown(motion.scene, "fenicsx, march", TERMS, LAWS)
+    check(motion, element)
     others = followers()
     if others is None or processes_for(motion.scene).size == 1:
-        return _March(motion, ELEMENTS[element]).run()
-    bare = replace(motion, targets=None, fixed=None, scenes=None, acceleration=None, on_step=None)
-    return Mirrored(others, Marching, bare, ELEMENTS[element]).call("run", here={"motion": motion})
+        return March(motion, ELEMENTS[element]).run()
+    return Mirrored(others, Marching, bare(motion), ELEMENTS[element]).call("run", here={"motion": motion})
+
+
+def check(motion: Motion, element: str):
+    """Raise SceneError for what a march cannot model."""
+    if element not in ELEMENTS:
+        raise SceneError(f"march: unknown element {element!r}; there are {', '.join(ELEMENTS)}")
+    refuse_unknown(motion.scene, "fenicsx, march", MOVING_TERMS, LAWS)
+
+
+def bare(motion: Motion) -> Motion:
+    """A motion without what only the process that runs a command has: courses and callback."""
+    return replace(motion, targets=None, fixed=None, scenes=None, acceleration=None, on_step=None)
 
 
 class Marching:
@@ -68,21 +75,27 @@ class Marching:
 
     def run(self, motion: Motion | None = None) -> Trajectory:
         """All of it."""
-        return _March(self._motion if motion is None else motion, self._degree).run()
+        return March(self._motion if motion is None else motion, self._degree).run()
 
 
-class _March:
-    """One march. Scenes and frames are what the first process has for a step."""
+class March:
+    """One march. Scenes and frames are what the first process has for a step.
 
-    def __init__(self, motion: Motion, degree: int):
+    `problem`, one of the motion's scene, lends mesh, forms and matrix; what they are set to is changed.
+    """
+
+    def __init__(self, motion: Motion, degree: int, problem: Problem | None = None):
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
         self.comm = processes_for(motion.scene)
         check_same(self.comm, motion.scene)
         self._scene = motion.scene
         scene = self._scene_at(0)
         skin = motion.skin if motion.skin_density.any() else None
-        self.order = Numbering(scene, degree, comm=self.comm, skin=skin)
-        self.problem = Problem(scene, self.order)
+        if problem is None or (skin is not None and self.comm.size > 1):  # of which other processes may have to know
+            problem = Problem(scene, Numbering(scene, degree, comm=self.comm, skin=skin))
+        else:
+            problem.set(scene)
+        self.problem, self.order = problem, problem.numbering
         self.set_scene, self.dead_loads = scene, self.problem.loads
         self.mass = mass_matrix(motion, self.order, self.problem.stiffness)
         owned = self.order.nodes.owned
@@ -254,7 +267,7 @@ class _March:
 class _Record:
     """What is kept of each moment."""
 
-    def __init__(self, owner: _March):
+    def __init__(self, owner: March):
         self._owner = owner
         self._last: Moment | None = None
         self._rows: list[tuple[float, float, float, float]] = []

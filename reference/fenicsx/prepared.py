@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -12,29 +13,25 @@ from ...lhm.checked import checked
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
 from ..compiling import Clock
-from ..materials import Corotated, Incompressible, Material, NeoHookean
+from ..march import Motion, march
+from ..materials import Incompressible, NeoHookean
 from ..ranks import Mirrored, followers
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Solution, first_positions
 from ..terms import (
-    Bending,
-    Fixed,
-    Gravity,
     Hyperelastic,
-    Inertia,
     Pressure,
     RigidBody,
-    Strain,
-    SurfaceStrain,
-    Target,
     Term,
     Traction,
     Volume,
 )
+from ..trajectory import Trajectory
 from .bodies import Pose, RigidProblem
-from .densities import DENSITIES, check_mixed, shear_modulus
-from .dolfinx_version import ALL, ALONE, MPI
+from .densities import check_mixed, shear_modulus
+from .dolfinx_version import ALONE
+from .dynamics import March, bare, check
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
 from .load_path import Continuation
@@ -46,29 +43,12 @@ from .problem import Problem
 from .recovery import Nodal, recover
 from .run import Attempt, Record, Run
 from .saddle import SADDLES
+from .scope import DEGREE_OF, LAWS, TERMS, processes_for
 from .shared import check_same, gathered
 
-TERMS = (
-    Hyperelastic,
-    Strain,
-    Volume,
-    SurfaceStrain,
-    Bending,
-    Target,
-    Fixed,
-    RigidBody,
-    Gravity,
-    Traction,
-    Pressure,
-    Inertia,
-)
-LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
-DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
-"""The degree of each element's displacement."""
 FORCE_DEGREE = 6
 BULK = 10.0  # lmbda by mu of a large scene's start: volumes are nearly kept, linear tets do not lock yet
 LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
-FEW = 300  # tets per process, below which dividing them costs more than it saves
 
 
 @checked
@@ -110,11 +90,6 @@ def _check_terms(scene: Scene, element: str):
         raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
     if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
-
-
-def processes_for(scene: Scene) -> MPI.Intracomm:
-    """Those that divide a scene: all that mpirun has started; of a small one each has the whole."""
-    return ALL if len(scene.tets) >= FEW * ALL.size else ALONE
 
 
 class PreparedFenicsx:
@@ -175,6 +150,16 @@ class PreparedFenicsx:
         self._end = follow(self._plan(scene), lambda strategy: self._attempt(strategy, run))
         recovery = partial(recover, scene, self._numbering.degree, self._nodal(self._end))
         return replace(run.solution(self._end, self._spent, remember=remember), recovery=recovery)
+
+    def march(self, **course: Any) -> Trajectory:
+        """The prepared scene through time, on its mesh, forms and matrix; see `softdeca.reference.march`."""
+        return march(self.scene, prepared=self, **course)
+
+    def carry_out(self, motion: Motion, *, own: Motion | None = None) -> Trajectory:
+        """A motion of the prepared scene; `own` is the same with what only this process has, if there is such."""
+        motion = motion if own is None else own
+        check(motion, self._element)
+        return March(motion, self._numbering.degree, self._problem).run()
 
     def _plan(self, scene: Scene) -> Plan:
         if self._condensed is not None:
@@ -286,6 +271,14 @@ class MirroredFenicsx:
         begin = warm.positions if start is None and warm is not None else start
         given = {"start": begin, "tolerance": tolerance, "absolute": absolute, "max_iterations": max_iterations}
         return self._everywhere.call("solve", scene, here={"on_iteration": on_iteration}, **given)
+
+    def march(self, **course: Any) -> Trajectory:
+        """See PreparedFenicsx."""
+        return march(self.scene, prepared=self, **course)
+
+    def carry_out(self, motion: Motion) -> Trajectory:
+        """See PreparedFenicsx."""
+        return self._everywhere.call("carry_out", bare(motion), here={"own": motion})
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
         """See PreparedFenicsx."""

@@ -256,8 +256,10 @@ stopped = prepared.solve(on_iteration=lambda i, x, e, g: i == 1)
 prepared.set_body_force(lambda places: 3.0 * places)
 pressed = prepared.solve(tolerance=1e-12)
 values = scene.dirichlet()[1][scene.terms[1].vertices]
-moved = march(scene.__class__(scene.vertices, scene.tets, scene.terms[:2]), density=1e-6, time_step=1e-2, steps=2,
-              fixed=lambda t: values + [t, 0.0, 0.0])
+part = scene.__class__(scene.vertices, scene.tets, scene.terms[:2])
+course = {"density": 1e-6, "time_step": 1e-2, "steps": 2, "fixed": lambda t: values + [t, 0.0, 0.0]}
+moved, again = march(part, **course), prepare(part, solver="fenicsx").march(**course)
+assert np.abs(moved.positions - again.positions).max() < 1e-12
 answer = (refused, seen, str(stopped.reason), solution.positions, pressed.positions, moved.positions,
           prepared.fields(1).u.shape)
 pickle.dump(answer, open(sys.argv[2], "wb"))

@@ -30,6 +30,25 @@ def swinging(target=None):
     )
 
 
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_what_is_prepared_marches_on_its_own_mesh(element):
+    ends = [X + [0.0, 0.0, z] for z in (1.0, 2.0, 1.5)]
+    course = {"time_step": H, "steps": 3, "density": DENSITY, "targets": ends, "tolerance": 1e-11}
+    prepared = prepare(swinging(), solver="fenicsx", element=element)
+    before = prepared.solve(swinging(ends[1]), tolerance=1e-10).positions
+    for _ in range(2):
+        found, alone = prepared.march(**course), march(swinging(), element=element, **course)
+        assert found.converged and np.array_equal(found.positions, alone.positions)
+    assert np.abs(prepared.solve(swinging(ends[1]), tolerance=1e-10).positions - before).max() < 1e-9
+    with pytest.raises(SceneError, match="steps: must be"):
+        prepared.march(time_step=H, steps=0, density=DENSITY)
+    with pytest.raises(SceneError, match="what is prepared has its own element"):
+        prepared.march(element="P2", **course)
+    with pytest.raises(SceneError, match="unknown element 'P2P1'"):
+        block = Scene(X, TETS, (terms.Hyperelastic(NeoHookean(5.0, 50.0)), terms.Fixed(vertices_at(X, 2, 0.0))))
+        prepare(block, solver="fenicsx", element="P2P1").march(time_step=H, steps=1, density=DENSITY)
+
+
 def standing(*more):
     return Scene(X, TETS, (*TISSUE, terms.Fixed(vertices_at(X, 2, 0.0)), *more))
 

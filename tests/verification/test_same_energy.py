@@ -119,8 +119,8 @@ def test_energy_gradient_and_hessian_agree_far_from_rest(spheres, element, subdi
     pytest.importorskip("dolfinx")
     from softdeca.reference.fenicsx.bodies import RigidProblem
     from softdeca.reference.fenicsx.numbering import Numbering
-    from softdeca.reference.fenicsx.prepared import DEGREE_OF
     from softdeca.reference.fenicsx.problem import Problem
+    from softdeca.reference.fenicsx.scope import DEGREE_OF
     from softdeca.reference.skfem.discretisation import Discretisation
     from softdeca.reference.skfem.energy import Energy
     from softdeca.reference.skfem.unknowns import Body, Unknowns
