@@ -19,7 +19,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Floats32
 from ..lhm.progress import OnProgress
 from ..reference import Parameters
-from ..reference.base import turns_before
+from ..reference.face.base import turns_before
 from ..surrogate import BoundSurrogate, Surrogate, linearised_rig
 from ..surrogate.codes import nearest_code
 from ..surrogate.runtime import Beyond

@@ -11,8 +11,8 @@ from ..lhm import expressions, fit_head, identities, load_template
 from ..lhm.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters, settled
-from ..reference.linearised import DIRECT, linearised
-from ..reference.settling import FOR_TARGETS
+from ..reference.face.linearised import DIRECT, linearised
+from ..reference.face.settling import FOR_TARGETS
 from ..surrogate import Surrogate
 from ..surrogate.evaluate import Score, score_of
 

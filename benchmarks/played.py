@@ -16,7 +16,7 @@ from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
 from ..lhm.mesh import Floats, Surface
 from ..lhm.progress import OnProgress
-from ..reference.base import turned_about
+from ..reference.face.base import turned_about
 from .preview import Preview, pictures_of, steps_shown, write_preview
 
 Format = Literal["vtkhdf", "gltf"]

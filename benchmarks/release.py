@@ -24,8 +24,8 @@ from ..reference import (
     solve,
     terms,
 )
-from ..reference.dynamics import Recurrence
-from ..reference.sequence import State
+from ..reference.face.dynamics import Recurrence
+from ..reference.face.sequence import State
 
 DRAWN, REACH = 5.0, 25.0  # mm down at the cheek, and the standard deviation of what follows it
 FRAME = 1.0 / 60.0

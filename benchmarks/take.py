@@ -17,8 +17,8 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
-from ..reference.base import pivot, turns_before
-from ..reference.sequence import TOLERANCE
+from ..reference.face.base import pivot, turns_before
+from ..reference.face.sequence import TOLERANCE
 from .played import Played, Wanted, blended
 from .preview import check_preview
 from .take_store import TakeStore, digest

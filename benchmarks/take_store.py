@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced, write_whole
 from ..lhm.files.npz import read_arrays, write_arrays
-from ..reference.sequence import State
+from ..reference.face.sequence import State
 
 STATE = ("positions", "sought", "before", "drift", "turns")
 NEUTRAL = ("positions", "displacement", "reason")

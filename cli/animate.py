@@ -8,7 +8,7 @@ import click
 
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
-from ..reference.parameter_file import read_parameters
+from ..reference.face.parameter_file import read_parameters
 from .progress import shown
 from .take_options import WhichHead, of_takes, taken
 from .written_file import FOLDER

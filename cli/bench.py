@@ -9,7 +9,7 @@ import click
 
 from ..lhm.files.surface_file import MILLIMETRES
 from ..reference import Parameters
-from ..reference.parameter_file import read_parameters
+from ..reference.face.parameter_file import read_parameters
 from .progress import shown
 from .study_command import Studies, changes, listed, report
 from .written_file import FOLDER

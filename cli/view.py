@@ -7,7 +7,7 @@ import numpy as np
 
 from ..lhm.files.atomic import write_whole
 from ..reference import Parameters
-from ..reference.parameter_file import read_parameters
+from ..reference.face.parameter_file import read_parameters
 from .progress import shown
 from .take_options import WhichHead
 from .written_file import HTML

@@ -2,13 +2,13 @@
 
 from ..lhm.errors import MissingDependencyError, SceneError
 from . import materials, ranks, terms
-from .facial import facial_scene, neo_hookean_scene
+from .face.facial import facial_scene, neo_hookean_scene
+from .face.minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
+from .face.parameters import ParameterInfo, Parameters
+from .face.sequence import Sequence
+from .face.settling import Settled, settled
 from .march import march
-from .minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
-from .parameters import ParameterInfo, Parameters
 from .scene import Scene
-from .sequence import Sequence
-from .settling import Settled, settled
 from .solution import History, Reason, Solution, Times
 from .solution_file import write_solution
 from .solve import SOLVERS, Prepared, prepare, solve

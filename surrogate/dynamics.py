@@ -22,9 +22,9 @@ from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Floats32, Ints, Surface
 from ..reference import Parameters
-from ..reference.base import lag, pivot, rotation, turns
-from ..reference.dynamics import Recurrence, coefficients
-from ..reference.inertia import loose
+from ..reference.face.base import lag, pivot, rotation, turns
+from ..reference.face.dynamics import Recurrence, coefficients
+from ..reference.face.inertia import loose
 from .local import at_vertices
 
 OSCILLATION = ("frequency", "damping")

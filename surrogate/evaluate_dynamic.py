@@ -14,7 +14,7 @@ from ..lhm.errors import InputError
 from ..lhm.mesh import Floats, Floats32, Surface
 from ..lhm.progress import OnProgress, silent
 from ..reference import Parameters
-from ..reference.base import turns_before
+from ..reference.face.base import turns_before
 from .corpus.fields import basis
 from .corpus.mixture import NAMES
 from .corpus.plan import RATE, Split

@@ -8,8 +8,8 @@ from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats32
 from ..reference import Parameters, settled
-from ..reference.linearised import DIRECT, Linearised, linearised
-from ..reference.settling import FOR_TARGETS
+from ..reference.face.linearised import DIRECT, Linearised, linearised
+from ..reference.face.settling import FOR_TARGETS
 
 
 def linearised_face(head: LayeredHead, parameters: Parameters) -> Linearised:

@@ -12,8 +12,8 @@ from ...lhm import LayeredHead
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats
 from ...reference import Trajectory, march, solve, terms
-from ...reference.dynamics import coefficients, implicit_euler
-from ...reference.parameters import TISSUE_DENSITY
+from ...reference.face.dynamics import coefficients, implicit_euler
+from ...reference.face.parameters import TISSUE_DENSITY
 from ...reference.schemes import SCHEMES
 from ..harness.gates import at_most
 from ..harness.runner import Row

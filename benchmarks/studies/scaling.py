@@ -15,7 +15,7 @@ from ...lhm.errors import InputError
 from ...lhm.mesh import Floats
 from ...lhm.template import LEVELS
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, prepare, projective
-from ...reference.sequence import Sequence as Simulation
+from ...reference.face.sequence import Sequence as Simulation
 from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, repeated, slope, timed, unfinished
 from ..floor import factor_bytes
 from ..harness.gates import at_most

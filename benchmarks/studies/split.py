@@ -12,7 +12,7 @@ from ...lhm import expressions
 from ...lhm.errors import InputError, SoftdecaError
 from ...lhm.mesh import Floats
 from ...reference import Parameters, Scene, neo_hookean_scene, solve
-from ...reference.linearised import TIGHT, Linearised
+from ...reference.face.linearised import TIGHT, Linearised
 from ...surrogate import Surrogate
 from ...surrogate.corpus.plan import CorpusPlan
 from ...surrogate.linear import linearised_face

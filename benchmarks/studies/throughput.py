@@ -13,8 +13,8 @@ from ...lhm import expressions
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats
 from ...reference import Parameters, facial_scene, prepare, projective
-from ...reference.sequence import TOLERANCE
-from ...reference.sequence import Sequence as Simulation
+from ...reference.face.sequence import TOLERANCE
+from ...reference.face.sequence import Sequence as Simulation
 from ...surrogate.corpus.mixture import FEW
 from .. import floor
 from ..costs import TIMES, timed, unfinished

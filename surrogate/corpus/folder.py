@@ -17,7 +17,7 @@ from ...lhm.errors import InputError
 from ...lhm.files.alone import alone_in
 from ...lhm.files.atomic import replaced
 from ...lhm.progress import OnProgress, silent
-from ...reference.velocities import Velocities
+from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
 from .mixture import NAMES

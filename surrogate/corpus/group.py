@@ -12,8 +12,8 @@ from ...lhm.geometry.bvh import TriangleTree
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
-from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
-from ...reference.settling import FOR_TARGETS
+from ...reference.face.linearised import DIRECT, Linearised, linearised, spring_norm
+from ...reference.face.settling import FOR_TARGETS
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
 from .plan import CorpusPlan

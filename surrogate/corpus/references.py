@@ -9,7 +9,7 @@ import numpy as np
 from ...lhm.errors import SoftdecaError
 from ...lhm.mesh import Floats
 from ...reference import neo_hookean_scene, prepare
-from ...reference.linearised import spring_norm
+from ...reference.face.linearised import spring_norm
 from .group import Answer, Group
 from .shard import ACCEPTED
 

@@ -11,8 +11,8 @@ from ...lhm.expressions import Take, rotations
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
 from ...reference import Sequence
-from ...reference.base import turns_before
-from ...reference.velocities import Velocities, plausible
+from ...reference.face.base import turns_before
+from ...reference.face.velocities import Velocities, plausible
 from .group import Answer, Group
 from .plan import LENGTH, RATE, CorpusPlan
 from .shard import ACCEPTED

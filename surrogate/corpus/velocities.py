@@ -11,8 +11,9 @@ from ...lhm.errors import InputError
 from ...lhm.expressions import conversation
 from ...lhm.files.npz import read_arrays, write_arrays
 from ...lhm.progress import OnProgress, silent
-from ...reference import Parameters, Sequence, settled, velocities
-from ...reference.velocities import Velocities
+from ...reference import Parameters, Sequence, settled
+from ...reference.face import velocities
+from ...reference.face.velocities import Velocities
 from .person import People, Person
 from .plan import RATE, VELOCITIES, CorpusPlan
 

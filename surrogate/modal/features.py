@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from ...lhm.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
-from ...reference.palsy import kept_share, left_share
-from ...reference.settling import GROWING
+from ...reference.face.palsy import kept_share, left_share
+from ...reference.face.settling import GROWING
 from ..corpus.fields import basis
 from ..corpus.mixture import NAMES
 

@@ -12,8 +12,8 @@ import numpy as np
 from ...lhm.errors import FitError
 from ...lhm.mesh import Floats
 from ...lhm.progress import OnProgress, silent
-from ...reference.base import pivot
-from ...reference.inertia import loose
+from ...reference.face.base import pivot
+from ...reference.face.inertia import loose
 from ..corpus.person import People
 
 PEOPLE = 96

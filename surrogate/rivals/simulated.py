@@ -6,8 +6,8 @@ import numpy as np
 
 from ...lhm.mesh import Floats
 from ...reference import settled
-from ...reference.linearised import DIRECT, Linearised, linearised, spring_norm
-from ...reference.settling import FOR_TARGETS
+from ...reference.face.linearised import DIRECT, Linearised, linearised, spring_norm
+from ...reference.face.settling import FOR_TARGETS
 from ..corpus.person import OfSpace
 from ..local import of_static
 from ..modal.faces import Face, Faces

@@ -14,7 +14,7 @@ from softdeca.lhm import InputError, expressions, fit_head, identities, load_tem
 from softdeca.lhm.files.head_file import save_head
 from softdeca.lhm.progress import silent
 from softdeca.reference import Parameters
-from softdeca.reference.base import turned, turns_before
+from softdeca.reference.face.base import turned, turns_before
 from softdeca.surrogate import Surrogate
 
 

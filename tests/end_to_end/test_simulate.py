@@ -18,8 +18,8 @@ from softdeca.benchmarks.takes import cut, take_from_text
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.progress import silent
 from softdeca.reference import Parameters, SceneError, Sequence, settled, solve
-from softdeca.reference.base import turned, turns_before
-from softdeca.reference.parameter_file import read_parameters
+from softdeca.reference.face.base import turned, turns_before
+from softdeca.reference.face.parameter_file import read_parameters
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
 

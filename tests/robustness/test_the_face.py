@@ -10,7 +10,7 @@ from softdeca.benchmarks.effect_run import run_effect
 from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
 from softdeca.lhm.check import check_layers
 from softdeca.reference import Parameters, facial_scene, solve
-from softdeca.reference.sequence import Sequence
+from softdeca.reference.face.sequence import Sequence
 
 SPACE = identities.Anny()
 

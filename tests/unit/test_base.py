@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, Sequence, facial_scene, solve
-from softdeca.reference.base import lag, pivot, turned, turns_before
-from softdeca.reference.dynamics import coefficients, implicit_euler
+from softdeca.reference.face.base import lag, pivot, turned, turns_before
+from softdeca.reference.face.dynamics import coefficients, implicit_euler
 
 STEP = 1 / 60
 STILL = np.stack([np.eye(3)] * 2)

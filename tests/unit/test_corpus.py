@@ -11,8 +11,8 @@ import pytest
 from softdeca.lhm import FitError, InputError
 from softdeca.lhm.expressions import conversation_take
 from softdeca.reference import Parameters, Sequence
-from softdeca.reference.base import turns_before
-from softdeca.reference.velocities import Velocities
+from softdeca.reference.face.base import turns_before
+from softdeca.reference.face.velocities import Velocities
 from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.group import Group

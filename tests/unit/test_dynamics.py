@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, Scene, terms
-from softdeca.reference.dynamics import Recurrence, coefficients, implicit_euler
+from softdeca.reference.face.dynamics import Recurrence, coefficients, implicit_euler
 
 STEP = 1 / 60
 RANGE = [(Parameters.info(n).low, Parameters.info(n).high) for n in ("frequency", "damping")]

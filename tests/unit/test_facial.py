@@ -10,10 +10,10 @@ from softdeca.lhm import InputError, Surface, fit_head, identities, load_templat
 from softdeca.lhm.geometry.rigid import rigid_motion
 from softdeca.lhm.refine import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
-from softdeca.reference.bones import carried
-from softdeca.reference.connecting import Attached, bone_points, connecting_tets, eyeballs
-from softdeca.reference.palsy import Springs
-from softdeca.reference.stack import Stack
+from softdeca.reference.face.bones import carried
+from softdeca.reference.face.connecting import Attached, bone_points, connecting_tets, eyeballs
+from softdeca.reference.face.palsy import Springs
+from softdeca.reference.face.stack import Stack
 
 
 def test_parameters_name_what_is_out_of_range():

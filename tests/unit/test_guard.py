@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.reference import Parameters, Scene, facial_scene, neo_hookean_scene, solve, terms
-from softdeca.reference.guard import STIFFNESS, THIN, guard, is_guard
+from softdeca.reference.face.guard import STIFFNESS, THIN, guard, is_guard
 
 # The heights of a corner cut off a cube: its legs are a long, and the one over the slanted face is a / sqrt(3).
 CORNER = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -9,8 +9,8 @@ from scipy.spatial.distance import cdist
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.lhm.flesh import fleshy
 from softdeca.reference import Parameters, SceneError, Sequence
-from softdeca.reference.dynamics import coefficients
-from softdeca.reference.inertia import CLOSE, DEEP, RING, loose, recurrence
+from softdeca.reference.face.dynamics import coefficients
+from softdeca.reference.face.inertia import CLOSE, DEEP, RING, loose, recurrence
 
 STEP = 1 / 60
 

@@ -9,7 +9,7 @@ from softdeca.lhm import InputError, MeshError
 from softdeca.lhm.layers import prism_tets, stacked
 from softdeca.lhm.mesh import tet_volumes
 from softdeca.lhm.untangle import untangled
-from softdeca.reference.stack import Stack
+from softdeca.reference.face.stack import Stack
 
 
 def outer_faces(tets):

@@ -7,8 +7,8 @@ import pytest
 
 from softdeca.lhm.errors import SceneError
 from softdeca.reference import Parameters
-from softdeca.reference.linearised import linearised
-from softdeca.reference.settling import settled
+from softdeca.reference.face.linearised import linearised
+from softdeca.reference.face.settling import settled
 from softdeca.surrogate.sphere import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])

@@ -287,7 +287,7 @@ def test_implicit_euler_is_projective_dynamics_with_inertia():
 def test_mass_of_the_skin_alone_is_springs_of_projective_dynamics(sphere_head):
     """Massless tissue follows in balance: springs m/h² at the skin, as SoftDECA's Eq. 9 has them."""
     from softdeca.reference import Parameters
-    from softdeca.reference.facial import facial_scene
+    from softdeca.reference.face.facial import facial_scene
 
     S = sphere_head.skin.vertices
     scene = facial_scene(sphere_head, Parameters(), S, bones="prescribed")

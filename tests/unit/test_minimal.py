@@ -15,7 +15,7 @@ from softdeca.reference import (
     solve,
     terms,
 )
-from softdeca.reference.minimal import smallest
+from softdeca.reference.face.minimal import smallest
 
 
 def test_pieces_go_as_long_as_all_together_are_within():

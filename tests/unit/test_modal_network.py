@@ -15,7 +15,7 @@ from softdeca.benchmarks.cases import Case, CaseResult
 from softdeca.benchmarks.study import compare_surrogate
 from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters, settled
-from softdeca.reference.linearised import linearised
+from softdeca.reference.face.linearised import linearised
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace

@@ -7,7 +7,7 @@ import pytest
 
 from softdeca.lhm.errors import InputError
 from softdeca.reference import Parameters, facial_scene, prepare, terms
-from softdeca.reference.responses import expression_responses, parameter_responses, skin_responses
+from softdeca.reference.face.responses import expression_responses, parameter_responses, skin_responses
 from softdeca.surrogate.sphere import Spheres
 
 SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])

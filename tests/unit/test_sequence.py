@@ -9,8 +9,8 @@ from scipy.sparse import identity
 
 from softdeca.lhm import InputError, LayeredHead, Surface
 from softdeca.reference import Parameters, SceneError, settled, solve
-from softdeca.reference.facial import facial_scene
-from softdeca.reference.sequence import Sequence
+from softdeca.reference.face.facial import facial_scene
+from softdeca.reference.face.sequence import Sequence
 
 STEP = 1 / 60
 # Soft tissue under stiff springs: the skin moves nearly as Eq. 9 alone does.

@@ -12,12 +12,12 @@ from typing import Protocol
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
+from ...lhm.errors import InputError
+from ...lhm.head import LayeredHead
+from ...lhm.mesh import Floats
+from ..scene import Scene
 from .palsy import Springs
 from .parameters import Parameters
-from .scene import Scene
 
 STEP = 1e-4
 """Of the difference quotients, over a parameter's range."""

@@ -8,14 +8,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import InputError, SoftdecaError
-from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
+from ...lhm.checked import checked
+from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.head import LayeredHead
+from ...lhm.mesh import Floats
+from ..scene import Scene
+from ..solve import prepare
 from .facial import facial_scene
 from .parameters import Parameters
-from .scene import Scene
-from .solve import prepare
 
 WITHIN = 0.1
 """[mm], below what one sees on a face."""

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.geometry import cholmod
-from ..lhm.geometry.factor import LinearSolver
-from ..lhm.mesh import Floats
-from . import terms
+from ...lhm.checked import checked
+from ...lhm.geometry import cholmod
+from ...lhm.geometry.factor import LinearSolver
+from ...lhm.mesh import Floats
+from .. import terms
+from ..projective import ProjectivePrepared, Tangent, prepare
+from ..scene import Scene
+from ..solution import OnIteration, Solution
 from .parameters import Parameters
-from .projective import ProjectivePrepared, Tangent, prepare
 from .responses import expression_responses, parameter_responses, skin_responses
-from .scene import Scene
 from .settling import Settled, neutral_scene
-from .solution import OnIteration, Solution
 
 NEAR, DIRECT, TIGHT = 2.5e-5, 2e-6, 1e-8
 """Gradient norms, relative to that of the targets' springs each 1 mm long: of a first answer, of one that the PD matrix

@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import SceneError
-from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
+from ...lhm.checked import checked
+from ...lhm.errors import SceneError
+from ...lhm.head import LayeredHead
+from ...lhm.mesh import Floats
+from ..scene import Scene
+from ..solution import Solution, volume_ratio
+from ..solve import Prepared, prepare
+from ..terms import Target
 from .base import lag, pivot, rotation, turns
 from .bones import carried
 from .dynamics import Recurrence
 from .inertia import recurrence
 from .parameters import Parameters
-from .scene import Scene
 from .settling import Settled
-from .solution import Solution, volume_ratio
-from .solve import Prepared, prepare
 from .stack import Stack
-from .terms import Target
 
 TOLERANCE = 2.5e-5
 

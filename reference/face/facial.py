@@ -12,21 +12,21 @@ from typing import get_args
 
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import SceneError
-from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ..lhm.mesh import Floats, Ints
-from . import terms
+from ...lhm.checked import checked
+from ...lhm.errors import SceneError
+from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.mesh import Floats, Ints
+from .. import terms
+from ..materials import NeoHookean
+from ..scene import Scene
+from ..terms import StrainRule
 from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones
 from .connecting import Attached, connecting_tets
 from .guard import guard, is_guard
 from .local import TETS_PER_PRISM, on_tets, on_triangles
-from .materials import NeoHookean
 from .palsy import Springs
 from .parameters import TISSUE_DENSITY, Parameters
-from .scene import Scene
 from .stack import Stack
-from .terms import StrainRule
 
 PARTS = ("muscle", "skin")
 OF_TETS = (

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import InputError, MissingDependencyError
-from ..lhm.mesh import Floats
+from ...lhm.checked import checked
+from ...lhm.errors import InputError, MissingDependencyError
+from ...lhm.mesh import Floats
 from .parameters import Parameters
 
 

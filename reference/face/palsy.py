@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.flesh import expressive, eye_sockets
-from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Surface
+from ...lhm.flesh import expressive, eye_sockets
+from ...lhm.head import LayeredHead
+from ...lhm.mesh import Floats, Surface
 from .local import on_vertices
 from .parameters import Parameters
 

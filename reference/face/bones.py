@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..lhm.geometry.rigid import rigid_motion
-from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ..lhm.mesh import Floats
-from . import terms
+from ...lhm.geometry.rigid import rigid_motion
+from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.mesh import Floats
+from .. import terms
 from .parameters import Parameters
 
 Bones = Literal["rigid", "prescribed", "soft"]

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lhm.mesh import Floats, Ints, tet_volumes
-from .terms import Strain
+from ...lhm.mesh import Floats, Ints, tet_volumes
+from ..terms import Strain
 
 FREE_STRETCH = 3.0
 """Stretches within [1 / FREE_STRETCH, FREE_STRETCH] are left alone: no answer within them changes."""

@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import SceneError
-from ..lhm.flesh import LEAN_REGIONS, fleshy
-from ..lhm.head import FREE, LayeredHead
-from ..lhm.mesh import Floats
-from ..lhm.wraps.harmonic import harmonic
-from . import terms
+from ...lhm.checked import checked
+from ...lhm.errors import SceneError
+from ...lhm.flesh import LEAN_REGIONS, fleshy
+from ...lhm.head import FREE, LayeredHead
+from ...lhm.mesh import Floats
+from ...lhm.wraps.harmonic import harmonic
+from .. import terms
+from ..scene import Scene
+from ..solution import Reason, Solution
+from ..solve import prepare
 from .bones import scaled_skull
 from .facial import facial_scene
 from .palsy import kept_of_skin
 from .parameters import Parameters
-from .scene import Scene
-from .solution import Reason, Solution
-from .solve import prepare
 from .stack import Stack
 
 TOLERANCE = 1e-6

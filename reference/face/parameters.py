@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats
+from ...lhm.errors import InputError
+from ...lhm.mesh import Floats
 
 STANDARD_GRAVITY = 9810.0
 """[mm/s²]"""
