@@ -15,7 +15,8 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.effects import STARTS, Effects
 from softdeca.lhm.errors import InputError
 from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
-from softdeca.reference import Parameters, Reason, facial_scene, settled, settling, solve
+from softdeca.reference import Parameters, Reason, facial_scene, settled, solve
+from softdeca.reference.face import settling
 from softdeca.reference.face.settling import carried_by_bones, neutral_scene
 
 OTHERS = ("lids", "mouth", "eyes", "teeth", "ears")

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface
-from softdeca.reference import Parameters, Sequence, velocities
+from softdeca.reference import Parameters, Sequence
+from softdeca.reference.face import velocities
 
 STEP = 1 / 60
 
