@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..animation.played import blended
 from ..lhm import expressions, fit_head, identities, load_template
 from ..lhm.expressions import Take
 from ..lhm.files.atomic import replaced
@@ -22,7 +23,6 @@ from ..reference import Parameters, settled
 from ..reference import Sequence as Simulation
 from ..surrogate import Surrogate
 from . import plots
-from .played import blended
 
 TRUTH = "PD"
 FOLLOWS = 0.5

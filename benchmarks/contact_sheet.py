@@ -13,7 +13,7 @@ from ..surrogate.corpus.group import UNDIFFERENTIATED
 from ..surrogate.corpus.mixture import NAMES
 from ..surrogate.corpus.plan import SPLITS
 from ..surrogate.corpus.reading import Row, Table
-from .pictures import Panel, strip
+from ..viewer.pictures import Panel, strip
 
 SIZE = 220
 SHOWN = 2

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..lhm.mesh import Floats, Surface
 from ..lhm.regressor import MeasuredDepths
-from .pictures import Panel, strip
+from ..viewer.pictures import Panel, strip
 
 HALF_TURN = np.array([-1.0, 1.0, -1.0])
 

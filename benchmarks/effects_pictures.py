@@ -6,9 +6,9 @@ import numpy as np
 
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
+from ..viewer.pictures import VIEW, Panel, strip
 from .differences import distances
 from .effect_run import EffectResult
-from .pictures import VIEW, Panel, strip
 
 FRONT = (0.0, 0.05, 1.0)
 CLOSE = 560

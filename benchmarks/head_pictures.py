@@ -13,7 +13,7 @@ from ..lhm.geometry.quality import smallest_dihedrals
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, facial_scene, solve
-from .pictures import MUSCLE, SOFT, VIEW, coloured, cut_away, views
+from ..viewer.pictures import MUSCLE, SOFT, VIEW, coloured, cut_away, views
 from .plots import png, pyplot
 
 FRONT, SIDE = (0.0, 0.05, 1.0), (1.0, 0.05, 0.15)

@@ -13,8 +13,8 @@ from ..lhm.geometry.bvh import TriangleTree
 from ..lhm.geometry.closing import openings
 from ..lhm.head import LayeredHead
 from ..reference import Parameters, facial_scene, solve
+from ..viewer.pictures import Panel, cut_away, strip
 from .head_pictures import FRONT, LARGEST_GAP
-from .pictures import Panel, cut_away, strip
 
 POSES = {
     "jawOpen": ("jawOpen",),

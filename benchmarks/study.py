@@ -22,12 +22,12 @@ from ..reference import Parameters, facial_scene
 from ..reference.projective import local_step_seconds, prepare
 from ..surrogate.runtime import Surrogate
 from ..viewer import Pose, Rig, face_page
+from ..viewer.pictures import Panel, cut_away, strip
 from . import learned
 from .cases import Case, CaseResult, run_case
 from .differences import difference, distances
 from .gates import gates
 from .harness import machine, run
-from .pictures import Panel, cut_away, strip
 from .report import page
 from .studies.verification import Verification
 

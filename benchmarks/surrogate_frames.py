@@ -16,8 +16,8 @@ from ..surrogate.evaluate_references import referenced
 from ..surrogate.modal.faces import Faces
 from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals.modal import ModalMethod
+from ..viewer.pictures import Panel, strip
 from .contact_sheet import FACE_HEIGHT
-from .pictures import Panel, strip
 
 SHOWN = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
 """Which frames: those at these shares of all test frames in the order of how far simulation moves the face."""

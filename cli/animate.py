@@ -58,9 +58,9 @@ def animate(
     Writes OUT/take.vtkhdf (or .glb) and OUT/preview.gif (or .mp4); with --targets OUT/rig.glb besides, whose morph
     targets are the rig's own, with the take's weights of them.
     """
-    from ..benchmarks.animate import animate as run
-    from ..benchmarks.animate import of_head, of_people
-    from ..benchmarks.played import Wanted
+    from ..animation.animate import animate as run
+    from ..animation.animate import of_head, of_people
+    from ..animation.played import Wanted
     from ..surrogate import Surrogate
 
     which = WhichHead(head_file, space_name, seed, level)

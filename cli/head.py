@@ -131,7 +131,7 @@ def fit(
     save_head(out, fitted)
     written = [out, *(export_vtk(vtk, fitted) if vtk is not None else ())]
     if picture is not None:
-        from ..benchmarks.pictures import cut_away
+        from ..viewer.pictures import cut_away
 
         write_whole(picture, cut_away(fitted))
         written.append(picture)

@@ -66,7 +66,7 @@ def landmarks_command(
 
 def _picture(surface: Surface, points) -> bytes:
     from ..benchmarks.head_pictures import FRONT, SIDE
-    from ..benchmarks.pictures import labelled
+    from ..viewer.pictures import labelled
 
     places = np.array(list(points.values()))
     framed = np.vstack([places.min(axis=0) - AROUND, places.max(axis=0) + AROUND])

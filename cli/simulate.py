@@ -50,7 +50,7 @@ def simulate(
     stopped goes on where it was. Exit status 1 if a frame, or the neutral face, did not converge; those are
     listed.
     """
-    from ..benchmarks.take import TakeConfig, run_take
+    from ..animation.simulate import TakeConfig, run_take
 
     which = WhichHead(head_file, space_name, seed, level)
     recorded = taken(take, fps, chosen, turned)

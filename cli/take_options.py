@@ -95,7 +95,7 @@ class WhichHead:
 
 def taken(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:
     """The frames of a take that are asked for; its remarks go to stderr."""
-    from ..benchmarks.takes import cut, take_from_text
+    from ..animation.takes import cut, take_from_text
 
     take = take_from_text(text)
     take = expressions.resampled(take, take.rate if fps is None else fps)

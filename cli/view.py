@@ -30,7 +30,7 @@ def view(
     By blendshapes, by the simulator to first order, and by the surrogate where the head has the triangles of its
     people. It opens in any browser with WebGL, from the file, and asks no network for anything.
     """
-    from ..benchmarks.animate import of_head
+    from ..animation.animate import of_head
     from ..surrogate import Surrogate
     from ..viewer import Rig, face_page
 

@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.animate import animate, of_head
-from softdeca.benchmarks.played import Wanted
+from softdeca.animation.animate import animate, of_head
+from softdeca.animation.played import Wanted
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.files.head_file import save_head
 from softdeca.lhm.progress import silent

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from softdeca.benchmarks.take import TakeConfig, run_take
-from softdeca.benchmarks.takes import cut, take_from_text
+from softdeca.animation.simulate import TakeConfig, run_take
+from softdeca.animation.takes import cut, take_from_text
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.progress import silent
 from softdeca.reference import Parameters, SceneError, Sequence, settled, solve

@@ -24,7 +24,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from softdeca.benchmarks.takes import take_from_text
+from softdeca.animation.takes import take_from_text
 from softdeca.cli.app import app
 from softdeca.cli.head import _counts
 from softdeca.lhm import Surface, expressions, identities

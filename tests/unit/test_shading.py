@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from softdeca.benchmarks.shading import INSIDE, SKIN, shades
 from softdeca.lhm import Surface, load_template
 from softdeca.lhm.geometry.sky import sky_seen
 from softdeca.lhm.geometry.sphere import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH
+from softdeca.viewer.shading import INSIDE, SKIN, shades
 
 
 def test_a_ball_sees_the_whole_sky_from_outside_and_none_from_inside():

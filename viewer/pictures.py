@@ -33,7 +33,8 @@ class Panel:
     top: float = 1.0
 
 
-def _pyvista():
+def load_pyvista():
+    """The package pyvista, set to draw off screen."""
     # VTK looks for an X server first, and says so on stderr, although it then renders without one.
     os.environ.setdefault(
         "VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow" if _has_egl() else "vtkOSOpenGLRenderWindow"
@@ -50,12 +51,14 @@ def _has_egl() -> bool:
     return find_library("EGL") is not None
 
 
-def _poly(pyvista, vertices: Floats, triangles: Ints):
+def poly(pyvista, vertices: Floats, triangles: Ints):
+    """A mesh of pyvista's."""
     faces = np.hstack([np.full((len(triangles), 1), 3), triangles])
     return pyvista.PolyData(np.asarray(vertices), faces.ravel())
 
 
-def _look(plotter, centre: Floats, height: float, view: Sequence[float]):
+def look(plotter, centre: Floats, height: float, view: Sequence[float]):
+    """Let a plotter see a height [mm] about a centre [mm] from the direction `view`, without perspective."""
     direction = np.asarray(view) / np.linalg.norm(view)
     plotter.camera.parallel_projection = True
     plotter.camera.focal_point = centre
@@ -65,18 +68,18 @@ def _look(plotter, centre: Floats, height: float, view: Sequence[float]):
     plotter.reset_camera_clipping_range()
 
 
-def _behind(plotter, surface: Surface):
+def behind(plotter, surface: Surface):
     """Add a surface's reverse to a plotter, dark and with its openings closed, and return the mesh.
 
     It is what is seen through an open mouth without a lining.
     """
     whole = closed(surface)
-    mesh = _poly(_pyvista(), whole.vertices, whole.triangles)
+    mesh = poly(load_pyvista(), whole.vertices, whole.triangles)
     plotter.add_mesh(mesh, color=INSIDE, lighting=False, culling="front", reset_camera=False)
     return mesh
 
 
-def _skin(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
+def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
     return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
 
@@ -101,7 +104,7 @@ def strip(
     Captions of coloured panels say what the bar's end stands for. The picture is as high as the points `framed` [mm],
     shape (k, 3), by default all of the first surface's. What is hidden in `rest`, the head at rest, is drawn dark.
     """
-    pyvista = _pyvista()
+    pyvista = load_pyvista()
     colours = None if rest is None else shades(rest)
     plotter = pyvista.Plotter(
         off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
@@ -111,11 +114,11 @@ def strip(
     centre, height = (points.max(0) + points.min(0)) / 2 + [0.0, 0.08 * tall, 0.0], 1.28 * tall  # captions above
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = _poly(pyvista, panel.surface.vertices, panel.surface.triangles)
+        mesh = poly(pyvista, panel.surface.vertices, panel.surface.triangles)
         if panel.values is None:
-            plotter.add_mesh(mesh, **_skin(colours), smooth_shading=True, specular=0.15)
+            plotter.add_mesh(mesh, **skin_colours(colours), smooth_shading=True, specular=0.15)
             if colours is not None:
-                _behind(plotter, panel.surface)
+                behind(plotter, panel.surface)
         else:
             bar = {
                 "title": f"mm, {column + 1}",
@@ -134,13 +137,13 @@ def strip(
         caption = panel.caption if panel.values is None else f"{panel.caption}\n0 to {panel.top:.2g} mm"
         plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
         plotter.set_background("white")
-        _look(plotter, centre, height, view)
+        look(plotter, centre, height, view)
     return _png(plotter)
 
 
 def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 520) -> bytes:
     """The head's left half with its layers open at the mid-plane, beside the skull wrap's labels."""
-    pyvista = _pyvista()
+    pyvista = load_pyvista()
     vertices = head.vertices if positions is None else positions
     plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(3 * size, size), border=False)
     skin = head.skin_wrap.vertices
@@ -154,14 +157,14 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
         grid = pyvista.UnstructuredGrid(cells, np.full(len(tets), pyvista.CellType.TETRA), np.asarray(vertices))
         plotter.add_mesh(grid, color=colour, show_edges=True, edge_color="#55443a", line_width=0.5)
     plotter.add_text("soft tissue and muscle,\ncut at the mid-plane", position="upper_edge", font_size=9, color="black")
-    _look(plotter, centre, height, (1.0, 0.05, 0.15))
+    look(plotter, centre, height, (1.0, 0.05, 0.15))
     n = len(head.bone)
     for column, (name, colours) in enumerate(
         (("skin wrap", np.zeros(n)), ("skull wrap: cranium white,\nmandible blue, rest free", head.bone)), start=1
     ):
         plotter.subplot(0, column)
         first = 0 if column == 1 else 2 * n
-        mesh = _poly(pyvista, vertices[first : first + n], head.skin_wrap.triangles)
+        mesh = poly(pyvista, vertices[first : first + n], head.skin_wrap.triangles)
         palette = [SKIN, BONE, "#7aa6c2"] if column == 2 else [SKIN]
         plotter.add_mesh(
             mesh,
@@ -174,7 +177,7 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
             interpolate_before_map=False,
         )
         plotter.add_text(name, position="upper_edge", font_size=9, color="black")
-        _look(plotter, centre, height, VIEW)
+        look(plotter, centre, height, VIEW)
     plotter.set_background("white", all_renderers=True)
     return _png(plotter)
 
@@ -190,7 +193,7 @@ def views(
 
     `framed` and `rest` as in `strip`.
     """
-    pyvista = _pyvista()
+    pyvista = load_pyvista()
     colours = None if rest is None else shades(rest)
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
@@ -198,14 +201,14 @@ def views(
     centre, height = (x.max(0) + x.min(0)) / 2, 1.15 * np.ptp(x[:, 1])
     for column, (caption, surface, view) in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        mesh = poly(pyvista, surface.vertices, surface.triangles)
         mesh.point_data.active_normals = surface.vertex_normals
-        actor = plotter.add_mesh(mesh, **_skin(colours), specular=0.1, specular_power=8, ambient=0.12)
+        actor = plotter.add_mesh(mesh, **skin_colours(colours), specular=0.1, specular_power=8, ambient=0.12)
         if colours is not None:
-            _behind(plotter, surface)
+            behind(plotter, surface)
         actor.prop.interpolation = "Phong"
         plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
-        _look(plotter, centre, height, view)
+        look(plotter, centre, height, view)
     plotter.set_background("white", all_renderers=True)
     return _png(plotter)
 
@@ -222,7 +225,7 @@ def coloured(
 
     A surface without values is faded, and `points` (k, 3) [mm] with values (k,) are drawn in it, for all panels.
     """
-    pyvista = _pyvista()
+    pyvista = load_pyvista()
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
     x = panels[0][1].vertices
@@ -231,7 +234,7 @@ def coloured(
     bar |= {"width": 0.8, "height": 0.08, "position_x": 0.1, "position_y": 0.02}
     for column, (caption, surface, values, view) in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        mesh = poly(pyvista, surface.vertices, surface.triangles)
         how = {"cmap": "viridis", "clim": limits, "show_scalar_bar": column == len(panels) // 2, "scalar_bar_args": bar}
         if values is not None:
             plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
@@ -242,7 +245,7 @@ def coloured(
             dots = pyvista.PolyData(np.asarray(points[0]))
             plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
         plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
-        _look(plotter, centre, height, view)
+        look(plotter, centre, height, view)
     plotter.set_background("white", all_renderers=True)
     return _png(plotter)
 
@@ -256,14 +259,14 @@ def labelled(
     size: int = 560,
 ) -> bytes:
     """A surface from several views (caption, direction), with points [mm] by name, numbered; `framed` as in `strip`."""
-    pyvista = _pyvista()
+    pyvista = load_pyvista()
     window = (size * len(views), size)
     plotter = pyvista.Plotter(off_screen=True, shape=(1, len(views)), window_size=window, border=False)
     centre, height = (framed.max(0) + framed.min(0)) / 2, 1.12 * np.ptp(framed[:, 1])
     places = np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
     for column, (caption, view) in enumerate(views):
         plotter.subplot(0, column)
-        mesh = _poly(pyvista, surface.vertices, surface.triangles)
+        mesh = poly(pyvista, surface.vertices, surface.triangles)
         plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
         plotter.add_point_labels(
             places + 2.0 * np.asarray(view) / np.linalg.norm(view),
@@ -281,6 +284,6 @@ def labelled(
         if column == 0:
             text = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
             plotter.add_text(text, position="lower_left", font_size=7, color="black")
-        _look(plotter, centre, height, view)
+        look(plotter, centre, height, view)
     plotter.set_background("white", all_renderers=True)
     return _png(plotter)

@@ -21,7 +21,7 @@ from ..reference.face.base import pivot, turns_before
 from ..reference.face.sequence import TOLERANCE
 from .played import Played, Wanted, blended
 from .preview import check_preview
-from .take_store import TakeStore, digest
+from .store import TakeStore, digest
 
 
 @dataclass(frozen=True)

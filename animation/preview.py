@@ -14,8 +14,8 @@ from ..lhm.errors import InputError, MissingDependencyError
 from ..lhm.files.atomic import replaced
 from ..lhm.geometry.closing import closed
 from ..lhm.mesh import Floats, Surface
-from .pictures import _behind, _look, _poly, _pyvista, _skin
-from .shading import shades
+from ..viewer.pictures import behind, load_pyvista, look, poly, skin_colours
+from ..viewer.shading import shades
 
 Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
@@ -46,24 +46,24 @@ def pictures_of(
     The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
     all of the skin. What is hidden in `neutral` is drawn dark.
     """
-    pyvista = _pyvista()
+    pyvista = load_pyvista()
     rows = 2 * (23 * size // 40)
     plotter = pyvista.Plotter(off_screen=True, window_size=(2 * size, rows))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     plotter.set_background(BACKGROUND)
     framed = neutral.vertices[np.unique(neutral.triangles)] if framed is None else framed
     centre, height = (framed.max(axis=0) + framed.min(axis=0)) / 2, HEADROOM * float(np.ptp(framed[:, 1]))
-    _look(plotter, centre, height, FACING)
+    look(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * size / rows * right / np.linalg.norm(right)
     meshes, colours = [], shades(neutral)
     how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12, "reset_camera": False}
     for offset in (-aside, aside):
-        mesh = _poly(pyvista, neutral.vertices + offset, neutral.triangles)
+        mesh = poly(pyvista, neutral.vertices + offset, neutral.triangles)
         mesh.point_data.active_normals = neutral.vertex_normals
-        actor = plotter.add_mesh(mesh, **_skin(colours), **how)
+        actor = plotter.add_mesh(mesh, **skin_colours(colours), **how)
         actor.prop.interpolation = "Phong"
-        meshes.append((mesh, _behind(plotter, neutral.with_vertices(neutral.vertices + offset)), offset))
+        meshes.append((mesh, behind(plotter, neutral.with_vertices(neutral.vertices + offset)), offset))
     plotter.reset_camera_clipping_range()
     for pair in pairs:
         for (mesh, reverse, offset), vertices in zip(meshes, pair, strict=True):
