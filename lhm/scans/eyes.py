@@ -14,7 +14,7 @@ from ..identities.space import OUTSIDE, LinearSpace
 from ..mesh import Floats, Ints, Surface
 from ..registration.matching import Target
 from ..registration.start import similarity
-from ..wraps.landmarks import distance_to
+from ..wraps.landmarks import Mask, distance_to
 
 State = Literal["open", "solid", "closed", "unclear"]
 SIDES = ("Left", "Right")
@@ -29,9 +29,9 @@ DRAWN = (0.5, 0.75, 1.0)
 """Weights of the blinks tried: closed lids of a scan meet higher or lower than the template's."""
 DIRECT = 1.45
 """A way from lid to lid of up to so many times the straight distance leads across the eye; around it is pi / 2."""
-EDGE, LAID = 3.0, 1.1
-"""[mm] Around their rims the template's lids lie so near a solid eye on average (.7 to .9 on a bust with lids cut to an
-edge); where other folds were taken for them (1.3) their edges hang free."""
+EDGE, LAID = 3.0, 82.0
+"""So near their rims [mm] the template's lids are turned from a solid eye's skin by less than this on average
+[degrees]: 68 to 70 on a bust with lids cut to an edge, 93 to 102 where other folds were taken for lids."""
 STILL: tuple[State, ...] = ("closed", "unclear")
 LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
 """What moves lids only; lids that are closed, or not to be made out, do not."""
@@ -94,8 +94,8 @@ def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, regi
         elif _way(template, rim, registered, skin) >= DIRECT:
             states.append("open")
         else:
-            edge = registered.vertices[visible & (away < EDGE)]
-            states.append("solid" if target.tree.closest(edge)[2].mean() < LAID else "unclear")
+            turned = _turned(registered, visible & (away < EDGE), target)
+            states.append("solid" if turned < LAID else "unclear")
     return Eyes(*states)
 
 
@@ -119,6 +119,15 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
     _, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=FAR)
     off = np.where(weight > 0, np.minimum(distance, FAR), FAR)
     return float(off[close[patch]].mean())
+
+
+def _turned(registered: Surface, edge: Mask, target: Target) -> float:
+    """The mean angle [degrees] between the registered lids at their edge and the skin there."""
+    triangle, shares, _ = target.tree.closest(registered.vertices[edge])
+    there = np.einsum("kc,kcd->kd", shares, target.normals[target.skin.triangles[triangle]])
+    there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
+    cosine = np.einsum("kd,kd->k", there, registered.vertex_normals[edge])
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
 
 def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> float:
