@@ -40,6 +40,9 @@ from .published import SKULL_PLACES
 
 LEAST_MEASURED = 0.1
 """Of the face's vertices at least this share must see bone, or there is nothing to compare."""
+UNDER = -0.6
+"""A landmark is on no skin whose normal [up] is below this: seen from the front the throat is as near to it as the
+chin."""
 
 
 @dataclass(frozen=True)
@@ -137,9 +140,13 @@ class DepthCheck:
         return found
 
     def at_landmarks(self) -> list[dict]:
-        """Depths [mm] at the face's vertex next to each landmark of the published depths, on either side."""
-        marks, rest = self.template.marks, self.template.skin_wrap.vertices
-        origin, front = marks.eyes.mean(axis=0), np.flatnonzero(self.template.regions["face"])
+        """Depths [mm] at the face's vertex next to each landmark of the published depths, on either side.
+
+        None is on the throat, where there is no bone.
+        """
+        marks, wrap = self.template.marks, self.template.skin_wrap
+        rest, origin = wrap.vertices, marks.eyes.mean(axis=0)
+        front = np.flatnonzero(self.template.regions["face"] & (wrap.vertex_normals[:, 1] > UNDER))
         drop = np.linalg.norm(origin - marks.mouth)
         rows = []
         for mark in LANDMARKS:

@@ -1,4 +1,4 @@
-"""Whether the eyes of a skin are open, solid (lids and eyeball are one surface), or closed."""
+"""Whether the eyes of a skin are open, solid (lids and eyeball are one surface), closed, or not to be made out."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..identities.space import OUTSIDE, LinearSpace
 from ..mesh import Floats, Ints, Surface
 from ..registration.matching import Target
 from ..registration.start import similarity
-from ..wraps.landmarks import distance_to
+from ..wraps.landmarks import Mask, distance_to
 
-State = Literal["open", "solid", "closed"]
+State = Literal["open", "solid", "closed", "unclear"]
 SIDES = ("Left", "Right")
 AROUND, CLOSE = 16.0, 7.0
 """[mm] of the template's lids: what is laid on the skin, and what is compared."""
@@ -29,8 +29,12 @@ DRAWN = (0.5, 0.75, 1.0)
 """Weights of the blinks tried: closed lids of a scan meet higher or lower than the template's."""
 DIRECT = 1.45
 """A way from lid to lid of up to so many times the straight distance leads across the eye; around it is pi / 2."""
+EDGE, LAID = 3.0, 82.0
+"""So near their rims [mm] the template's lids are turned from a solid eye's skin by less than this on average
+[degrees]: 68 to 70 on a bust with lids cut to an edge, 93 to 102 where other folds were taken for lids."""
+STILL: tuple[State, ...] = ("closed", "unclear")
 LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
-"""What moves lids only, and a closed eye's lids do not."""
+"""What moves lids only; lids that are closed, or not to be made out, do not."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +46,18 @@ class Eyes:
 
     @property
     def still(self) -> dict[str, str]:
-        """The expressions that do nothing on closed eyes, each with the reason."""
+        """The expressions that do nothing on lids that stay still, each with the reason."""
         return {
-            f"{name}{side}": f"the {side.lower()} eye is closed: its lids stay as they are"
+            f"{name}{side}": f"the {side.lower()} eye is {state}: its lids stay as they are"
             for side, state in zip(SIDES, (self.left, self.right), strict=True)
             for name in LIDS
-            if state == "closed" and f"{name}{side}" in ARKIT
+            if state in STILL and f"{name}{side}" in ARKIT
         }
+
+    def still_rims(self, template: Surface, parts: Ints, lids: Ints) -> Ints:
+        """Those of the template's `lids` vertices that are of eyes that stay still."""
+        sides = zip(_by_side(template, parts, lids), (self.left, self.right), strict=True)
+        return np.concatenate([rim if state in STILL else rim[:0] for rim, state in sides])
 
     def told(self) -> str:
         """What is said of them; empty for open eyes."""
@@ -61,6 +70,7 @@ class Eyes:
 _WORDS = {
     "closed": "closed; eyeBlink, eyeWide and eyeLook do nothing to the lids",
     "solid": "solid, one surface with the lids; eyeBlink draws the lids over it",
+    "unclear": "one surface on which the template's lids are not made out; eyeBlink, eyeWide and eyeLook do nothing",
 }
 
 
@@ -69,11 +79,9 @@ def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, regi
 
     `space`: whose expressions the template has; `lids`: the vertices of its lids' rims.
     """
-    middle = np.median(template.vertices[parts == OUTSIDE, 0])
     target = Target(skin)
     states: list[State] = []
-    for side, sign in zip(SIDES, (1, -1), strict=True):
-        rim = lids[np.sign(template.vertices[lids, 0] - middle) == sign]
+    for side, rim in zip(SIDES, _by_side(template, parts, lids), strict=True):
         away = distance_to(template.vertices, template.vertices[rim])
         visible = parts == OUTSIDE
         blink = space.expressions[ARKIT.index(f"eyeBlink{side}")]
@@ -83,9 +91,18 @@ def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, regi
         )
         if min(drawn) < CLOSED * opened:
             states.append("closed")
+        elif _way(template, rim, registered, skin) >= DIRECT:
+            states.append("open")
         else:
-            states.append("solid" if _way(template, rim, registered, skin) < DIRECT else "open")
+            turned = _turned(registered, visible & (away < EDGE), target)
+            states.append("solid" if turned < LAID else "unclear")
     return Eyes(*states)
+
+
+def _by_side(template: Surface, parts: Ints, lids: Ints) -> tuple[Ints, Ints]:
+    """The vertices of the left and of the right eye's lids, the subject's."""
+    left = template.vertices[lids, 0] > np.median(template.vertices[parts == OUTSIDE, 0])
+    return lids[left], lids[~left]
 
 
 def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, target: Target) -> float:
@@ -102,6 +119,15 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
     _, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=FAR)
     off = np.where(weight > 0, np.minimum(distance, FAR), FAR)
     return float(off[close[patch]].mean())
+
+
+def _turned(registered: Surface, edge: Mask, target: Target) -> float:
+    """The mean angle [degrees] between the registered lids at their edge and the skin there."""
+    triangle, shares, _ = target.tree.closest(registered.vertices[edge])
+    there = np.einsum("kc,kcd->kd", shares, target.normals[target.skin.triangles[triangle]])
+    there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
+    cosine = np.einsum("kd,kd->k", there, registered.vertex_normals[edge])
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
 
 def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> float:

@@ -10,7 +10,7 @@ from ..errors import MeshError
 from ..geometry.stretch import torn_area
 from ..head import LayeredHead
 from ..membranes import MOUTH, at, torn
-from ..mesh import Floats, Surface
+from ..mesh import Floats, Ints, Surface
 from ..registration.registration import Registration
 from ..rig import Rig
 from ..template import Template
@@ -18,6 +18,7 @@ from ..wraps.landmarks import distance_to
 from .eyes import Eyes, eyes_of
 from .lips import lip_line
 from .mouth import is_sealed, opened
+from .still import carried_along
 
 AROUND = 25.0
 """[mm] Where a membrane between the lips is looked for, from the registered template's rim of them."""
@@ -32,13 +33,14 @@ class Unsealed:
     """A skin and the registration on it after what was sealed is opened, and what is said of it.
 
     `own`: its own displacements [mm] by ARKit names; `still`: expressions that do nothing on it, with the reason;
-    `sealed`: whether its mouth stays closed.
+    `rims`: the template's vertices at the rims of lids that stay still; `sealed`: whether its mouth stays closed.
     """
 
     skin: Surface
     laid: Registration
     own: Mapping[str, Floats] = field(repr=False)
     still: Mapping[str, str]
+    rims: Ints = field(repr=False)
     sealed: bool
     notes: tuple[str, ...]
 
@@ -48,30 +50,32 @@ def opened_up(template: Template, laid: Registration, skin: Surface, own: Mappin
 
     A skin with a jawOpen of its own is left as it is.
     """
-    still, told = _eyes(template, laid, skin, own)
+    still, rims, told = _eyes(template, laid, skin, own)
     if "jawOpen" in own:
-        return Unsealed(skin, laid, own, still, False, told)
+        return Unsealed(skin, laid, own, still, rims, False, told)
     if not _sealed(template, laid, skin):
-        return Unsealed(skin, laid, own, still, False, told)
+        return Unsealed(skin, laid, own, still, rims, False, told)
     try:
         mouth = opened(template.skin, template.parts, laid, skin)
     except MeshError as error:
-        return Unsealed(skin, laid, own, still, True, (f"mouth: sealed, and not to be opened ({error})", *told))
+        return Unsealed(skin, laid, own, still, rims, True, (f"mouth: sealed, and not to be opened ({error})", *told))
     more = len(mouth.skin.vertices) - len(skin.vertices)
     note = f"mouth: sealed; opened between the lips, with the template's lining behind them ({more} more vertices)"
-    return Unsealed(mouth.skin, mouth.laid, mouth.carried(own), still, False, (note, *told))
+    return Unsealed(mouth.skin, mouth.laid, mouth.carried(own), still, rims, False, (note, *told))
 
 
 def left_sealed(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
     """Leave the skin as it is, and say what is sealed."""
-    still, told = _eyes(template, laid, skin, own)
+    still, rims, told = _eyes(template, laid, skin, own)
     sealed = "jawOpen" not in own and _sealed(template, laid, skin)
-    return Unsealed(skin, laid, own, still, sealed, ("mouth: sealed, and left so", *told) if sealed else told)
+    return Unsealed(skin, laid, own, still, rims, sealed, ("mouth: sealed, and left so", *told) if sealed else told)
 
 
 def named(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
-    """The rig in which closed lids stay still, and what tears a mouth that stayed sealed is named."""
+    """The rig in which lids that are not open stay still, and what tears a mouth that stayed sealed is named."""
     rig = rig.without({name: reason for name, reason in done.still.items() if name not in done.own})
+    if len(done.rims):
+        rig = carried_along(rig, head.skin, done.laid.vertices[done.rims], done.own)
     if not done.sealed:
         return rig
     lips = at(head.skin, head.skin_from_wrap, head.regions, MOUTH)
@@ -93,8 +97,10 @@ def _sealed(template: Template, laid: Registration, skin: Surface) -> bool:
 
 def _eyes(
     template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]
-) -> tuple[Mapping[str, str], tuple[str, ...]]:
+) -> tuple[Mapping[str, str], Ints, tuple[str, ...]]:
+    lids = template.marks.lids
     if template.space is None or "eyeBlinkLeft" in own:
-        return {}, ()
-    eyes: Eyes = eyes_of(template.space, template.skin, template.parts, template.marks.lids, laid.surface, skin)
-    return eyes.still, (eyes.told(),) if eyes.told() else ()
+        return {}, lids[:0], ()
+    eyes: Eyes = eyes_of(template.space, template.skin, template.parts, lids, laid.surface, skin)
+    rims = eyes.still_rims(template.skin, template.parts, lids)
+    return eyes.still, rims, (eyes.told(),) if eyes.told() else ()

@@ -19,9 +19,11 @@ from softdeca.lhm.identities.space import CAP, EYES, MOUTH
 from softdeca.lhm.openings import lid_path, lip_path
 from softdeca.lhm.registration import registered_by
 from softdeca.lhm.registration.ties import on_skin, on_template
+from softdeca.lhm.rig import Rig
 from softdeca.lhm.scans import lips, mouth, seals
 from softdeca.lhm.scans.cutting import slit
 from softdeca.lhm.scans.eyes import Eyes, eyes_of
+from softdeca.lhm.scans.still import REACH, carried_along
 from softdeca.lhm.wraps.landmarks import distance_to
 
 
@@ -183,6 +185,49 @@ def test_eyes_are_told_open_solid_and_closed(template, laid):
     told = eyes(Surface(x, template.skin.triangles))
     assert told.left == "closed" and told.right == "open" and told.told().startswith("left eye: closed")
     assert set(told.still) >= {"eyeBlinkLeft", "eyeWideLeft"} and not any(name.endswith("Right") for name in told.still)
+    rims = told.still_rims(template.skin, template.parts, template.marks.lids)
+    assert len(rims) and (template.skin.vertices[rims, 0] > 0).all()
+
+
+def test_lids_laid_on_what_has_no_lids_are_not_made_out(template):
+    # Above the brows there is no edge for the rims of the lids to lie at.
+    solid = closed(Surface(template.skin.vertices, without(template, EYES)))
+    away = template.skin.with_vertices(template.skin.vertices + [0, 30.0, -2.0])
+    space, lids = template.space, template.marks.lids
+    told = eyes_of(space, template.skin, template.parts, lids, away, solid)
+    assert told == Eyes("unclear", "unclear") and "not made out" in told.told() and "eyeBlinkLeft" in told.still
+
+
+def test_lids_that_stay_still_go_with_what_is_around_them(template):
+    skin, lids = template.skin, template.marks.lids
+    rng = np.random.default_rng(0)
+    rims = skin.vertices[lids]
+    near = distance_to(skin.vertices, rims) < REACH
+    deltas = np.tile([1.0, -2, 3], (len(ARKIT), len(skin.vertices), 1))
+    deltas[:, near] += rng.standard_normal((len(ARKIT), near.sum(), 3))
+    own = {"jawOpen": deltas[ARKIT.index("jawOpen")]}
+    calm = carried_along(Rig(deltas, "a test"), skin, rims, own).deltas
+    jaw = ARKIT.index("jawOpen")
+    np.testing.assert_array_equal(calm[jaw], deltas[jaw].astype(np.float32))
+    np.testing.assert_allclose(np.delete(calm, jaw, axis=0), np.tile([1.0, -2, 3], (51, len(near), 1)), atol=1e-3)
+
+
+def test_a_squint_does_not_crumple_closed_lids():
+    # A plane of 1 mm squares, of which what is below the line of the lids moves up by 3 mm.
+    side = np.arange(-20.0, 21)
+    x = np.array([[a, b, 0] for b in side for a in side])
+    a = np.array([41 * i + j for i in range(40) for j in range(40)])
+    skin = Surface(x, np.vstack([np.stack([a, a + 1, a + 42], axis=1), np.stack([a, a + 42, a + 41], axis=1)]))
+    deltas = np.zeros((len(ARKIT), len(x), 3))
+    fades = np.clip((20 + x[:, 1]) / 10, 0, 1) * np.clip(1 - (x[:, 0] / 13) ** 2, 0, 1)
+    deltas[:, :, 1] = np.where(x[:, 1] < 0, 3.0 * fades, 0.0)
+    rims = x[(x[:, 1] == 0) & (np.abs(x[:, 0]) < 13)]
+    smooth = carried_along(Rig(deltas, "a test"), skin, rims, {}).deltas
+    near = distance_to(x, rims) < REACH - 1
+    triangles = skin.triangles[near[skin.triangles].all(axis=1)]
+    turned = [(Surface(x + d[0], triangles).face_normals[:, 2] < 0).sum() for d in (deltas, smooth)]
+    assert turned[0] > 20 and turned[1] == 0
+    assert greatest_stretches(x, x + smooth[0], triangles).max() < 1.5
 
 
 def test_lip_and_lid_gates_do_not_depend_on_the_orientation(template):
