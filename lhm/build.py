@@ -11,12 +11,14 @@ from scipy.sparse import csr_matrix
 
 from .anatomy.connectors import connectors_to
 from .arkit import ARKIT
+from .checked import checked
 from .errors import FitError, InputError
 from .files.cache import cached
 from .files.template_file import arrays_of, template_from
 from .geometry.bvh import TriangleTree
 from .geometry.distance import SignedDistance, is_closed
 from .head import CRANIUM
+from .identities import Anny
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .mesh import Floats, Ints, Surface
 from .progress import OnProgress, silent
@@ -57,17 +59,25 @@ def in_space(space: LinearSpace) -> InSpace:
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
 
 
-def template_of(space: LinearSpace, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent) -> Template:
-    """The template of a space's mean head; from the cache, or built and cached."""
+@checked
+def load_template(
+    space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
+) -> Template:
+    """The template of an identity space's mean head (default: the embedded head); built on first use, then cached.
+
+    `level` 1, 2 or 3: 1,212, 4,842 or 19,362 vertices per wrap. Raises FitError, naming what failed, if no valid
+    layers could be made.
+    """
+    of = Anny() if space is None else space
     if level not in LEVELS:
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
 
     def make():
-        return arrays_of(build_template(space.mean, **in_space(space), level=level, name=space.name, progress=progress))
+        return arrays_of(build_template(of.mean, **in_space(of), level=level, name=of.name, progress=progress))
 
-    name = f"template-{space.name}-{space.fingerprint()}-{level}-{FORMAT}"
+    name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
     template = template_from(cached(name, make))
-    return replace(template, regressor=default_regressor(template, space), space=space)
+    return replace(template, regressor=default_regressor(template, of), space=of)
 
 
 def build_template(

@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .checked import checked
 from .head import LayeredHead
-from .identities import Anny
 from .identities.space import LinearSpace
 from .mesh import Floats, Ints, Surface
-from .progress import OnProgress, silent
 from .wraps.columns import Columns
 from .wraps.landmarks import Landmarks, Mask, landmarks
 
@@ -93,17 +90,3 @@ class Template:
         ties = (self.wrap_from_skin, self.skin_from_wrap)
         wraps = (skin_wrap, muscle_wrap, skull_wrap)
         return LayeredHead(skin, *wraps, self.bone, *ties, self.regions, muscles, skull)
-
-
-@checked
-def load_template(
-    space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
-) -> Template:
-    """The template of an identity space's mean head (default: the embedded head); built on first use, then cached.
-
-    `level` 1, 2 or 3: 1,212, 4,842 or 19,362 vertices per wrap. Raises FitError, naming what failed, if no valid
-    layers could be made.
-    """
-    from .build import template_of
-
-    return template_of(Anny() if space is None else space, level=level, progress=progress)

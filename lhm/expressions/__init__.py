@@ -9,7 +9,8 @@ from .head_rotation import rotations
 from .recordings import Recording, recordings, starts
 from .rigging import PersonalRig, personalised
 from .speech import speech
-from .take import Take, read_take, resampled
+from .take import Take, resampled
+from .take_file import read_take
 from .transfer import transfer_expressions
 
 __all__ = [

@@ -22,7 +22,8 @@ from ..mesh import Ints
 from .combinations import combinations
 from .conversation import conversation_take
 from .speech import PACE, speech, texts
-from .take import Take, check_frames, read_take, resampled
+from .take import Take, check_frames, resampled
+from .take_file import read_take
 
 Kind = Literal["real", "speech", "conversation", "random"]
 RATE = 60.0
