@@ -33,7 +33,7 @@ from ..terms import (
     Volume,
 )
 from .bodies import Pose, RigidProblem
-from .densities import DENSITIES, check_mixed, shear_modulus
+from .densities import BY_DENSITY, check_mixed, shear_modulus
 from .dolfinx_version import ALL, ALONE, MPI
 from .fields import Fields, Sampling
 from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
@@ -62,7 +62,7 @@ TERMS = (
     Pressure,
     Inertia,
 )
-LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
+LAWS: tuple[type[Material], ...] = (*BY_DENSITY, Corotated)
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
 FORCE_DEGREE = 6
