@@ -51,7 +51,10 @@ print(corpus.generate())
 # %%
 table = Table(out / "corpus", "statics", "train")
 row = table[0]
-print(f"{len(table)} frames; " + ", ".join(f"{key} {np.shape(value)}" for key, value in row.items()))
+print(
+    f"{len(table)} frames; "
+    + ", ".join(f"{key} {np.shape(value)}" for key, value in row.items())
+)
 
 # %% [markdown]
 # ## Training
@@ -62,11 +65,15 @@ print(f"{len(table)} frames; " + ", ".join(f"{key} {np.shape(value)}" for key, v
 
 # %%
 training, test = Faces(out / "corpus", "train"), Faces(out / "corpus", "test")
-weights = train_modal(training, ModalTraining(steps=40, validate_every=10, faces=3, frames=3))
+weights = train_modal(
+    training, ModalTraining(steps=40, validate_every=10, faces=3, frames=3)
+)
 weights.save(out / "modal.safetensors")
 curve = [dict(point) for point in weights.note.curve]
 for point in curve:
-    print(f"step {point['step']:>3}: loss {point['loss']:.4f}, held-out people {point['network']:.4f} mm")
+    print(
+        f"step {point['step']:>3}: loss {point['loss']:.4f}, held-out people {point['network']:.4f} mm"
+    )
 assert curve[-1]["loss"] < curve[0]["loss"]
 
 # %% [markdown]
@@ -78,7 +85,9 @@ assert curve[-1]["loss"] < curve[0]["loss"]
 # %%
 for score in evaluate([ModalMethod(weights), Linearised(), Blendshapes()], test):
     if score.kind == "all":
-        print(f"{score.method:<26} mean {score.mean:.4f} mm, {100 * score.share:.1f} % of T - S")
+        print(
+            f"{score.method:<26} mean {score.mean:.4f} mm, {100 * score.share:.1f} % of T - S"
+        )
 
 # %% [markdown]
 # ## Use
@@ -91,7 +100,9 @@ rig = Surrogate.load(out / "modal.safetensors").bind(
     skin, code, Parameters(), expressions=space.expression_deltas(code)
 )
 frame = rig.frame(np.eye(52)[17])
-print(f"a frame of {len(frame)} vertices, {np.abs(frame - skin.vertices).max():.2f} mm from neutral")
+print(
+    f"a frame of {len(frame)} vertices, {np.abs(frame - skin.vertices).max():.2f} mm from neutral"
+)
 assert np.isfinite(frame).all()
 
 # %% [markdown]

@@ -51,7 +51,11 @@ class Gent(EnergyLaw):
         holds = (J > 0) & (left > 0)
         left, J = np.where(holds, left, 1.0), np.where(holds, J, 1.0)
         log_J = np.log(J)
-        psi = -self.mu * self.Jm / 2 * np.log(left / self.Jm) - self.mu * log_J + self.beta / 2 * log_J**2
+        psi = (
+            -self.mu * self.Jm / 2 * np.log(left / self.Jm)
+            - self.mu * log_J
+            + self.beta / 2 * log_J**2
+        )
         gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
         gradient[:, 0] = self.mu * self.Jm / (2 * left)
         gradient[:, 2] = (self.beta * log_J - self.mu) / J
@@ -69,17 +73,30 @@ def nominal_stress(law, stretches, axis):
 
 def pulled(law, stretch):
     """A cube pulled along one axis, the stretch of the others where their stress is 0."""
-    free = brentq(lambda s: nominal_stress(law, [stretch, s, s], 1), 0.3, 2.0, xtol=1e-15)
+    free = brentq(
+        lambda s: nominal_stress(law, [stretch, s, s], 1), 0.3, 2.0, xtol=1e-15
+    )
     stress = nominal_stress(law, [stretch, free, free], 0)
-    return Row("Gent nu=.45, uniaxial", lambda: [terms.Hyperelastic(law)], 1, stretch, free, stress)
+    return Row(
+        "Gent nu=.45, uniaxial",
+        lambda: [terms.Hyperelastic(law)],
+        1,
+        stretch,
+        free,
+        stress,
+    )
 
 
-ROWS = [pulled(Gent.of_moduli(*lame(1.0, 0.45)), stretch) for stretch in (0.7, 1.5, 2.0)]
+ROWS = [
+    pulled(Gent.of_moduli(*lame(1.0, 0.45)), stretch) for stretch in (0.7, 1.5, 2.0)
+]
 BOUNDS = {"fenicsx": 1e-9, "skfem": 1e-9}
 add_law(
     "Gent",
     Gent.of_moduli,
     problems=tuple(
-        make(row, BOUNDS, source="Gent 1996; one equation") for row in ROWS for make in (free_stretch, under_load)
+        make(row, BOUNDS, source="Gent 1996; one equation")
+        for row in ROWS
+        for make in (free_stretch, under_load)
     ),
 )

@@ -7,6 +7,7 @@
 
 # %%
 import tempfile
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,27 @@ from softdeca.lhm.files.head_file import load_head, save_head
 from softdeca.reference import Parameters, facial_scene, settled, solve
 from softdeca.surrogate import linearised_rig
 
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG that a notebook shows."""
+
+    png: bytes = field(repr=False)
+
+    def _repr_png_(self):
+        return self.png
+
+
 out = Path(tempfile.mkdtemp())
 rng = np.random.default_rng(3)
 _, someone = identities.Anny().sample(rng)
 order = rng.permutation(len(someone.vertices))
-turned = 1e-3 * someone.vertices[order] @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T
-trimesh.Trimesh(turned, np.argsort(order)[someone.triangles], process=False).export(out / "scan.ply")
+turned = (
+    1e-3 * someone.vertices[order] @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T
+)
+trimesh.Trimesh(turned, np.argsort(order)[someone.triangles], process=False).export(
+    out / "scan.ply"
+)
 
 # %% [markdown]
 # ## Fit
@@ -44,7 +60,9 @@ for note in head.notes:
 # %%
 report = check_head(head)
 for gate in report.gates:
-    print(f"{gate.name:<28} {gate.value:>8.3g} {gate.unit:<6} {gate.direction} {gate.bound:g}")
+    print(
+        f"{gate.name:<28} {gate.value:>8.3g} {gate.unit:<6} {gate.direction} {gate.bound:g}"
+    )
 assert not report.problems
 save_head(out / "head.npz", head)
 head = load_head(out / "head.npz")
@@ -53,13 +71,7 @@ head = load_head(out / "head.npz")
 # Cut open: soft tissue and muscle between the wraps of skin, muscle and skull.
 
 # %%
-import io
-
-import matplotlib.pyplot as plt
-
-figure = plt.figure(figsize=(9, 4.5), layout="constrained")
-plt.imshow(plt.imread(io.BytesIO(sections(head, head.vertices, head.skin))))
-plt.axis("off")
+Picture(sections(head, head.vertices, head.skin))
 
 # %% [markdown]
 # ## Simulate
@@ -72,7 +84,9 @@ shape = head.expression(expressions.weights_of({"jawOpen": 0.6, "mouthSmileLeft"
 solution = solve(facial_scene(head, Parameters(), shape))
 heavier = settled(head, Parameters(soft_volume=1.4))
 print(solution.reason)
-print(f"under 1.4 times the volume the skin moves by up to {np.abs(heavier.skin - head.skin.vertices).max():.1f} mm")
+print(
+    f"under 1.4 times the volume the skin moves by up to {np.abs(heavier.skin - head.skin.vertices).max():.1f} mm"
+)
 assert solution.converged and heavier.solution.converged
 
 # %% [markdown]
@@ -84,7 +98,9 @@ assert solution.converged and heavier.solution.converged
 rig = linearised_rig(head, head.rig.deltas, Parameters())
 frame = rig.frame(expressions.weights_of({"jawOpen": 0.6, "mouthSmileLeft": 0.5}))
 answer = head.skin_after(shape, solution.positions[: len(head.bone)])
-error, nothing = (np.linalg.norm(skin - answer, axis=1).mean() for skin in (frame, shape))
+error, nothing = (
+    np.linalg.norm(skin - answer, axis=1).mean() for skin in (frame, shape)
+)
 print(f"to the simulation, mean: rig {error:.3f} mm, blendshapes {nothing:.3f} mm")
 assert error < nothing
 

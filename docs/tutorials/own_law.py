@@ -21,7 +21,14 @@ from softdeca.benchmarks.studies.hard import Hard
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.benchmarks.studies.work_precision import WorkPrecision
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.reference import Parameters, add_file, facial_scene, hyperelastic_scene, problems, solve
+from softdeca.reference import (
+    Parameters,
+    add_file,
+    facial_scene,
+    hyperelastic_scene,
+    problems,
+    solve,
+)
 from softdeca.reference.added import added_laws
 
 add_file("gent.py")
@@ -29,7 +36,9 @@ gent = added_laws()["Gent"].of_moduli
 for problem in problems.added_problems():
     for solver in problem.solvers:
         outcome = problems.run(problem, solver)
-        print(f"{problem.name:<42} {solver:<8} {outcome.value:.10f}  error {outcome.error:.0e}  {outcome.passed}")
+        print(
+            f"{problem.name:<42} {solver:<8} {outcome.value:.10f}  error {outcome.error:.0e}  {outcome.passed}"
+        )
         assert outcome.passed
 
 # %% [markdown]
@@ -43,7 +52,9 @@ for case in problems.added_hard_cases():
     for solver, element in case.ways:
         if element == "P1":
             outcome = problems.run_hard(case, solver, element)
-            print(f"{case.name:<44} {outcome.outcome:<11} {outcome.iterations:>3} iterations  {outcome.passed}")
+            print(
+                f"{case.name:<44} {outcome.outcome:<11} {outcome.iterations:>3} iterations  {outcome.passed}"
+            )
             assert outcome.passed
 
 # %% [markdown]
@@ -62,7 +73,9 @@ fast = solve(scene)
 face = solve(hyperelastic_scene(scene, gent), solver="fenicsx", start=fast.positions)
 n = len(head.bone)
 apart = np.linalg.norm(face.positions[:n] - fast.positions[:n], axis=1)
-print(f"{face.reason}\nPD to Gent's law, skin wrap: mean {apart.mean():.3f} mm, largest {apart.max():.2f} mm")
+print(
+    f"{face.reason}\nPD to Gent's law, skin wrap: mean {apart.mean():.3f} mm, largest {apart.max():.2f} mm"
+)
 assert face.converged
 
 # %% [markdown]
@@ -73,7 +86,9 @@ assert face.converged
 # %%
 for study in (Verification(), Hard(), WorkPrecision(slow=True)):
     tasks = [task for task in study.tasks() if "Gent" in str(task)]
-    print(f"softdeca bench --add gent.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}")
+    print(
+        f"softdeca bench --add gent.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}"
+    )
     assert tasks
 
 # %% [markdown]

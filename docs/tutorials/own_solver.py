@@ -24,7 +24,14 @@ from softdeca.benchmarks.studies.verification import Verification
 from softdeca.benchmarks.studies.work_precision import WorkPrecision
 from softdeca.benchmarks.traces import traced
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.reference import NotModelledError, Parameters, add_file, facial_scene, prepare, problems
+from softdeca.reference import (
+    NotModelledError,
+    Parameters,
+    add_file,
+    facial_scene,
+    prepare,
+    problems,
+)
 
 add_file("quasi_newton.py")
 NAME = "quasi-newton"
@@ -35,7 +42,9 @@ for problem in problems.ALL:
             outcomes.append(problems.run(problem, NAME))
         except NotModelledError as words:
             refused.setdefault(str(words).split(";")[0], []).append(problem.name)
-print(f"{sum(outcome.passed for outcome in outcomes)} of {len(outcomes)} values are within their bounds")
+print(
+    f"{sum(outcome.passed for outcome in outcomes)} of {len(outcomes)} values are within their bounds"
+)
 for words, which in refused.items():
     print(f"{len(which):>3} left out: {words}")
 assert all(outcome.passed for outcome in outcomes)
@@ -54,7 +63,9 @@ for case in problems.HARD:
             outcome = problems.run_hard(case, NAME)
         except NotModelledError:
             continue
-        print(f"{case.name:<36} {outcome.outcome:<15} error {outcome.error:.0e}, {outcome.iterations} iterations")
+        print(
+            f"{case.name:<36} {outcome.outcome:<15} error {outcome.error:.0e}, {outcome.iterations} iterations"
+        )
         assert outcome.outcome != "missed"
 
 # %% [markdown]
@@ -93,5 +104,7 @@ figure.tight_layout()
 # %%
 for study in (Verification(), Hard(), WorkPrecision()):
     tasks = [task for task in study.tasks() if NAME in str(task)]
-    print(f"softdeca bench --add quasi_newton.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}")
+    print(
+        f"softdeca bench --add quasi_newton.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}"
+    )
     assert tasks

@@ -13,7 +13,14 @@ from softdeca.reference.scene import refuse_unknown
 from softdeca.reference.solution import Limits, Recorder, first_positions, volume_ratio
 
 NAME = "quasi-newton"
-KNOWN = (terms.Hyperelastic, terms.Strain, terms.Target, terms.Fixed, terms.Gravity, terms.Traction)
+KNOWN = (
+    terms.Hyperelastic,
+    terms.Strain,
+    terms.Target,
+    terms.Fixed,
+    terms.Gravity,
+    terms.Traction,
+)
 MEMORY, MAX_ITERATIONS = 10, 2000
 
 
@@ -32,7 +39,11 @@ def neo_hookean(term, F):
     if J.min() <= 0:
         return np.full(len(F), np.inf), F
     log_J, inverse = np.log(J), np.linalg.inv(F).transpose(0, 2, 1)
-    psi = law.mu / 2 * (np.sum(F**2, axis=(1, 2)) - 3) - law.mu * log_J + law.lmbda / 2 * log_J**2
+    psi = (
+        law.mu / 2 * (np.sum(F**2, axis=(1, 2)) - 3)
+        - law.mu * log_J
+        + law.lmbda / 2 * log_J**2
+    )
     return psi, law.mu * F + (law.lmbda * log_J - law.mu)[:, None, None] * inverse
 
 
@@ -54,7 +65,9 @@ class Energy:
         self.stiffness = np.zeros(len(scene.tets))
         for _, term, tets in self.laws:
             hyperelastic = isinstance(term, terms.Hyperelastic)
-            self.stiffness[tets] += term.material.stiffness if hyperelastic else term.stiffness
+            self.stiffness[tets] += (
+                term.material.stiffness if hyperelastic else term.stiffness
+            )
         self.scale = np.sum(self.stiffness * scene.volumes)
 
     def laplacian(self):
@@ -62,12 +75,17 @@ class Energy:
         springs = np.zeros(len(self.scene.vertices))
         for term in self.scene.of(terms.Target):
             springs[term.vertices] += term.stiffness
-        return self.slope.T @ diags(np.repeat(self.stiffness * self.scene.volumes, 3)) @ self.slope + diags(springs)
+        return self.slope.T @ diags(
+            np.repeat(self.stiffness * self.scene.volumes, 3)
+        ) @ self.slope + diags(springs)
 
     def at(self, x):
         """Energy and gradient (n, 3) at positions x [mm], (n, 3); infinite where a law does not hold."""
         F = (self.slope @ x).reshape(-1, 3, 3).transpose(0, 2, 1)
-        total, stress = -np.sum(self.loads * (x - self.scene.vertices)), np.zeros_like(F)
+        total, stress = (
+            -np.sum(self.loads * (x - self.scene.vertices)),
+            np.zeros_like(F),
+        )
         for law, term, tets in self.laws:
             psi, P = law(term, F[tets])
             total += self.scene.volumes[tets] @ psi
@@ -98,7 +116,11 @@ class Prepared:
         """See softdeca.reference.Prepared."""
         scene = self.scene if scene is None else scene
         self.scene.check_prepared_for(scene)
-        recorder, limits, energy = Recorder(on_iteration), Limits(tolerance, absolute, max_iterations), Energy(scene)
+        recorder, limits, energy = (
+            Recorder(on_iteration),
+            Limits(tolerance, absolute, max_iterations),
+            Energy(scene),
+        )
         held, places = scene.dirichlet()
         x = np.where(held, places, first_positions(scene, start, warm))
         (value, gradient), pairs, count = energy.at(x), [], 0
@@ -107,7 +129,9 @@ class Prepared:
         norm = np.linalg.norm(gradient)
         threshold, stop = limits.threshold(scene, norm), recorder.record(x, value, norm)
         while reason is Reason.CONVERGED and norm > threshold:
-            if stop or count == (MAX_ITERATIONS if max_iterations is None else max_iterations):
+            if stop or count == (
+                MAX_ITERATIONS if max_iterations is None else max_iterations
+            ):
                 reason = Reason.INTERRUPTED if stop else Reason.MAX_ITERATIONS
                 break
             step = -self.two_loops(gradient, pairs)
@@ -148,7 +172,9 @@ def line_search(energy, x, step, value, gradient, held):
         slope[held] = 0
         hidden = -0.1 * share * downhill < rounding
         smaller = np.linalg.norm(slope) < 0.9 * np.linalg.norm(gradient)
-        if found <= value + (rounding if hidden else 0.1 * share * downhill) and (smaller or not hidden):
+        if found <= value + (rounding if hidden else 0.1 * share * downhill) and (
+            smaller or not hidden
+        ):
             return ahead, found, slope
     return None
 
@@ -156,7 +182,10 @@ def line_search(energy, x, step, value, gradient, held):
 def prepare(scene: Scene):
     """Factor the Laplacian. Raises SceneError for what this solver cannot model."""
     refuse_unknown(scene, NAME, KNOWN, (NeoHookean,))
-    if any(np.any(term.limit != 1) or np.any(term.growth != 1) for term in scene.of(terms.Strain)):
+    if any(
+        np.any(term.limit != 1) or np.any(term.growth != 1)
+        for term in scene.of(terms.Strain)
+    ):
         raise SceneError(f"solver {NAME!r} cannot model Strain with a limit or growth")
     if any(np.any(term.growth != 1) for term in scene.of(terms.Hyperelastic)):
         raise SceneError(f"solver {NAME!r} cannot model Hyperelastic with growth")

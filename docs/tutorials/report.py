@@ -21,13 +21,27 @@ out = Path(tempfile.mkdtemp())
 
 def softdeca(*arguments):
     """What the command prints; it ends with status 0 only where every gate holds."""
-    command = [sys.executable, "-c", "from softdeca.cli import main; main()", *map(str, arguments)]
+    command = [
+        sys.executable,
+        "-c",
+        "from softdeca.cli import main; main()",
+        *map(str, arguments),
+    ]
     ended = subprocess.run(command, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
     print(ended.stdout.replace(f"{out}/", ""))
 
 
-asked = ("--solver", "projective", "--solver", "skfem", "--match", "layers", "--out", out / "verification")
+asked = (
+    "--solver",
+    "projective",
+    "--solver",
+    "skfem",
+    "--match",
+    "layers",
+    "--out",
+    out / "verification",
+)
 softdeca("bench", "verification", *asked)
 
 # %% [markdown]
@@ -37,7 +51,13 @@ softdeca("bench", "verification", *asked)
 # %%
 kept = json.loads((out / "verification" / "results.json").read_text())
 print(", ".join(kept["machine"]))
-print({key: value for key, value in kept["rows"][0].items() if key not in ("values", "of")})
+print(
+    {
+        key: value
+        for key, value in kept["rows"][0].items()
+        if key not in ("values", "of")
+    }
+)
 
 # %% [markdown]
 # ## A study of your own
@@ -51,7 +71,14 @@ print({key: value for key, value in kept["rows"][0].items() if key not in ("valu
 # Add it, and the command has it as any other, its fields as options:
 
 # %%
-softdeca("bench", "--add", "stopped_early.py", "stopped-early", "--out", out / "stopped-early")
+softdeca(
+    "bench",
+    "--add",
+    "stopped_early.py",
+    "stopped-early",
+    "--out",
+    out / "stopped-early",
+)
 
 # %% [markdown]
 # In a script, `softdeca.benchmarks.harness.run(study, folder)` does the same; as every program that starts
@@ -64,7 +91,9 @@ softdeca("bench", "--add", "stopped_early.py", "stopped-early", "--out", out / "
 
 # %%
 results = (out / "verification", out / "stopped-early")
-softdeca("bench", "--add", "stopped_early.py", "report", *results, "--out", out / "report")
+softdeca(
+    "bench", "--add", "stopped_early.py", "report", *results, "--out", out / "report"
+)
 print((out / "report" / "report.md").read_text()[:900])
 
 # %% [markdown]

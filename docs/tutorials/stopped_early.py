@@ -15,7 +15,16 @@ def hanging():
     """A soft cube of 20 mm that hangs by its top."""
     X, tets = block(6, 20.0)
     gravity = terms.Gravity((0, 0, -9810), density=1.04e-6)
-    return Scene(X, tets, [terms.Strain(1.0), terms.Volume(10.0), terms.Fixed(vertices_at(X, 2, 20.0)), gravity])
+    return Scene(
+        X,
+        tets,
+        [
+            terms.Strain(1.0),
+            terms.Volume(10.0),
+            terms.Fixed(vertices_at(X, 2, 20.0)),
+            gravity,
+        ],
+    )
 
 
 @add_study
@@ -25,9 +34,14 @@ class StoppedEarly(Study):
 
     name = "stopped-early"
     question = "How far is PD from Newton's answer when it is stopped early?"
-    columns = (Column("error_mm", "largest error [mm]"), Column("iterations", "iterations", cost=True))
+    columns = (
+        Column("error_mm", "largest error [mm]"),
+        Column("iterations", "iterations", cost=True),
+    )
 
-    tolerances: tuple[str, ...] = field(default=("1e-2", "1e-4", "1e-6"), metadata={"help": "repeat for several"})
+    tolerances: tuple[str, ...] = field(
+        default=("1e-2", "1e-4", "1e-6"), metadata={"help": "repeat for several"}
+    )
 
     def tasks(self):
         """A task for each tolerance."""
@@ -43,9 +57,19 @@ class StoppedEarly(Study):
 
     def gates(self, rows):
         """What a face needs: 0.01 mm at the tightest tolerance."""
-        return [at_most("error at the tightest tolerance [mm]", min(row.values["error_mm"] for row in rows), 0.01)]
+        return [
+            at_most(
+                "error at the tightest tolerance [mm]",
+                min(row.values["error_mm"] for row in rows),
+                0.01,
+            )
+        ]
 
     def words(self, rows):
         """The tolerance that is enough."""
         enough = [row for row in rows if row.values["error_mm"] <= 0.01]
-        return f"{enough[0].method} is enough for 0.01 mm." if enough else "No tolerance is enough for 0.01 mm."
+        return (
+            f"{enough[0].method} is enough for 0.01 mm."
+            if enough
+            else "No tolerance is enough for 0.01 mm."
+        )

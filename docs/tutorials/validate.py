@@ -8,7 +8,14 @@
 import numpy as np
 
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, problems, solve
+from softdeca.reference import (
+    Parameters,
+    SceneError,
+    facial_scene,
+    neo_hookean_scene,
+    problems,
+    solve,
+)
 
 # %% [markdown]
 # ## Known answers
@@ -18,7 +25,9 @@ from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean
 # hangs under its own weight, by every solver that models it.
 
 # %%
-problem = next(problem for problem in problems.ALL if problem.name == "bar under its own weight")
+problem = next(
+    problem for problem in problems.ALL if problem.name == "bar under its own weight"
+)
 print(f"{problem.name} ({problem.source}): {problem.reference:.6g}")
 for solver in problem.solvers:
     outcome = problems.run(problem, solver)
@@ -31,7 +40,9 @@ for solver in problem.solvers:
 # A solver that cannot model a scene says so by name, before it solves anything:
 
 # %%
-law_only = next(problem for problem in problems.ALL if problem.name.startswith("NeoHookean"))
+law_only = next(
+    problem for problem in problems.ALL if problem.name.startswith("NeoHookean")
+)
 try:
     solve(law_only.scene(), solver="projective")
 except SceneError as refused:
@@ -54,10 +65,14 @@ scene = facial_scene(head, Parameters(), shape)
 fast = solve(scene, solver="projective", tolerance=1e-9)
 exact = solve(scene, solver="fenicsx", tolerance=1e-9)
 for name, solution in (("projective", fast), ("FEniCSx", exact)):
-    print(f"{name:<11} {solution.iterations:>3} iterations, {solution.times.solve:.2f} s; {solution.reason}")
+    print(
+        f"{name:<11} {solution.iterations:>3} iterations, {solution.times.solve:.2f} s; {solution.reason}"
+    )
 apart = np.linalg.norm(fast.positions - exact.positions, axis=1).max()
 moved = np.linalg.norm(exact.positions - scene.vertices, axis=1).max()
-print(f"farthest vertices: {apart:.1e} mm apart, where the face moves by {moved:.1f} mm")
+print(
+    f"farthest vertices: {apart:.1e} mm apart, where the face moves by {moved:.1f} mm"
+)
 assert fast.converged and exact.converged and apart < 1e-3 * moved
 
 # %% [markdown]
@@ -69,7 +84,9 @@ assert fast.converged and exact.converged and apart < 1e-3 * moved
 # is what the *model* leaves out, and no tolerance makes it smaller.
 
 # %%
-real = solve(neo_hookean_scene(scene), solver="fenicsx", start=fast.positions, tolerance=1e-9)
+real = solve(
+    neo_hookean_scene(scene), solver="fenicsx", start=fast.positions, tolerance=1e-9
+)
 n = len(head.bone)
 model = np.linalg.norm(fast.positions[:n] - real.positions[:n], axis=1)
 blendshapes = np.linalg.norm(head.wrap_targets(shape) - real.positions[:n], axis=1)
