@@ -72,7 +72,7 @@ for case in problems.HARD:
 # ## Work-precision
 #
 # Error against time, beside projective dynamics, on the tets of a face with the energy of as-rigid-as-possible
-# deformation, which both model. The truth is a tight run.
+# deformation, which both model. The truth is a tight run, and both are stopped at 0.001 mm.
 
 # %%
 import matplotlib.pyplot as plt
@@ -80,17 +80,15 @@ import matplotlib.pyplot as plt
 space = identities.Anny()
 code, skin = space.sample(np.random.default_rng(0))
 head = fit_head(load_template(level=1), skin)
-shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.8}))[0]
+shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.3}))[0]
 face = facial_scene(head, Parameters(), shape)
 scene = Handles.of(head, face, shape).scene(face)
 truth = prepare(scene).solve(tolerance=1e-10).positions
 figure, axis = plt.subplots(figsize=(6, 3.2))
 for solver in ("projective", NAME):
-    solution, trace = traced(prepare(scene, solver=solver), truth)
-    axis.loglog(trace.seconds[1:], np.maximum(trace.error[1:], 1e-9), label=solver)
-    print(
-        f"{solver:<13} to 0.01 mm in {trace.seconds_to(0.01):.2f} s; {solution.reason.name} at {trace.error[-1]:.0e} mm"
-    )
+    _, trace = traced(prepare(scene, solver=solver), truth, enough=1e-3)
+    axis.loglog(trace.seconds[1:], trace.error[1:], label=solver)
+    print(f"{solver:<13} to 0.01 mm in {trace.seconds_to(0.01):.2f} s")
 axis.set(xlabel="time of the solve [s]", ylabel="largest error of a vertex [mm]")
 axis.legend(frameon=False)
 axis.grid(alpha=0.25)
