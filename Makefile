@@ -1,7 +1,8 @@
 # make study   the whole chain on the default head -> out/study/index.html
 # make test    every test, two at a time        make check   ruff, mypy, import-linter
+# make docs    the pages, their programs run -> out/docs/index.html
 # Each does first all set-up that is missing (tools/set-up), and starts at once when nothing is.
-.PHONY: study test check setup clean
+.PHONY: study test check docs setup clean
 PYTHON := .venv/bin/python
 
 study: setup
@@ -16,6 +17,10 @@ check: setup
 	rm -rf build && $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --target build/typecheck .
 	cd build/typecheck && ../../.venv/bin/mypy --config-file ../../pyproject.toml --namespace-packages --explicit-package-bases softdeca
 	.venv/bin/lint-imports
+
+docs:
+	@tools/set-up docs
+	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going docs out/docs
 
 setup:
 	@tools/set-up

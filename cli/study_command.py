@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..benchmarks.studies import STUDIES, study_of
+from ..benchmarks.studies import names, study_of
 from ..lhm.errors import InputError
 from .progress import shown
 from .written_file import WrittenFolder
@@ -33,17 +33,17 @@ class Studies(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Studies, and what else was added."""
-        return sorted({*STUDIES, *super().list_commands(ctx)})
+        return sorted({*names(), *super().list_commands(ctx)})
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """The command of a study, or another."""
-        return command_of(study_of(name)) if name in STUDIES else super().get_command(ctx, name)
+        return command_of(study_of(name)) if name in names() else super().get_command(ctx, name)
 
 
 @click.command("list")
 def listed() -> int:
     """What each study asks."""
-    for name in STUDIES:
+    for name in names():
         click.echo(f"{name:<14} {study_of(name).question}")
     return 0
 
@@ -59,7 +59,7 @@ def changes(before: Path, after: Path) -> int:
     from ..benchmarks.harness.compare import compared, study_in
 
     name = study_in(before)
-    if name not in STUDIES:
+    if name not in names():
         raise InputError(f"{before}: of a study {name!r}, which there is not")
     found, only = compared(before, after, study_of(name))
     told = [change for change in found if change.told]
@@ -82,7 +82,7 @@ def report(results: tuple[Path, ...], title: str, out: Path) -> int:
     """
     from ..benchmarks.harness.report import read, write
 
-    asked = results or tuple(folder for name in STUDIES if (folder := Path("out") / name / "results.json").is_file())
+    asked = results or tuple(folder for name in names() if (folder := Path("out") / name / "results.json").is_file())
     if not asked:
         raise InputError("report: no results in out/; run a study first, as `softdeca bench verification`")
     for path in write([read(path, study_of) for path in asked], out, title):

@@ -2,7 +2,8 @@
 
 from ..lhm.errors import MissingDependencyError, SceneError
 from . import materials, ranks, terms
-from .face.facial import facial_scene, neo_hookean_scene
+from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
+from .face.facial import facial_scene, hyperelastic_scene, neo_hookean_scene
 from .face.minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
 from .face.parameters import ParameterInfo, Parameters
 from .face.sequence import Sequence
@@ -11,7 +12,7 @@ from .march import march
 from .scene import Scene
 from .solution import History, Reason, Solution, Times
 from .solution_file import write_solution
-from .solve import SOLVERS, Prepared, prepare, solve
+from .solve import Prepared, prepare, solve
 from .trajectory import Trajectory
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "FacialModel",
     "History",
     "MissingDependencyError",
+    "NotModelledError",
     "ParameterInfo",
     "Parameters",
     "Prepared",
@@ -31,7 +33,11 @@ __all__ = [
     "Solution",
     "Times",
     "Trajectory",
+    "add_file",
+    "add_law",
+    "add_solver",
     "facial_scene",
+    "hyperelastic_scene",
     "march",
     "materials",
     "neo_hookean_scene",

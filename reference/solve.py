@@ -8,10 +8,9 @@ from typing import Protocol
 
 from ..lhm.errors import SceneError
 from ..lhm.mesh import Floats
+from .added import SOLVERS, NotModelledError, added_solvers, all_solvers
 from .scene import Scene
 from .solution import OnIteration, Solution
-
-SOLVERS = ("projective", "fenicsx", "skfem")
 
 
 class Prepared(Protocol):
@@ -48,16 +47,22 @@ def prepare(scene: Scene, *, solver: str = "projective", **options) -> Prepared:
     `linear_solver`; skfem `element`. Raises SceneError for an unknown solver or option, or a term that the solver
     cannot model, and MissingDependencyError if the solver's packages are not installed.
     """
-    if solver not in SOLVERS:
-        raise SceneError(f"unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
+    if solver not in all_solvers():
+        raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}")
-    prepare_it = import_module(f".{solver}", __package__).prepare
+    shipped = solver in SOLVERS
+    prepare_it = import_module(f".{solver}", __package__).prepare if shipped else added_solvers()[solver]
     known = tuple(inspect.signature(prepare_it).parameters)[1:]
     for option in options:
         if option not in known:
             raise SceneError(f"solver {solver!r} has no option {option!r}; it has {', '.join(known) or 'none'}")
-    return prepare_it(scene, **options)
+    try:
+        return prepare_it(scene, **options)
+    except SceneError as refused:
+        if shipped:
+            raise
+        raise NotModelledError(str(refused)) from None
 
 
 def solve(

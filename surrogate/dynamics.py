@@ -3,8 +3,8 @@
     f_t = γ F(w_t) + 2α f_{t-1} - β f_{t-2},    γ = 1 - 2α + β
 
 F is any rig's static frame. α and β of a vertex are those of an oscillator of p's frequency and damping there, as far
-as flesh is loose (`reference.dynamics`). Its poles lie inside the unit circle whatever p, so no motion of w makes it
-grow; γ makes it blind to a shift of everything, and lets a face at rest rest where statics have it.
+as flesh is loose (`reference.face.dynamics`). Its poles lie inside the unit circle whatever p, so no motion of w makes
+it grow; γ makes it blind to a shift of everything, and lets a face at rest rest where statics have it.
 
 What tissue adds to the springs' stiffness is left out: told by the rig's responses it lowered the error of dynamic
 frames by 2 % where flesh is loose, and raised it where a turning head shakes all of a face at once.

@@ -12,10 +12,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from ...lhm.errors import MissingDependencyError, SoftdecaError
+from ...reference.added import NotModelledError, add_file, added_files
 from .apart import forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
@@ -65,7 +67,7 @@ class _Lane:
     def submit(self, task: Task) -> Future:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=_ended_by_the_first_alone
+                1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(added_files(),)
             )
         self._task, self._begin = task, time.monotonic()
         return self._pool.submit(_measure, self._study, task)
@@ -98,6 +100,12 @@ class _Lane:
             self._pool = None
 
 
+def _begin(files: Sequence[Path]) -> None:
+    _ended_by_the_first_alone()
+    for path in files:
+        add_file(path)
+
+
 def _ended_by_the_first_alone() -> None:
     # Ctrl-C reaches every process of a terminal; the first one decides, and takes the others with it however it ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -117,7 +125,7 @@ def _measure(study: Study, task: Task) -> Measured:
     try:
         with threadpool_limits(1):
             values = study.measure(task)
-    except MissingDependencyError as error:
+    except (MissingDependencyError, NotModelledError) as error:
         return Measured(task, "skipped", str(error))
     except Exception as error:
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"

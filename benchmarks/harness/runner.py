@@ -15,6 +15,7 @@ from ...lhm.errors import InputError
 from ...lhm.files.alone import alone_in
 from ...lhm.files.atomic import write_whole
 from ...lhm.progress import OnProgress, silent
+from ...reference.added import added_files
 from ...surrogate.schedule import processors
 from . import machine
 from .gates import at_most
@@ -183,7 +184,7 @@ def _files(study: Study) -> list[Path]:
 def _digest(study: Study) -> str:
     """A name for what is measured, and by what: rows of two versions must not be mixed."""
     digest = hashlib.sha256(repr(study).encode() + json.dumps(machine.describe()["versions"]).encode())
-    for path in _files(study):
+    for path in (*_files(study), *added_files()):
         digest.update(path.read_bytes())
     for folder in ("lhm", "reference", "surrogate", "benchmarks"):
         for path in sorted((PACKAGE / folder).rglob("*.py")):

@@ -68,7 +68,7 @@ class Study(ABC):
 
     @abstractmethod
     def measure(self, task: Task) -> Values:
-        """Do one task. What it raises becomes the row's reason, and MissingDependencyError one to skip it."""
+        """Do one task. What it raises becomes the row's reason; MissingDependencyError and NotModelledError skip it."""
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from ...lhm.errors import InputError
+
 if TYPE_CHECKING:
     from ..harness.study import Study
 
@@ -29,9 +31,26 @@ STUDIES = {
 }
 """Module and class, so that none is loaded before it is asked for."""
 
+_added: dict[str, type[Study]] = {}
+
+
+def add_study(kind: type[Study]) -> type[Study]:
+    """Let `softdeca bench` have a study of a file of one's own; a decorator. InputError for a name that is taken."""
+    if kind.name in names():
+        raise InputError(f"study {kind.name!r} is there already")
+    _added[kind.name] = kind
+    return kind
+
+
+def names() -> tuple[str, ...]:
+    """The names of all studies, with those that files have added."""
+    return (*STUDIES, *_added)
+
 
 def study_of(name: str) -> type[Study]:
     """The class of a study."""
+    if name in _added:
+        return _added[name]
     module, _, kind = STUDIES[name].partition(":")
     found: type[Study] = getattr(import_module(f".{module}", __package__), kind)
     return found

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 from ...lhm.errors import InputError
 from ...lhm.template import LEVELS
-from ...reference import SOLVERS
+from ...reference.added import all_solvers
 
 
 def solvers_asked(solvers: Sequence[str]) -> tuple[str, ...]:
     """These, or all where none is named; InputError for an unknown one."""
     for solver in solvers:
-        if solver not in SOLVERS:
-            raise InputError(f"unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
-    return tuple(solvers) or SOLVERS
+        if solver not in all_solvers():
+            raise InputError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
+    return tuple(solvers) or all_solvers()
 
 
 def check_person(seed: int, level: int) -> None:

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
+import numpy as np
+
 from ...reference import problems
 from ..harness.gates import at_most
 from ..harness.runner import Row
@@ -39,7 +41,8 @@ class Hard(Study):
         return [task for task, (_, solver, _) in self._ways().items() if solver in solvers]
 
     def _ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
-        posed = (*problems.HARD, *problems.LAWS_ON_ELEMENTS) if self.laws else problems.HARD
+        of_laws = problems.LAWS_ON_ELEMENTS if self.laws else ()
+        posed = (*problems.HARD, *problems.added_hard_cases(), *of_laws)
         return {
             Task(f"{case.name} ({case.source.split(';')[0]})", f"{solver} {element}"): (case, solver, element)
             for case in posed
@@ -47,9 +50,10 @@ class Hard(Study):
         }
 
     def measure(self, task: Task) -> Values:
-        """The outcome."""
+        """The outcome; no error of what was refused, or came to nothing near the answer."""
         outcome = problems.run_hard(*self._ways()[task])
-        return asdict(outcome) | {"passed": outcome.passed}
+        error = outcome.error if np.isfinite(outcome.error) else None
+        return asdict(outcome) | {"passed": outcome.passed, "error": error}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """No case is missed, or ended for another reason than it may."""

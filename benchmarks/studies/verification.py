@@ -43,7 +43,7 @@ class Verification(Study):
     def tasks(self) -> Sequence[Task]:
         """Each problem by each solver."""
         solvers = solvers_asked(self.solvers)
-        posed = (*problems.ALL, *problems.FINE) if self.fine else problems.ALL
+        posed = (*_posed(), *problems.FINE) if self.fine else _posed()
         found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
         if "fenicsx" not in solvers:
             return found
@@ -60,7 +60,7 @@ class Verification(Study):
         fine = _fine().get(task.case)
         if fine is not None:
             return {"outcomes": [asdict(outcome) for outcome in fine()]}
-        problem = next(p for p in (*problems.ALL, *problems.FINE) if p.name == task.case)
+        problem = next(p for p in (*_posed(), *problems.FINE) if p.name == task.case)
         return {"outcomes": [asdict(problems.run(problem, task.method))]}
 
     @staticmethod
@@ -94,6 +94,10 @@ def felupe_beside_fenicsx(scene: Scene) -> problems.Outcome:
         HEAD, "an independent code: FElupe (PyPI); reference: FEniCSx", FELUPE, value, reference, error, HEAD_BOUND,
         truth.converged and error <= HEAD_BOUND, truth.reason.name, seconds, iterations,
     )  # fmt: skip
+
+
+def _posed() -> Sequence[problems.Problem]:
+    return (*problems.ALL, *problems.added_problems())
 
 
 def _fine() -> Mapping[str, Outcomes]:

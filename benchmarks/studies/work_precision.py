@@ -11,7 +11,8 @@ import numpy as np
 from ...lhm import expressions
 from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.mesh import Floats
-from ...reference import Parameters, Scene, facial_scene, prepare
+from ...reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
+from ...reference.added import added_laws, added_solvers
 from .. import arap
 from ..differences import distances
 from ..harness.gates import at_most
@@ -70,8 +71,9 @@ class WorkPrecision(OfPerson):
     note = (
         "Times of a solve are medians of repeats (at least five, fewer where they would take more than half a minute) "
         "after one that is not counted. The error is the largest distance of a vertex to a tight run: of PD, which "
-        "FEniCSx' linear tets share; quadratic tets have one of their own. One iteration of PD is one solve with its "
-        "factor; one of Newton a linear system. Learned methods, with blendshapes beside them, are judged on the skin. "
+        "FEniCSx' linear tets share; quadratic tets have one of their own, and a law that a file adds has FEniCSx'. "
+        "One iteration of PD is one solve with its factor; one of Newton a linear system. Learned methods, with "
+        "blendshapes beside them, are judged on the skin. "
         "libigl (one thread) fits its rotations in float32, hence its own floor; its handles are what the facial scene "
         "holds and every 16th vertex of the skin wrap. Plain PD is stopped near 0.003 mm. Quadratic tets with a "
         "pressure solve another, incompressible law: see the study `mixed`."
@@ -93,7 +95,7 @@ class WorkPrecision(OfPerson):
         return [
             Task(text, f"{label}; {energy}")
             for text in self.expressions
-            for energy, labels in METHODS.items()
+            for energy, labels in _methods().items()
             for label in labels
             if self.slow or label not in SLOW
         ]
@@ -117,7 +119,8 @@ class WorkPrecision(OfPerson):
             how: dict = {"method": PROJECTIVE[label]}
             limits: dict = {"enough": PLAIN_ENOUGH, "max_iterations": PLAIN_LIMIT} if label == PLAIN else {}
         else:
-            how, limits = {"solver": "skfem"} if label == SKFEM else {"solver": "fenicsx"}, {}
+            solver = label if label in added_solvers() else "skfem" if label == SKFEM else "fenicsx"
+            how, limits = {"solver": solver}, {}
             how |= {"element": "P2"} if label == QUADRATIC else {}
         truth = problem.truth
         if label == QUADRATIC:
@@ -170,7 +173,9 @@ class WorkPrecision(OfPerson):
                 name = f"time of {OURS} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
                 # An infinite ratio is no JSON: what was not reached is None.
                 found.append(at_most(name, None if worst is None or np.isinf(worst) else worst, 1.0, answer=False))
-        newton = [row.values["to_pd_mm"] for row in rows if row.values["label"] == NEWTON]
+        newton = [
+            row.values["to_pd_mm"] for row in rows if row.values["label"] == NEWTON and row.values["energy"] in METHODS
+        ]
         if newton:
             found.append(at_most(f"{OURS} to {NEWTON}, both tight [mm]", max(newton), ACCURACY))
         return found
@@ -216,11 +221,17 @@ class WorkPrecision(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Largest error against seconds with preparation, and against iterations: a line per solver and expression."""
         plt = pyplot()
-        figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), sharey=True)
-        for axis, energy, key in zip(axes, (FACE, FACE, ARAP), ("seconds", "steps", "seconds"), strict=True):
+        panels = (
+            (FACE, "seconds"),
+            (FACE, "steps"),
+            (ARAP, "seconds"),
+            *((law_energy(law), "seconds") for law in added_laws()),
+        )
+        figure, axes = plt.subplots(1, len(panels), figsize=(13 / 3 * len(panels), 4.6), sharey=True)
+        for axis, (energy, key) in zip(axes, panels, strict=True):
             named: set[str] = set()
             for row in rows:
-                values, colour = row.values, COLOURS[row.values["label"]]
+                values, colour = row.values, COLOURS.get(row.values["label"], "k")
                 label = None if values["label"] in named else values["label"]
                 if values["energy"] == energy:
                     points = [
@@ -239,10 +250,25 @@ class WorkPrecision(OfPerson):
             axis.set(xscale="log", yscale="log", title=energy, xlabel=what, ylim=(LEAST_ERROR, None))
             axis.grid(alpha=0.25, which="major")
         axes[0].set_ylabel("largest error of a vertex [mm]")
-        axes[0].legend(frameon=False, fontsize=8)
-        axes[2].legend(frameon=False, fontsize=8)
+        for axis in (axes[0], *axes[2:]):
+            if axis.lines:
+                axis.legend(frameon=False, fontsize=8)
         figure.tight_layout()
         return {"Error against time and iterations, a line per expression.": svg(plt, figure)}
+
+
+def law_energy(law: str) -> str:
+    """What rows call the energy of a face of a law that a file has added."""
+    return f"the face of {law}"
+
+
+def _methods() -> Mapping[str, Sequence[str]]:
+    """METHODS, with the laws and solvers that files have added."""
+    found: dict[str, Sequence[str]] = {law_energy(law): (NEWTON, SKFEM) for law in added_laws()}
+    return {
+        energy: labels if energy == LEARNED else (*labels, *added_solvers())
+        for energy, labels in (METHODS | found).items()
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +297,10 @@ def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
     face = facial_scene(of.head, Parameters(), shape)
     handles = arap.Handles.of(of.head, face, shape) if energy == ARAP else None
     scene = face if handles is None else handles.scene(face)
-    solution = prepare(scene).solve(tolerance=TIGHT)
+    of_law = next((added.of_moduli for name, added in added_laws().items() if law_energy(name) == energy), None)
+    if of_law is not None:
+        scene = hyperelastic_scene(face, of_law)
+    solution = prepare(scene, solver="projective" if of_law is None else "fenicsx").solve(tolerance=TIGHT)
     if not solution.converged:
         raise SoftdecaError(f"the tight run: {solution.reason}")
     return _Problem(scene, solution.positions, handles)

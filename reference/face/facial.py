@@ -6,7 +6,7 @@ Skin meets its wrap by the weights of `LayeredHead`: a skin vertex is a point of
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import get_args
 
@@ -17,7 +17,7 @@ from ...lhm.errors import SceneError
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ...lhm.mesh import Floats, Ints
 from .. import terms
-from ..materials import NeoHookean
+from ..materials import Material, NeoHookean
 from ..scene import Scene
 from ..terms import StrainRule
 from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones
@@ -284,9 +284,18 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
 def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
+    See `hyperelastic_scene`.
+    """
+    return hyperelastic_scene(scene, NeoHookean)
+
+
+@checked
+def hyperelastic_scene(scene: Scene, law: Callable[[float, float], Material]) -> Scene:
+    """The scene with each layer's Strain and Volume replaced by a law, made of Lamé's moduli mu and lmbda [kPa].
+
     mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. A target volume is the law's
     growth, by which tissue is at rest when it has reached it, while Strain holds it back; guards against inversion are
-    left out, since the law is one itself. Raises SceneError where a layer has no such counterpart: strain limit or
+    left out, since a law may be one itself. Raises SceneError where a layer has no such counterpart: strain limit or
     growth other than 1, or stiffnesses that vary within a term.
     """
     strains = [strain for strain in scene.of(terms.Strain) if not is_guard(strain)]
@@ -294,16 +303,16 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]
     laws: list[terms.Term] = []
     if len(strains) != len(volumes):
-        raise SceneError("neo_hookean_scene: each Strain term needs a Volume term on the same tets")
+        raise SceneError("hyperelastic_scene: each Strain term needs a Volume term on the same tets")
     for strain, volume in zip(strains, volumes, strict=True):
         if not np.array_equal(scene.tets_of(strain), scene.tets_of(volume)):
-            raise SceneError("neo_hookean_scene: each Strain term needs a Volume term on the same tets")
+            raise SceneError("hyperelastic_scene: each Strain term needs a Volume term on the same tets")
         if np.any(strain.limit != 1.0) or np.any(strain.growth != 1.0) or strain.rule != "clamp":
             raise SceneError(
-                "neo_hookean_scene: a strain limit or growth other than 1, or the indicator, has no counterpart"
+                "hyperelastic_scene: a strain limit or growth other than 1, or the indicator, has no counterpart"
             )
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
-            raise SceneError("neo_hookean_scene: stiffnesses that vary within a term are not supported")
-        law = NeoHookean(mu=float(np.max(strain.stiffness)) / 2, lmbda=float(np.max(volume.stiffness)) / 3)
-        laws.append(terms.Hyperelastic(law, tets=strain.tets, growth=volume.target))
+            raise SceneError("hyperelastic_scene: stiffnesses that vary within a term are not supported")
+        material = law(float(np.max(strain.stiffness)) / 2, float(np.max(volume.stiffness)) / 3)
+        laws.append(terms.Hyperelastic(material, tets=strain.tets, growth=volume.target))
     return replace(scene, terms=(*laws, *others))

@@ -17,6 +17,7 @@ import ufl
 
 from ...lhm.errors import SceneError
 from ..materials import (
+    EnergyLaw,
     Guccione,
     Incompressible,
     IsochoricNeoHookean,
@@ -103,6 +104,14 @@ DENSITIES: dict[type[Material], Density] = {
     StVenantKirchhoff: st_venant_kirchhoff,
     **{law: _with_volume(isochoric) for law, isochoric in ISOCHORIC.items()},
 }
+
+
+def density_of(material: Material) -> Density:
+    """The density of a law that has one (`BY_DENSITY`)."""
+    return material.density if isinstance(material, EnergyLaw) else DENSITIES[type(material)]
+
+
+BY_DENSITY: tuple[type[Material], ...] = (*DENSITIES, EnergyLaw)  # type: ignore[type-abstract]
 
 MixedDensity = Callable[[Any, Any, Any], Any]
 """The density from F, the pressure p and the law's parameters."""

@@ -17,7 +17,7 @@ import ufl
 from ...lhm.mesh import Floats, Ints
 from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
-from .densities import DENSITIES, mixed_density
+from .densities import density_of, mixed_density
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
@@ -48,7 +48,7 @@ def density(displacement, cells: Ints, material: Material, growth: Floats | floa
     law = material.law if isinstance(material, Incompressible) else material
     parameters = symbols(law, domain, cells)
     if pressure is None:
-        return ratio * DENSITIES[type(material)](elastic, parameters), F
+        return ratio * density_of(material)(elastic, parameters), F
     return ratio * mixed_density(elastic, pressure, material, parameters), F
 
 

@@ -29,7 +29,7 @@ from . import dolfinx_version as seam
 from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
-from .densities import DENSITIES, shear_modulus
+from .densities import BY_DENSITY, shear_modulus
 from .dolfinx_version import MPI, PETSc
 from .follower import FollowerPressure
 from .hyperelastic import HyperelasticForms
@@ -151,7 +151,7 @@ class Problem:
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
     def _is_by_ufl(self, term) -> bool:
-        return isinstance(term, Hyperelastic) and (self.mixed or type(term.material) in DENSITIES)
+        return isinstance(term, Hyperelastic) and (self.mixed or isinstance(term.material, BY_DENSITY))
 
     def _forms(self, solid: Solid) -> HyperelasticForms:
         cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth

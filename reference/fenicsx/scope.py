@@ -18,7 +18,7 @@ from ..terms import (
     Traction,
     Volume,
 )
-from .densities import DENSITIES
+from .densities import BY_DENSITY
 from .dolfinx_version import ALL, ALONE, MPI
 
 TERMS = (
@@ -35,7 +35,7 @@ TERMS = (
     Pressure,
     Inertia,
 )
-LAWS: tuple[type[Material], ...] = (*DENSITIES, Corotated)
+LAWS: tuple[type[Material], ...] = (*BY_DENSITY, Corotated)
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
 MOVING_TERMS = tuple(kind for kind in TERMS if kind not in (RigidBody, Pressure, Inertia))

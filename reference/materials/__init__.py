@@ -2,6 +2,7 @@
 
 from . import tissues
 from .corotated import Corotated
+from .energy_law import EnergyLaw
 from .guccione import Guccione
 from .incompressible import Incompressible
 from .isochoric_neo_hookean import IsochoricNeoHookean, Volumetric
@@ -13,6 +14,7 @@ from .stable_neo_hookean import StableNeoHookean
 
 __all__ = [
     "Corotated",
+    "EnergyLaw",
     "Guccione",
     "Incompressible",
     "IsochoricNeoHookean",

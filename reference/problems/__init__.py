@@ -1,5 +1,6 @@
 """Verification problems: closed forms and published values, each a scene, a quantity and its value; and hard cases."""
 
+from ..added import added_laws
 from . import (
     bars,
     beam,
@@ -47,6 +48,17 @@ HARD: tuple[HardCase, ...] = (
 LAWS_ON_ELEMENTS: tuple[HardCase, ...] = laws_on_elements.CASES
 """Hard cases for every law on every element of FEniCSx: a quarter of an hour."""
 
+
+def added_problems() -> tuple[Problem, ...]:
+    """The problems of laws that files have added."""
+    return tuple(problem for law in added_laws().values() for problem in law.problems)
+
+
+def added_hard_cases() -> tuple[HardCase, ...]:
+    """The hard cases of laws that files have added: those of LAWS_ON_ELEMENTS."""
+    return tuple(case for law in added_laws() for case in laws_on_elements.cases_of(law))
+
+
 __all__ = [
     "ALL",
     "FINE",
@@ -56,6 +68,8 @@ __all__ = [
     "HardOutcome",
     "Outcome",
     "Problem",
+    "added_hard_cases",
+    "added_problems",
     "locking",
     "manufactured",
     "meshes",

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats
+from ..added import added_solvers
 from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import solve
@@ -39,8 +40,12 @@ class Problem:
 
     @property
     def solvers(self) -> tuple[str, ...]:
-        """The solvers that model the problem."""
-        return tuple(self.bounds)
+        """The solvers that model the problem, and those that files have added, which say themselves if they do not."""
+        return (*self.bounds, *(() if self.options else added_solvers()))
+
+    def bound(self, solver: str) -> float:
+        """The largest error that passes; of a solver that a file has added, the largest of any."""
+        return self.bounds.get(solver, max(self.bounds.values()))
 
 
 @dataclass(frozen=True)
@@ -68,9 +73,9 @@ def run(problem: Problem, solver: str) -> Outcome:
 
     Raises SceneError for a solver that does not model it, MissingDependencyError if its packages are not installed.
     """
-    if solver not in problem.bounds:
+    if solver not in problem.solvers:
         raise SceneError(
-            f"problem {problem.name!r} is not for solver {solver!r}; it is for {', '.join(problem.bounds)}"
+            f"problem {problem.name!r} is not for solver {solver!r}; it is for {', '.join(problem.solvers)}"
         )
     scene = problem.scene()
     start = None if problem.start is None else problem.start(scene)
@@ -79,7 +84,7 @@ def run(problem: Problem, solver: str) -> Outcome:
     seconds = time.perf_counter() - begin
     value, reference = float(problem.quantity(scene, solution)), float(problem.reference)
     error = abs(value - reference) / (abs(reference) or 1.0)
-    bound = problem.bounds[solver]
+    bound = problem.bound(solver)
     return Outcome(
         problem.name,
         problem.source,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.mesh import Floats
-from ..materials import Volumetric
+from ..materials import EnergyLaw, Volumetric
 from .laws import IDENTITY
 
 LEVI_CIVITA = np.zeros((3, 3, 3))
@@ -79,6 +79,17 @@ class StVenantKirchhoff(InvariantLaw):
         gradient[:, 1] = -self.mu / 2
         hessian[:, 0, 0] = self.mu / 2 + self.lmbda / 4
         return psi, gradient, hessian
+
+
+@dataclass(frozen=True)
+class Brought(InvariantLaw):
+    """A law that brings its energy along."""
+
+    law: EnergyLaw
+
+    def by_invariants(self, I1: Floats, I2: Floats, J: Floats) -> tuple[Floats, Floats, Floats]:
+        """See InvariantLaw."""
+        return self.law.by_invariants(I1, I2, J)
 
 
 @dataclass(frozen=True)

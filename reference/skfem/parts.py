@@ -16,7 +16,7 @@ from ...lhm.mesh import Floats, Ints
 from .. import materials, terms
 from ..scene import Scene
 from .discretisation import Discretisation
-from .invariants import IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
+from .invariants import Brought, IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
 from .laws import Corotated, Grown, Law, NeoHookean, Strain, Volume
 from .membrane import Membrane
 
@@ -106,7 +106,8 @@ def _law(term, tets: int, points: int) -> Law:
 def _at_rest(term, at_points: Callable[..., Floats]) -> Law:
     """The law of a Hyperelastic or Strain that has not grown."""
     if isinstance(term, terms.Hyperelastic):
-        return MATERIALS[type(term.material)](term.material)
+        law = term.material
+        return Brought(law) if isinstance(law, materials.EnergyLaw) else MATERIALS[type(law)](law)
     return Strain(at_points(term.stiffness), at_points(term.limit))
 
 

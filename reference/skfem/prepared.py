@@ -12,6 +12,7 @@ from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from .. import terms
 from ..compiling import Clock, Spent
+from ..materials import EnergyLaw
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Recorder, Solution, first_positions, volume_ratio
@@ -114,7 +115,7 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
 
     Raises SceneError for a term or an element that this solver does not model.
     """
-    refuse_unknown(scene, "skfem", KNOWN, tuple(MATERIALS))
+    refuse_unknown(scene, "skfem", KNOWN, (*MATERIALS, EnergyLaw))  # type: ignore[type-abstract]
     if element not in DEGREES:
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there are {', '.join(DEGREES)}")
     if not len(scene.tets):

@@ -1,0 +1,102 @@
+"""Gent's law, which stiffens as chains of molecules come to their full length: one file, one law."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from softdeca.reference import add_law, terms
+from softdeca.reference.materials import EnergyLaw
+from softdeca.reference.materials.material import lame, lame_parameters
+from softdeca.reference.problems.homogeneous import Row, free_stretch, under_load
+
+
+@dataclass(frozen=True)
+class Gent(EnergyLaw):
+    """psi = -mu Jm/2 ln(1 - (I1 - 3)/Jm) - mu ln J + beta/2 ln²J; mu, beta [kPa] and Jm [1].
+
+    Gent 1996, "A new constitutive relation for rubber", with the volumetric part of the compressible neo-Hookean law,
+    which it is as Jm grows. Infinite for I1 - 3 >= Jm and for J <= 0.
+    """
+
+    mu: float
+    beta: float
+    Jm: float = 30.0
+
+    def __post_init__(self):
+        lame_parameters(self, *self.lame)
+
+    @classmethod
+    def of_moduli(cls, mu, lmbda):
+        """The law of these moduli at rest [kPa], where the logarithm in I1 adds 2 mu/Jm to beta."""
+        return cls(mu, lmbda - 2 * mu / cls.Jm)
+
+    @property
+    def lame(self):
+        """See Isotropic."""
+        return self.mu, self.beta + 2 * self.mu / self.Jm
+
+    @staticmethod
+    def density(F, p):
+        """See EnergyLaw."""
+        import ufl
+
+        log_J = ufl.ln(ufl.det(F))
+        stretched = -p.mu * p.Jm / 2 * ufl.ln(1 - (ufl.inner(F, F) - 3) / p.Jm)
+        return stretched - p.mu * log_J + p.beta / 2 * log_J**2
+
+    def by_invariants(self, I1, I2, J):
+        """See EnergyLaw."""
+        left = self.Jm - I1 + 3
+        holds = (J > 0) & (left > 0)
+        left, J = np.where(holds, left, 1.0), np.where(holds, J, 1.0)
+        log_J = np.log(J)
+        psi = (
+            -self.mu * self.Jm / 2 * np.log(left / self.Jm)
+            - self.mu * log_J
+            + self.beta / 2 * log_J**2
+        )
+        gradient, hessian = np.zeros((len(J), 3)), np.zeros((len(J), 3, 3))
+        gradient[:, 0] = self.mu * self.Jm / (2 * left)
+        gradient[:, 2] = (self.beta * log_J - self.mu) / J
+        hessian[:, 0, 0] = self.mu * self.Jm / (2 * left**2)
+        hessian[:, 2, 2] = (self.beta * (1 - log_J) + self.mu) / J**2
+        return np.where(holds, psi, np.inf), gradient, hessian
+
+
+def nominal_stress(law, stretches, axis):
+    """The nominal stress [kPa] along an axis of a body with these principal stretches, (3,): dpsi/dstretch by hand."""
+    I1, log_J = np.sum(np.square(stretches)), np.sum(np.log(stretches))
+    shear = law.mu * law.Jm / (law.Jm - I1 + 3)
+    return shear * stretches[axis] + (law.beta * log_J - law.mu) / stretches[axis]
+
+
+def pulled(law, stretch):
+    """A cube pulled along one axis, the stretch of the others where their stress is 0."""
+    free = brentq(
+        lambda s: nominal_stress(law, [stretch, s, s], 1), 0.3, 2.0, xtol=1e-15
+    )
+    stress = nominal_stress(law, [stretch, free, free], 0)
+    return Row(
+        "Gent nu=.45, uniaxial",
+        lambda: [terms.Hyperelastic(law)],
+        1,
+        stretch,
+        free,
+        stress,
+    )
+
+
+ROWS = [
+    pulled(Gent.of_moduli(*lame(1.0, 0.45)), stretch) for stretch in (0.7, 1.5, 2.0)
+]
+BOUNDS = {"fenicsx": 1e-9, "skfem": 1e-9}
+add_law(
+    "Gent",
+    Gent.of_moduli,
+    problems=tuple(
+        make(row, BOUNDS, source="Gent 1996; one equation")
+        for row in ROWS
+        for make in (free_stretch, under_load)
+    ),
+)

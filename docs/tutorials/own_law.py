@@ -1,0 +1,97 @@
+# %% [markdown]
+# # Bring your own law
+#
+# A law of hyperelasticity is one file. It holds the parameters, and the energy twice: in UFL, from which FEniCSx
+# derives stress and tangent, and by the invariants with derivatives by hand, which scikit-fem takes. Two ways to
+# write one thing, so that one checks the other; a third, in stretches, gives the values that verification asks for.
+#
+# ```{literalinclude} gent.py
+# :language: python
+# ```
+#
+# ## Verification
+#
+# `add_file` runs the file (in a shell: `softdeca bench --add gent.py NAME`), and its problems are posed with the
+# others.
+
+# %%
+import numpy as np
+
+from softdeca.benchmarks.studies.hard import Hard
+from softdeca.benchmarks.studies.verification import Verification
+from softdeca.benchmarks.studies.work_precision import WorkPrecision
+from softdeca.lhm import expressions, fit_head, identities, load_template
+from softdeca.reference import (
+    Parameters,
+    add_file,
+    facial_scene,
+    hyperelastic_scene,
+    problems,
+    solve,
+)
+from softdeca.reference.added import added_laws
+
+add_file("gent.py")
+gent = added_laws()["Gent"].of_moduli
+for problem in problems.added_problems():
+    for solver in problem.solvers:
+        outcome = problems.run(problem, solver)
+        print(
+            f"{problem.name:<42} {solver:<8} {outcome.value:.10f}  error {outcome.error:.0e}  {outcome.passed}"
+        )
+        assert outcome.passed
+
+# %% [markdown]
+# ## Hard cases
+#
+# Collapsed, inverted, crushed and twisted blocks, on linear and quadratic tets. The energy is infinite for an
+# inverted tet, so the right outcome there is to refuse the start, and a law that did not would be told.
+
+# %%
+for case in problems.added_hard_cases():
+    for solver, element in case.ways:
+        if element == "P1":
+            outcome = problems.run_hard(case, solver, element)
+            print(
+                f"{case.name:<44} {outcome.outcome:<11} {outcome.iterations:>3} iterations  {outcome.passed}"
+            )
+            assert outcome.passed
+
+# %% [markdown]
+# ## A face of it
+#
+# `hyperelastic_scene` puts the law in the place of projective dynamics' energy, with the moduli that each layer
+# has.
+
+# %%
+space = identities.Anny()
+code, skin = space.sample(np.random.default_rng(0))
+head = fit_head(load_template(level=1), skin)
+shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.8}))[0]
+scene = facial_scene(head, Parameters(), shape)
+fast = solve(scene)
+face = solve(hyperelastic_scene(scene, gent), solver="fenicsx", start=fast.positions)
+n = len(head.bone)
+apart = np.linalg.norm(face.positions[:n] - fast.positions[:n], axis=1)
+print(
+    f"{face.reason}\nPD to Gent's law, skin wrap: mean {apart.mean():.3f} mm, largest {apart.max():.2f} mm"
+)
+assert face.converged
+
+# %% [markdown]
+# ## In the studies
+#
+# The same file gives all three studies their rows:
+
+# %%
+for study in (Verification(), Hard(), WorkPrecision(slow=True)):
+    tasks = [task for task in study.tasks() if "Gent" in str(task)]
+    print(
+        f"softdeca bench --add gent.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}"
+    )
+    assert tasks
+
+# %% [markdown]
+# A law of the package itself is such a file in `reference/materials/`, with a line in the `__init__.py` there. One
+# that mixed elements or a closed-form tangent are to have as well is written in each solver, as the neo-Hookean law
+# is.

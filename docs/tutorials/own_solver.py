@@ -1,0 +1,108 @@
+# %% [markdown]
+# # Bring your own solver
+#
+# A solver is one file: a function `prepare(scene)`, whose result has `solve`. It takes the same scenes as the
+# others and refuses by name what it cannot model. This one minimises by L-BFGS with a Laplacian as its first guess
+# of the Hessian, in numpy.
+#
+# ```{literalinclude} quasi_newton.py
+# :language: python
+# ```
+#
+# ## Verification
+#
+# `add_file` runs the file (in a shell: `softdeca bench --add quasi_newton.py NAME`). From then on every problem is
+# posed to the solver, within the loosest bound that any solver has there. Those that it refuses are left out, with
+# its words.
+
+# %%
+import numpy as np
+
+from softdeca.benchmarks.arap import Handles
+from softdeca.benchmarks.studies.hard import Hard
+from softdeca.benchmarks.studies.verification import Verification
+from softdeca.benchmarks.studies.work_precision import WorkPrecision
+from softdeca.benchmarks.traces import traced
+from softdeca.lhm import expressions, fit_head, identities, load_template
+from softdeca.reference import (
+    NotModelledError,
+    Parameters,
+    add_file,
+    facial_scene,
+    prepare,
+    problems,
+)
+
+add_file("quasi_newton.py")
+NAME = "quasi-newton"
+outcomes, refused = [], {}
+for problem in problems.ALL:
+    if NAME in problem.solvers:
+        try:
+            outcomes.append(problems.run(problem, NAME))
+        except NotModelledError as words:
+            refused.setdefault(str(words).split(";")[0], []).append(problem.name)
+print(
+    f"{sum(outcome.passed for outcome in outcomes)} of {len(outcomes)} values are within their bounds"
+)
+for words, which in refused.items():
+    print(f"{len(which):>3} left out: {words}")
+assert all(outcome.passed for outcome in outcomes)
+
+# %% [markdown]
+# ## Hard cases
+#
+# Here a solver is pushed to where it may fail, and this one does: of a bar drawn to several times its length its
+# line search finds no lower energy while the gradient is still above the tolerance. It says so, which is what a
+# solver must do.
+
+# %%
+for case in problems.HARD:
+    if (NAME, "P1") in case.ways:
+        try:
+            outcome = problems.run_hard(case, NAME)
+        except NotModelledError:
+            continue
+        print(
+            f"{case.name:<36} {outcome.outcome:<15} error {outcome.error:.0e}, {outcome.iterations} iterations"
+        )
+        assert outcome.outcome != "missed"
+
+# %% [markdown]
+# ## Work-precision
+#
+# Error against time, beside projective dynamics, on the tets of a face with the energy of as-rigid-as-possible
+# deformation, which both model. The truth is a tight run, and both are stopped at 0.001 mm.
+
+# %%
+import matplotlib.pyplot as plt
+
+space = identities.Anny()
+code, skin = space.sample(np.random.default_rng(0))
+head = fit_head(load_template(level=1), skin)
+shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.3}))[0]
+face = facial_scene(head, Parameters(), shape)
+scene = Handles.of(head, face, shape).scene(face)
+truth = prepare(scene).solve(tolerance=1e-10).positions
+figure, axis = plt.subplots(figsize=(6, 3.2))
+for solver in ("projective", NAME):
+    _, trace = traced(prepare(scene, solver=solver), truth, enough=1e-3)
+    axis.loglog(trace.seconds[1:], trace.error[1:], label=solver)
+    print(f"{solver:<13} to 0.01 mm in {trace.seconds_to(0.01):.2f} s")
+axis.set(xlabel="time of the solve [s]", ylabel="largest error of a vertex [mm]")
+axis.legend(frameon=False)
+axis.grid(alpha=0.25)
+figure.tight_layout()
+
+# %% [markdown]
+# ## In the studies
+#
+# The same file gives all three studies their rows:
+
+# %%
+for study in (Verification(), Hard(), WorkPrecision()):
+    tasks = [task for task in study.tasks() if NAME in str(task)]
+    print(
+        f"softdeca bench --add quasi_newton.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}"
+    )
+    assert tasks
