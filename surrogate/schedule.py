@@ -32,6 +32,9 @@ AHEAD = 2
 """Items per worker that are handed out at a time: enough that none waits, few enough to stop soon."""
 RETRIES = 2
 """How often an item whose worker died is tried again."""
+ENVIRONMENT = {name: 1 for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MALLOC_ARENA_MAX")}
+ENVIRONMENT |= {"MALLOC_MMAP_THRESHOLD_": 2**20}
+"""Of workers: one thread, and memory that goes back when an array does (a worker of a corpus grew to two gigabytes)."""
 PATIENCE = "30s"
 """With a scheduler that does not answer."""
 _ADDRESS = re.compile(r"\w+://\S+|[^\s/:]\S*:\d{1,5}")
@@ -133,6 +136,7 @@ def _client(on: Schedule, items: int) -> Iterator[Client]:
         "distributed.worker.memory.target": False,
         "distributed.worker.memory.spill": False,
         "distributed.worker.daemon": True,
+        "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
         "distributed.comm.timeouts.connect": PATIENCE,
     }
     with dask.config.set(settings):

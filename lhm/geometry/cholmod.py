@@ -91,9 +91,10 @@ class Factor:
     Raises LinAlgError for a matrix of which there is none: with `definite`, for each that is not positive definite.
     """
 
-    def __init__(self, matrix: csc_matrix, like: Factor | None = None, *, definite: bool = False):
-        known = like is not None and like.analysis.fits(matrix)
-        self.analysis: Analysis = like.analysis if like is not None and known else Analysis(matrix, definite=definite)
+    def __init__(self, matrix: csc_matrix, like: Factor | Analysis | None = None, *, definite: bool = False):
+        known = like.analysis if isinstance(like, Factor) else like
+        fits = known is not None and known.fits(matrix)
+        self.analysis: Analysis = known if known is not None and fits else Analysis(matrix, definite=definite)
         calls, common = self.analysis.library, self.analysis.common
         self._factor = c_void_p(calls.cholmod_copy_factor(self.analysis.symbolic, common))
         if not self._factor:

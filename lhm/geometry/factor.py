@@ -13,7 +13,7 @@ cholespy, 38 ms by CHOLMOD, of which 26 ms are the numeric part; a solve of thre
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,24 +30,29 @@ except ImportError:
 
 LinearSolver = Literal["cholespy", "cholmod", "superlu"]
 Solve = Callable[[NDArray], NDArray]
+Like: TypeAlias = Solve | cholmod.Analysis | None
 
 
-def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Solve | None = None) -> Solve:
+def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
     """Factor a symmetric positive definite matrix (n, n); the result maps (n, columns) of its dtype to solutions.
 
     linear_solver None takes cholespy, or SuperLU where that is not installed. With "cholmod", `like` is a factor of a
-    matrix of the same pattern, whose analysis is used again; others have no use for it. Raises InputError for an
-    unknown linear solver and MissingDependencyError for one that is not installed.
+    matrix of the same pattern, or its analysis, which is used again; others have no use for it. Raises InputError for
+    an unknown linear solver and MissingDependencyError for one that is not installed.
     """
     if linear_solver not in (None, *get_args(LinearSolver)):
         raise InputError(f"unknown linear solver {linear_solver!r}; there are {', '.join(get_args(LinearSolver))}")
     if linear_solver == "cholmod":
         if cholmod.library() is None:
             raise MissingDependencyError("linear solver 'cholmod' needs libcholmod.so.3 (Debian's libcholmod3)")
-        return cholmod.Factor(matrix, like if isinstance(like, cholmod.Factor) else None)
+        return cholmod.Factor(matrix, _known(like))
     if linear_solver == "cholespy" and CholeskySolverD is None:
         raise MissingDependencyError("linear solver 'cholespy' needs the package cholespy")
     return _superlu(matrix) if linear_solver == "superlu" or CholeskySolverD is None else _cholespy(matrix)
+
+
+def _known(like: Like) -> cholmod.Factor | cholmod.Analysis | None:
+    return like if isinstance(like, (cholmod.Factor, cholmod.Analysis)) else None
 
 
 def _superlu(matrix: csc_matrix) -> Solve:
@@ -68,9 +73,7 @@ def _cholespy(matrix: csc_matrix) -> Solve:
     return solve
 
 
-def factorise_definite(
-    matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Solve | None = None
-) -> Solve:
+def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
     """Factor a matrix that may turn out not to be positive definite: then LinAlgError is raised.
 
     linear_solver None takes CHOLMOD by supernodes where the system has it, which is what factors of three unknowns per
@@ -79,7 +82,7 @@ def factorise_definite(
     if linear_solver is None and cholmod.library() is not None:
         linear_solver = "cholmod"
     if linear_solver == "cholmod" and cholmod.library() is not None:
-        return cholmod.Factor(matrix, like if isinstance(like, cholmod.Factor) else None, definite=True)
+        return cholmod.Factor(matrix, _known(like), definite=True)
     if linear_solver == "superlu" or (linear_solver is None and CholeskySolverD is None):
         # LU without pivoting meets the signs of LDLᵀ.
         lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

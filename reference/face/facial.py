@@ -76,8 +76,8 @@ def facial_scene(
     Raises SceneError for targets of another shape, that are not finite or more than 200 mm from the skin, and for
     unknown or contradicting choices.
     """
-    targets = _checked_targets(head, targets)
-    neutral = head.skin.vertices if neutral is None else _checked_targets(head, neutral, "neutral")
+    targets = checked_targets(head, targets)
+    neutral = head.skin.vertices if neutral is None else checked_targets(head, neutral, "neutral")
     _check_choices(bones, without, attached)
     wrap_targets = head.wrap_targets(targets)
     stack = Stack.of(head, layers, without)
@@ -252,7 +252,8 @@ def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
     return triangles[touching[triangles].all(axis=1)]
 
 
-def _checked_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
+def checked_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
+    """Targets [mm] of the skin's shape, finite and near it; SceneError for others, by `name`."""
     try:
         targets = np.asarray(targets, dtype=np.float64)
     except (TypeError, ValueError):

@@ -16,7 +16,7 @@ from ...lhm.geometry import cholmod
 from ...lhm.geometry.factor import LinearSolver
 from ...lhm.mesh import Floats
 from .. import terms
-from ..projective import ProjectivePrepared, Tangent, prepare
+from ..projective import Pattern, ProjectivePrepared, Tangent, prepare
 from ..scene import Scene
 from ..solution import OnIteration, Solution
 from .parameters import Parameters
@@ -28,6 +28,14 @@ NEAR, DIRECT, TIGHT = 2.5e-5, 2e-6, 1e-8
 reaches sooner than another factor is made, and of the last."""
 DIRECTLY = 400
 """Iterations of the PD matrix before the tangent takes over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysed:
+    """What was analysed for a face, and serves every other of the same template and choices."""
+
+    prepared: ProjectivePrepared
+    tangent: Pattern
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +51,11 @@ class Linearised:
     def exact(self) -> bool:
         """Whether the tangent is the exact Hessian, so that responses are derivatives; see `projective.Tangent`."""
         return self.tangent.exact
+
+    @property
+    def analysed(self) -> Analysed:
+        """What another face may be `linearised` like, when this one is let go."""
+        return Analysed(self.prepared, self.tangent.pattern)
 
     @property
     def offset(self) -> Floats:
@@ -116,7 +129,7 @@ class Linearised:
 
 
 @checked
-def linearised(face: Settled, *, accuracy: float = TIGHT, like: Linearised | None = None) -> Linearised:
+def linearised(face: Settled, *, accuracy: float = TIGHT, like: Linearised | Analysed | None = None) -> Linearised:
     """Prepare a settled face's scenes, solve the neutral one tightly and factor its tangent.
 
     accuracy is the gradient norm of the neutral answer, relative to that of the targets' springs each 1 mm long: one
@@ -134,7 +147,7 @@ def spring_norm(scene: Scene) -> float:
 
 
 def _tangent_of(
-    scene: Scene, start: Floats, like: Linearised | None, accuracy: float = TIGHT
+    scene: Scene, start: Floats, like: Linearised | Analysed | None, accuracy: float = TIGHT
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """A scene prepared and solved: by the PD matrix, where need be then by the tangent; and the tangent in the end."""
     linear_solver: LinearSolver | None = None if cholmod.library() is None else "cholmod"

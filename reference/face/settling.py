@@ -25,7 +25,7 @@ from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import prepare
 from .bones import scaled_skull
-from .facial import facial_scene
+from .facial import checked_targets, facial_scene
 from .palsy import kept_of_skin
 from .parameters import Parameters
 from .stack import Stack
@@ -80,7 +80,7 @@ class Settled:
 
     def skin_after(self, expression: Floats, positions: Floats) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of an expression of the head without p, by its scene's positions."""
-        goal = self.targets(expression)
+        goal = self.targets(checked_targets(self.head, expression, "expression"))
         if self.kept is not None:
             goal = self.skin + self.kept * (goal - self.skin)
         return self.head.skin_after(goal, positions[: len(self.head.bone)])
@@ -88,7 +88,7 @@ class Settled:
     def scene(self, expression: Floats, **choices: Any) -> Scene:
         """The scene of an expression [mm], shape (skin vertices, 3), of the settled face; see `facial_scene`."""
         given = {"neutral": self.skin} | self.choices | choices
-        return facial_scene(self.head, self.parameters, self.targets(expression), **given)
+        return facial_scene(self.head, self.parameters, self.targets(checked_targets(self.head, expression)), **given)
 
 
 @checked

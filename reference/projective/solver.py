@@ -38,7 +38,7 @@ from .energy import Energy
 from .memory import Memory
 from .recovery import recover
 from .system import System
-from .tangent import Tangent
+from .tangent import Pattern, Tangent
 
 if TYPE_CHECKING:
     from .contact import Following
@@ -189,7 +189,7 @@ class ProjectivePrepared:
         scene: Scene | None = None,
         *,
         linear_solver: LinearSolver | None = None,
-        like: Tangent | None = None,
+        like: Tangent | Pattern | None = None,
     ) -> Tangent:
         """The exact Hessian at a scene's solution, factored: for responses, and as a metric of scenes near by.
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from ...lhm.errors import SceneError
+from ...lhm.geometry import cholmod
 from ...lhm.geometry.factor import LinearSolver, Solve, factorise_definite
 from ...lhm.mesh import Floats
 from ..scene import Scene
@@ -62,6 +63,14 @@ def hessian(
 
 
 @dataclass(frozen=True, eq=False)
+class Pattern:
+    """What all tangents of a topology share: where entries are, and, by CHOLMOD, in which order they are eliminated."""
+
+    sparsity: Sparsity
+    analysis: cholmod.Analysis | None
+
+
+@dataclass(frozen=True, eq=False)
 class Tangent:
     """The Hessian of a scene's energy at a place, factored.
 
@@ -87,14 +96,15 @@ class Tangent:
         *,
         least: float = EXACT,
         linear_solver: LinearSolver | None = None,
-        like: Tangent | None = None,
+        like: Tangent | Pattern | None = None,
     ) -> Tangent:
         """Factor `hessian` at a place, with eigenvalues raised to 0 where it has to be; `like` lends its pattern."""
         if scene.of(Contact):
             raise SceneError("a tangent knows no Contact: take the scene without it")
-        known = like is not None and like.sparsity.fits(elements_of(scene, energy, coordinates))
-        sparsity = like.sparsity if like is not None and known else Sparsity.of(scene, energy, coordinates)
-        before = like.factor if like is not None and known else None
+        pattern = like.pattern if isinstance(like, Tangent) else like
+        if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy, coordinates)):
+            pattern = Pattern(Sparsity.of(scene, energy, coordinates), None)
+        sparsity, before = pattern.sparsity, pattern.analysis
         if least < 0.0:
             matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
             try:
@@ -107,6 +117,11 @@ class Tangent:
         matrix.setdiag(np.where(diagonal > 0.0, (1.0 + SHIFT) * diagonal, 1.0))
         factor = factorise_definite(matrix, linear_solver=linear_solver, like=before)
         return cls(scene, energy, coordinates, sparsity, place, False, factor)
+
+    @property
+    def pattern(self) -> Pattern:
+        """What serves again when its numbers, a quarter of a gigabyte for a head, are let go."""
+        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholmod.Factor) else None)
 
     def solve(self, right: Floats) -> Floats:
         """The inverse Hessian times gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""

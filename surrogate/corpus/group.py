@@ -12,7 +12,7 @@ from ...lhm.geometry.bvh import TriangleTree
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Surface
 from ...reference import Scene, Settled, Solution, settled
-from ...reference.face.linearised import DIRECT, Linearised, linearised, spring_norm
+from ...reference.face.linearised import DIRECT, Analysed, Linearised, linearised, spring_norm
 from ...reference.face.settling import FOR_TARGETS
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
@@ -70,7 +70,7 @@ class Group:
         neutral = settled_neutral(people, head, drawn)
         linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
         _last.clear()
-        _last[people.name] = linear
+        _last[people.name] = linear.analysed
         moved = linear.first_order(person.shapes)
         return cls(plan, person, drawn, linear, moved, plan.has_responses(number))
 
@@ -209,5 +209,5 @@ class Group:
         return ACCEPTED
 
 
-_last: dict[str, Linearised] = {}
+_last: dict[str, Analysed] = {}
 """The last face of a process: what was analysed of its matrices, the same for all heads of a template, serves again."""

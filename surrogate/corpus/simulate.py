@@ -72,9 +72,12 @@ def simulate_person(plan: CorpusPlan, people: People, identity: int, velocities:
         head, failure = _head(people, person)
     made = [_Made(number, plan.parameter_set(number), failure) for number in plan.parameter_numbers(identity)]
     turns = _turns(plan, identity, made)
-    for k, one in enumerate(made):  # and forgets each group's factors, a quarter of a gigabyte, before the next
-        group = None if head is None else _group(plan, people, person, head, k, one, clock)
-        _simulate(plan, person, identity, k, group, one, velocities, turns[k], clock)
+    for k, one in enumerate(made):
+        # Under no name here, so that a group's factors, a quarter of a gigabyte, are forgotten before the next.
+        _simulate(
+            plan, person, identity, k, None if head is None else _group(plan, people, person, head, k, one, clock),
+            one, velocities, turns[k], clock,
+        )  # fmt: skip
     return Shard(
         persons=_persons(person),
         groups=_groups(person, made),

@@ -30,7 +30,7 @@ from softdeca.cli.head import _counts
 from softdeca.lhm import Surface, expressions, identities
 from softdeca.lhm.errors import SoftdecaError
 from softdeca.lhm.files import head_file, scan_file, surface_file, template_file, tet_file
-from softdeca.reference import parameter_file
+from softdeca.reference.face import parameter_file
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.plan import read_plan
 

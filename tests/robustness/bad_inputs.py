@@ -37,7 +37,8 @@ from softdeca.benchmarks import study  # noqa: F401 (what commands import is not
 from softdeca.cli.written_file import WrittenFile, WrittenFolder
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
 from softdeca.lhm.files import head_file, surface_file, template_file, tet_file
-from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, parameter_file, terms
+from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, terms
+from softdeca.reference.face import parameter_file
 from softdeca.reference.problems.meshes import box
 
 SECONDS, PATIENCE = 10, 120
