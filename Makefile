@@ -20,7 +20,7 @@ check: setup
 
 docs:
 	@tools/set-up docs
-	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going docs out/docs
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going docs out/docs
 
 setup:
 	@tools/set-up
