@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm.checked import checked
-from ...lhm.errors import InputError, MissingDependencyError
+from ...lhm.errors import InputError
+from ...lhm.files.toml_file import read_toml
 from ...lhm.mesh import Floats
 from .parameters import Parameters
 
@@ -25,17 +26,8 @@ def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     Raises InputError, one line that names the file and the parameter, for a file that is missing or no TOML, an unknown
     name, and a value that is no number or out of range.
     """
-    try:
-        import tomllib
-    except ModuleNotFoundError:
-        raise MissingDependencyError(f"{path}: TOML files are read from Python 3.11 on") from None
     path = Path(path)
-    try:
-        named = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a TOML file that can be read ({' '.join(str(error).split())[:80]})") from None
+    named = read_toml(path)
     try:
         return Parameters(**{Parameters.info(name).name: _value(path, name, value) for name, value in named.items()})
     except InputError as error:

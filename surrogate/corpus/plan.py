@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...lhm.errors import InputError, MissingDependencyError
+from ...lhm.errors import InputError
 from ...lhm.expressions.recordings import Recording, recordings, starts
 from ...lhm.expressions.take import Take
+from ...lhm.files.toml_file import read_toml
 from ...lhm.mesh import Floats
 from .mixture import KINDS, ParameterSet, draw
 
@@ -239,17 +240,8 @@ class CorpusPlan:
 
 def read_plan(path: str | os.PathLike[str]) -> CorpusPlan:
     """The plan in a TOML file (see `CorpusPlan.of`); InputError, one line, names the file and what is wrong."""
-    try:
-        import tomllib
-    except ModuleNotFoundError:
-        raise MissingDependencyError(f"{path}: TOML files are read from Python 3.11 on") from None
     path = Path(path)
-    try:
-        options = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a TOML file that can be read ({' '.join(str(error).split())[:80]})") from None
+    options = read_toml(path)
     try:
         plan = CorpusPlan.of(options)
     except InputError as error:
