@@ -8,6 +8,7 @@ they are. In the eyes they draw to where the face at rest has it, since an expre
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -73,6 +74,7 @@ class Springs:
     active: Floats | None = None
 
     @classmethod
+    @lru_cache(maxsize=1)  # every frame of a face asks for the same, a third of a palsied scene's price
     def of(cls, head: LayeredHead, parameters: Parameters) -> Springs:
         """Per area, less what is paralysed, but where eyes are lined: there springs stay, and draw elsewhere."""
         wrap = head.skin_wrap
