@@ -94,7 +94,7 @@ class Surrogate:
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        modes = compressed(self._modal.bound(code, at_vertices, shapes))
+        modes = compressed(self._modal.bound(code, skin.vertices, at_vertices, shapes))
         if exact:
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)

@@ -28,6 +28,7 @@ class Face:
 
     shapes (52, n, 3) [mm]: what the weights add to the person's skin.
     settled (n, 3) [mm]: the part of the offset by which p moved the neutral skin, before targets hold it there.
+    skin (n, 3) [mm]: the person's neutral skin without p.
     """
 
     identity: int
@@ -38,6 +39,12 @@ class Face:
     offset: np.ndarray
     responses: np.ndarray
     shapes: np.ndarray
+    skin: Floats
+
+    @property
+    def relaxed(self) -> Floats32:
+        """The rest of the offset [mm], shape (n, 3): where the settled face comes to rest among its targets."""
+        return self.offset.astype(np.float32) - self.settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +110,7 @@ class Faces:
             offset=row["offset"],
             responses=row["expressions"],
             shapes=self._responses.shapes(int(row["identity"])),
+            skin=self._responses.skin(int(row["identity"])).vertices,
         )
 
     def skin(self, identity: int) -> Surface:
@@ -131,11 +139,12 @@ class Faces:
 
 @dataclass(frozen=True, eq=False)
 class Neutral:
-    """A settled neutral face: code (c,), coefficients as of `Face`, and settled (n, 3) [mm]."""
+    """A settled neutral face: code (c,), and coefficients, settled (n, 3) and skin (n, 3) [mm] as of `Face`."""
 
     code: Floats
     coefficients: Floats
     settled: np.ndarray
+    skin: Floats
 
 
 class Neutrals:
@@ -155,12 +164,9 @@ class Neutrals:
     def face(self, index: int) -> Neutral:
         """One of them."""
         row = self._table[index]
-        return Neutral(np.asarray(row["code"], dtype=np.float64), static_of(row["coefficients"]), row["settled"])
-
-
-def mirrored(displacement: np.ndarray, mirror: Ints) -> np.ndarray:
-    """A displacement (n, 3) of a face, as its mirror image across x = 0 has it."""
-    return displacement[mirror] * np.array([-1.0, 1.0, 1.0], dtype=displacement.dtype)
+        skin = self._table.skin(int(row["identity"])).vertices
+        code = np.asarray(row["code"], dtype=np.float64)
+        return Neutral(code, static_of(row["coefficients"]), row["settled"], skin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,9 @@ _MOVING = _THERE + _GRAVITY + _BONES
 """What moves a neutral face; at the default of these it stays where it is, whatever the materials."""
 GIVE = -1
 """The column of `local` that holds `give`."""
-EFFECTS = len(_THERE) + len(_BONES) + 3
+EFFECTS = len(_THERE) + 2 * len(_BONES) + 3
+LIKENESS = 10.0
+"""[mm] By which people's skins differ from the mean, about."""
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
 _OTHER = {"paralysis_left": "paralysis_right", "paralysis_right": "paralysis_left"}
 _SWAPPED = [STATIC.index(_OTHER.get(name, name)) for name in STATIC]
@@ -98,6 +100,10 @@ class Features:
         """The p of the mirrored face, for a symmetric mean skin."""
         return at_vertices[self.mirror][:, _SWAPPED] * _SIGNS
 
+    def mirrored_move(self, move: np.ndarray) -> np.ndarray:
+        """A displacement (n, 3), or a skin, of the mirrored face."""
+        return move[self.mirror] * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
+
     def local(self, at_vertices: Floats) -> Floats32:
         """Features of each vertex, shape (n, local_size)."""
         gravity = np.broadcast_to(_added_gravity(at_vertices[0]), (len(at_vertices), 3))
@@ -125,26 +131,37 @@ class Features:
         paralyses = (_INFOS[STATIC[column]].denormalise(at_vertices[:, column]) for column in _PARALYSES)
         return soft / (soft + DEPTH * target * kept_share(self._left, *paralyses))
 
-    def effects(self, at_vertices: Floats) -> Floats32:
+    def effects(self, at_vertices: Floats, skin: Floats) -> Floats32:
         """How strong each effect is at each vertex, shape (n, EFFECTS), all zero at the defaults.
 
-        Volumes and growth there, bones' scales, and added gravity over soft tissue's stiffness there: to first order a
-        neutral face answers to these.
+        Volumes and growth there, bones' scales, the same times how far the person's neutral skin (n, 3) [mm] is from
+        the mean along the scaled axis, and added gravity over soft tissue's stiffness there: to first order a neutral
+        face answers to these.
         """
         change = at_vertices - _DEFAULTS
+        bones = change[:, list(_BONES)]
+        likeness = np.tile((skin - self.mean.vertices) / LIKENESS, len(_BONES) // 3)
         gravity = _added_gravity(at_vertices[0]) / _softness(at_vertices[:, [_SOFT]])
-        return np.hstack([change[:, list(_THERE + _BONES)], gravity]).astype(np.float32)
+        return np.hstack([change[:, list(_THERE)], bones, bones * likeness, gravity]).astype(np.float32)
 
     def unmoved(self, at_vertices: Floats) -> Floats:
         """The same materials with nothing that moves a neutral face."""
-        found = np.array(at_vertices)
-        found[:, list(_MOVING)] = _DEFAULTS[list(_MOVING)]
-        return found
+        return _by_default(at_vertices, _MOVING)
+
+    def without_palsy(self, at_vertices: Floats) -> Floats:
+        """The same face with both halves at work, as it settles: a palsy takes no part in that."""
+        return _by_default(at_vertices, _PARALYSES)
 
 
 def normalised_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
     """A code (c,) as the network has it: all of it counts about as much as a few parameters."""
     return 0.5 * (np.asarray(code, dtype=np.float64) - mean) / scale
+
+
+def _by_default(at_vertices: Floats, columns: tuple[int, ...]) -> Floats:
+    found = np.array(at_vertices)
+    found[:, list(columns)] = _DEFAULTS[list(columns)]
+    return found
 
 
 def _softness(normalised):

@@ -1,12 +1,13 @@
 """The modal surrogate as a torch module: offset, responses and remainder in modes whose gains follow p and h locally.
 
-    T - S = Σ_e e(v) E_e(v) + Σ_k (a_k + b_k) g_k(v) B_k(v)
+    T - S = Σ_i [Σ_e e(v) (d_ie + g_ie(v)) E_ie(v) + Σ_k a_ik g_k(v) B_k(v)]
             + Σ_j w_j [Σ_k Z_jk g_k(v) B_k(v) - l(v) S_j(v)] + Σ_k N_k(w) g_k(v) B_k(v)
 
-with effects e(v) of p at a vertex (see `Features.effects`) and a table E of what they do to the mean face, then modes
-B_k (n, 3) of each of PARTS, gains g_k(v) from p at the vertex, the code and a trained position of the vertex, a lag
-l(v) of the person's shapes S_j, which is `Features.give` times such a gain, and
-amplitudes a, b, Z and N from a summary of p and h; N(0) = 0, and a = b = 0 where nothing of p moves the neutral face.
+with effects e(v) of p at a vertex (see `Features.effects`) and tables E_i of what they do to the mean face in each of
+NEUTRAL, modes B_k (n, 3) of each of PARTS, gains g(v) from p at the vertex, the code and a trained position of the
+vertex, a lag l(v) of the person's shapes S_j, which is `Features.give` times such a gain, and
+amplitudes a, d, Z and N from a summary of p and h; N(0) = 0, and e = a = 0 where nothing of p moves the neutral face.
+What has settled is the same with a palsy as without.
 The paper's L(p, h) in the vertex form of its ablation, where a separable table of modes takes the place of one network
 per face.
 """
@@ -20,24 +21,23 @@ import numpy as np
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats32, Surface
 from ..learning import nn, torch
-from .features import GIVE
+from .features import EFFECTS, GIVE
+from .weights import NEUTRAL, PARTS
 
 WEIGHTS = 52
-PARTS = ("settled", "relaxed", "responses", "remainder")
-"""The neutral face that p has settled; what it relaxes to among its targets; what is linear in w; and the rest."""
 
 
 @dataclass(frozen=True)
 class ModalConfig:
     """Sizes, each with its reason; InputError for one that is not positive."""
 
-    settled_modes: int = 64
+    settled_modes: int = 56  # what effects, gained at each vertex, leave
     relaxed_modes: int = 24  # a twentieth of the motion
     response_modes: int = 96
     remainder_modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
     position: int = 16  # trained position of a vertex
-    local: int = 32  # hidden width of the gains, which every vertex evaluates at bind
-    summary: int = 48  # hidden width of what the whole face evaluates
+    local: int = 64  # hidden width of the gains, which every vertex evaluates at bind
+    summary: int = 96  # hidden width of what the whole face evaluates
     expression: int = 256  # hidden width over w, once per frame
 
     def __post_init__(self):
@@ -54,8 +54,8 @@ class ModalConfig:
 class ModalNetwork(nn.Module):
     """See the module.
 
-    It starts from `effects` (EFFECTS, n, 3) [mm], `modes` (k, 3 n) of each part, orthonormal rows, with `sizes` (k,) of
-    their amplitudes [mm], and `means` (52, k) of the responses' amplitudes.
+    It starts from `effects` (2, EFFECTS, n, 3) [mm], of each of NEUTRAL, `modes` (k, 3 n) of each part, orthonormal
+    rows, with `sizes` (k,) of their amplitudes [mm], and `means` (52, k) of the responses' amplitudes.
     """
 
     def __init__(
@@ -80,6 +80,8 @@ class ModalNetwork(nn.Module):
         self.gain_out = nn.Linear(wide, sum(config.modes))
         self.lag = nn.Linear(wide, 1)
         total, hidden = code_size + summary_size, config.summary
+        self.effect_gain = nn.Linear(wide, len(NEUTRAL) * EFFECTS)
+        self.effect_level = nn.Sequential(*_hidden(total, hidden), nn.Linear(hidden, len(NEUTRAL) * EFFECTS))
         self.settled_linear = nn.Linear(total, settled, bias=False)
         self.settled = nn.Sequential(*_hidden(total, 2 * hidden, 2 * hidden), nn.Linear(2 * hidden, settled))
         self.relaxed_linear = nn.Linear(total, relaxed, bias=False)
@@ -98,6 +100,7 @@ class ModalNetwork(nn.Module):
         self.remainder_linear = nn.Linear(WEIGHTS, remainder, bias=False)
         with torch.no_grad():
             quiet = [self.gain_out, self.lag, self.settled[-1], self.relaxed[-1], self.response_gain, self.response_mix]
+            quiet += [self.effect_gain, self.effect_level[-1]]
             for layer in (*quiet, self.remainder_gain, self.remainder_modulation):
                 assert isinstance(layer, nn.Linear)
                 layer.weight.mul_(0.1)
@@ -126,15 +129,20 @@ class ModalNetwork(nn.Module):
         """l(v), shape (batch, v): the share of every shape by which skin stays behind."""
         return local[..., GIVE] * (1.0 + self.lag(hidden)[..., 0])
 
-    def settled_amplitudes(self, summary, unmoved):
-        """a, shape (batch, k), from summaries, and those of the same faces unmoved, where it is zero."""
-        bent = self.settled(summary) - self.settled(unmoved)
-        return self.settled_linear(summary - unmoved) + bent * self.size_settled
+    def neutral(self, part, hidden, summary, unmoved, effects, vertices):
+        """One of NEUTRAL by number at some vertices [mm], shape (batch, 3 v): effects (batch, v, EFFECTS), then modes.
 
-    def relaxed_amplitudes(self, summary, unmoved):
-        """b, shape (batch, k), likewise."""
-        bent = self.relaxed(summary) - self.relaxed(unmoved)
-        return self.relaxed_linear(summary - unmoved) + bent * self.size_relaxed
+        From summaries, and those of the same faces unmoved, where it is zero.
+        """
+        linear, bend = getattr(self, f"{NEUTRAL[part]}_linear"), getattr(self, NEUTRAL[part])
+        size = getattr(self, f"size_{NEUTRAL[part]}")
+        amplitudes = linear(summary - unmoved) + (bend(summary) - bend(unmoved)) * size
+        (basis,) = self.bases(hidden, vertices, (part,))
+        columns = slice(part * EFFECTS, (part + 1) * EFFECTS)
+        gain = nn.functional.linear(hidden, self.effect_gain.weight[columns], self.effect_gain.bias[columns])
+        strength = effects * (1.0 + gain + self.effect_level(summary)[:, None, columns])
+        first = torch.einsum("bve,evc->bvc", strength, self.effects[part][:, vertices]).flatten(1)
+        return first + (amplitudes[:, None] @ basis)[:, 0]
 
     def response_amplitudes(self, summary):
         """Z, shape (batch, 52, k)."""

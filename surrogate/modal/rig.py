@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numba
 import numpy as np
 
 from ...lhm.mesh import Floats, Floats32
-from .features import GIVE, Features, normalised_code
-from .weights import ModalWeights
+from .features import EFFECTS, GIVE, Features, normalised_code
+from .weights import NEUTRAL, ModalWeights
+
+EVERY = slice(None)
 
 
 class Modal:
@@ -20,42 +23,65 @@ class Modal:
         self.features = Features(weights.mean)
         modes = (weights.network[f"modes.{k}"] for k in range(4))
         self._modes: list[Floats32] = [np.ascontiguousarray(part.transpose(1, 0, 2)) for part in modes]  # (n, k, 3)
+        begins = np.cumsum([0, *(part.shape[1] for part in self._modes)])
+        self._rows = [slice(int(first), int(last)) for first, last in pairwise(begins)]
+        """Of each part among all gains."""
 
-    def bound(self, code: Floats, at_vertices: Floats, shapes: np.ndarray) -> BoundModes:
+    def bound(self, code: Floats, skin: Floats, at_vertices: Floats, shapes: np.ndarray) -> BoundModes:
         """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P).
 
-        shapes: what the 52 weights add to the person's skin [mm], shape (52, n, 3).
+        skin: the person's neutral one [mm], shape (n, 3); shapes: what the 52 weights add to it, shape (52, n, 3).
         """
         network, weights = self.weights.network, self.weights
         known = normalised_code(code, weights.code_mean, weights.code_scale)
         summary = self.features.summary(known, at_vertices)
-        unmoved = self.features.summary(known, self.features.unmoved(at_vertices))
-        own = known.astype(np.float32)
         local = self.features.local(at_vertices)
-        wide = network["gain_in.weight"]
-        columns = local.shape[1]
-        inputs = local @ wide[:, :columns].T + network["position"] @ wide[:, columns:].T
-        hidden = _silu(inputs + network["gain_in.bias"] + network["gain_code.weight"] @ own)
-        hidden = _silu(_linear(network, "gain_middle", hidden) + hidden)
-        gains = 1.0 + _linear(network, "gain_out", hidden)
-        lag = local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
-        split = np.cumsum([modes.shape[1] for modes in self._modes])[:-1]
-        settled, relaxed, responses, remainder = (
-            gain[:, :, None] * modes for gain, modes in zip(np.split(gains, split, axis=1), self._modes, strict=True)
+        hidden = self._hidden(known, local)
+        responses, remainder = (
+            (1.0 + _linear(network, "gain_out", hidden, self._rows[part]))[:, :, None] * self._modes[part]
+            for part in (2, 3)
         )
+        lag = local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
         scale = np.float32(1.0 / np.sqrt(3 * len(local)))
-        bent = [
-            np.einsum("k,nkc->nc", _offset_amplitudes(network, part, summary, unmoved) * scale, modes, optimize=True)
-            for part, modes in (("settled", settled), ("relaxed", relaxed))
-        ]
-        first = np.einsum("ne,enc->nc", self.features.effects(at_vertices), network["effects"])
         return BoundModes(
-            offset=first + bent[0] + bent[1],
+            offset=self._offset(known, skin, at_vertices, hidden),
             responses=_combined(_response_amplitudes(network, summary) * scale, responses)
             - lag * shapes.astype(np.float32),
             modes=np.ascontiguousarray(remainder.transpose(1, 0, 2)) * scale,
             remainder_of=Remainder.of(network, summary),
         )
+
+    def _hidden(self, known: Floats, local: Floats32) -> Floats32:
+        """What gains follow from, shape (n, wide)."""
+        network = self.weights.network
+        wide, columns = network["gain_in.weight"], local.shape[1]
+        inputs = local @ wide[:, :columns].T + network["position"] @ wide[:, columns:].T
+        own = network["gain_code.weight"] @ known.astype(np.float32)
+        hidden = _silu(inputs + network["gain_in.bias"] + own)
+        return _silu(_linear(network, "gain_middle", hidden) + hidden)
+
+    def _offset(self, known: Floats, skin: Floats, at_vertices: Floats, hidden: Floats32) -> Floats32:
+        """Both of NEUTRAL [mm], shape (n, 3); `hidden` is that of the face as it is."""
+        features = self.features
+        settling = features.without_palsy(at_vertices)
+        alike = np.array_equal(settling, at_vertices)
+        own = hidden if alike else self._hidden(known, features.local(settling))
+        return self._neutral(0, known, skin, settling, own) + self._neutral(1, known, skin, at_vertices, hidden)
+
+    def _neutral(self, part: int, known: Floats, skin: Floats, at_vertices: Floats, hidden: Floats32) -> Floats32:
+        """One of NEUTRAL [mm], shape (n, 3)."""
+        network, name, features = self.weights.network, NEUTRAL[part], self.features
+        summary = features.summary(known, at_vertices)
+        unmoved = features.summary(known, features.unmoved(at_vertices))
+        amplitudes = network[f"{name}_linear.weight"] @ (summary - unmoved)
+        amplitudes += (_bent(network, name, summary) - _bent(network, name, unmoved)) * network[f"size_{name}"]
+        amplitudes *= np.float32(1.0 / np.sqrt(3 * len(hidden)))
+        gains = (1.0 + _linear(network, "gain_out", hidden, self._rows[part])) * amplitudes
+        columns = slice(part * EFFECTS, (part + 1) * EFFECTS)
+        level = _linear(network, "effect_level.2", _silu(_linear(network, "effect_level.0", summary)), columns)
+        gained = 1.0 + _linear(network, "effect_gain", hidden, columns) + level
+        first = np.einsum("ne,enc->nc", features.effects(at_vertices, skin) * gained, network["effects"][part])
+        return first + np.einsum("nk,nkc->nc", gains, self._modes[part])
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +148,9 @@ class BoundModes:
         return np.tensordot(self.remainder_of(np.asarray(weights, dtype=np.float32)), self.modes, axes=1)
 
 
-def _offset_amplitudes(network, part: str, summary: Floats32, unmoved: Floats32) -> Floats32:
-    def bent(known):
-        hidden = _silu(_linear(network, f"{part}.2", _silu(_linear(network, f"{part}.0", known))))
-        return _linear(network, f"{part}.4", hidden)
-
-    linear = network[f"{part}_linear.weight"] @ (summary - unmoved)
-    return linear + (bent(summary) - bent(unmoved)) * network[f"size_{part}"]
+def _bent(network, part: str, summary: Floats32) -> Floats32:
+    hidden = _silu(_linear(network, f"{part}.2", _silu(_linear(network, f"{part}.0", summary))))
+    return _linear(network, f"{part}.4", hidden)
 
 
 def _response_amplitudes(network, summary: Floats32) -> Floats32:
@@ -143,8 +165,8 @@ def _combined(amplitudes: Floats32, modes: Floats32) -> Floats32:
     return (amplitudes @ flat).reshape(len(amplitudes), -1, 3)
 
 
-def _linear(network, layer: str, values):
-    return values @ network[f"{layer}.weight"].T + network[f"{layer}.bias"]
+def _linear(network, layer: str, values, rows: slice = EVERY):
+    return values @ network[f"{layer}.weight"][rows].T + network[f"{layer}.bias"][rows]
 
 
 def _silu(values):

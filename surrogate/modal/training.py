@@ -17,9 +17,9 @@ from ...lhm.progress import OnProgress, silent
 from ..learning import keep_state, kept_state, torch
 from ..processes import ALONE, Processes, processes
 from ..surface_hash import surface_hash
-from .faces import Face, Faces, Inputs, Neutral, Neutrals, mirrored
+from .faces import Face, Faces, Inputs, Neutral, Neutrals
 from .features import EFFECTS, STATIC, Features
-from .network import WEIGHTS, ModalConfig, ModalNetwork, start_positions
+from .network import NEUTRAL, WEIGHTS, ModalConfig, ModalNetwork, start_positions
 from .principal import principal
 from .weights import ModalWeights, TrainingNote
 
@@ -199,11 +199,11 @@ class _Loop:
         p = [self.features.at_vertices(face.coefficients) for face in faces]
         local, summary, unmoved = self._features(faces, p, vertices)
         hidden = network.hidden(local, summary, vertices)
-        relaxed_basis, response_basis, remainder_basis = network.bases(hidden, vertices, (1, 2, 3))
+        response_basis, remainder_basis = network.bases(hidden, vertices, (2, 3))
         if self.start is None:
-            relaxed = [(face.offset.astype(np.float32) - face.settled)[vertices].ravel() for face in faces]
-            own = (network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed_basis)[:, 0]
-            loss = loss + _distance(own - self._tensor(relaxed))
+            effects = self._effects(p, [face.skin for face in faces], vertices)
+            own = network.neutral(1, hidden, summary, unmoved, effects, vertices)
+            loss = loss + _distance(own - self._tensor([face.relaxed[vertices].ravel() for face in faces]))
         responses = self._tensor([face.responses[:, vertices].reshape(WEIGHTS, -1) for face in faces])
         shapes = self._tensor([face.shapes[:, vertices] for face in faces])
         lagging = (network.lags(hidden, local)[:, None, :, None] * shapes).flatten(2)
@@ -226,20 +226,18 @@ class _Loop:
         What is learned of one cheek is so of the other. Shapes, and the tets in lids and lips, are not symmetric enough
         for responses.
         """
-        network, mirror = self.network, self.features.mirror
-        p, settled = [], []
+        network, features = self.network, self.features
+        p, skins, settled = [], [], []
         for face in faces:
-            at_vertices, move = self.features.at_vertices(face.coefficients), face.settled
-            if mirror is not None and rng.random() < 0.5:
-                at_vertices, move = self.features.mirrored(at_vertices), mirrored(move, mirror)
+            is_mirrored = features.mirror is not None and rng.random() < 0.5
+            at_vertices, skin, move = _settling(face, features, mirrored=is_mirrored)
             p.append(at_vertices)
-            settled.append(move[vertices])
+            skins.append(skin)
+            settled.append(move[vertices].ravel())
         local, summary, unmoved = self._features(faces, p, vertices)
-        (basis,) = network.bases(network.hidden(local, summary, vertices), vertices, (0,))
-        effects = self._tensor([self.features.effects(one)[vertices] for one in p])
-        own = (network.settled_amplitudes(summary, unmoved)[:, None] @ basis)[:, 0]
-        own = own + torch.einsum("bve,evc->bvc", effects, network.effects[:, vertices]).flatten(1)
-        return _distance(own - self._tensor([one.ravel() for one in settled]))
+        hidden = network.hidden(local, summary, vertices)
+        own = network.neutral(0, hidden, summary, unmoved, self._effects(p, skins, vertices), vertices)
+        return _distance(own - self._tensor(settled))
 
     def _some_neutrals(self, rng) -> list[Neutral]:
         if self.neutrals is None:
@@ -254,6 +252,10 @@ class _Loop:
             for at_vertices in (p, [self.features.unmoved(one) for one in p])
         )
         return self._tensor(local), *map(self._tensor, summaries)
+
+    def _effects(self, p, skins, vertices):
+        both = zip(p, skins, strict=True)
+        return self._tensor([self.features.effects(one, skin)[vertices] for one, skin in both])
 
     def _tensor(self, rows):
         return torch.from_numpy(np.stack(rows).astype(np.float32)).to(self.device)
@@ -326,7 +328,7 @@ def errors_of(weights: ModalWeights, faces: Faces, chosen) -> dict[str, float]:
         face, frames = faces.face(int(index)), faces.frames(int(index))
         if not len(frames.weights):
             continue
-        bound = modal.bound(face.code, modal.features.at_vertices(face.coefficients), face.shapes)
+        bound = modal.bound(face.code, face.skin, modal.features.at_vertices(face.coefficients), face.shapes)
         remainder = frames.remainder(face)
         own = bound.remainder(frames.weights)
         linear = (
@@ -367,7 +369,7 @@ def _again(start: ModalWeights, faces: Faces, inputs: Inputs, config: ModalTrain
         code_size=len(inputs.code_mean),
         local_size=inputs.features.local_size,
         summary_size=inputs.features.summary_size,
-        effects=np.zeros((EFFECTS, n3 // 3, 3)),
+        effects=np.zeros((len(NEUTRAL), EFFECTS, n3 // 3, 3)),
         modes=[np.zeros((count, n3)) for count in config.network.modes],
         sizes=[np.zeros(count) for count in config.network.modes],
         means=np.zeros((WEIGHTS, config.network.response_modes)),
@@ -388,12 +390,17 @@ def _started(
     settling: list[Face | Neutral] = [*known]
     if neutrals is not None:
         settling += [neutrals.face(int(k)) for k in rng.permutation(len(neutrals))[: 4 * config.sampled]]
-    effects = _effects(settling, inputs.features)
-    first = [_first_order(face, effects, inputs) for face in settling]
-    relaxed = [(face.offset.astype(np.float32) - face.settled).ravel() for face in known]
+    features = inputs.features
+    moves = [[_settling(face, features) for face in settling], [_relaxing(face, features) for face in known]]
+    seen = moves[0] + [_settling(face, features, mirrored=True) for face in settling if features.mirror is not None]
+    effects = np.stack([_effects(some, features) for some in (seen, moves[1])])
+    left = [
+        np.stack([move.ravel() - _first_order(table, features, *given) for *given, move in some])
+        for table, some in zip(effects, moves, strict=True)
+    ]
     responses, remainders, total = [], [], np.zeros((WEIGHTS, n3))
     for face, index in zip(known, rng.permutation(training)[: config.sampled], strict=True):
-        give = inputs.features.give(inputs.features.at_vertices(face.coefficients))[:, None]
+        give = features.give(features.at_vertices(face.coefficients))[:, None]
         flat = (face.responses + give * face.shapes).reshape(WEIGHTS, n3).astype(np.float32)
         total += flat / len(known)
         kept = rng.permutation(WEIGHTS)[:12]
@@ -401,9 +408,11 @@ def _started(
         face = faces.face(int(index))
         frames = faces.frames(int(index), rng.permutation(len(faces.frames_of[index]))[:4])
         remainders.append(frames.remainder(face).reshape(-1, n3))
-    left = np.stack([face.settled.ravel() - move for face, (_, move) in zip(settling, first, strict=True)])
-    changes = np.stack([change for change, _ in first])
-    learned = left, np.stack(relaxed), np.vstack(responses), np.vstack(remainders)
+    changes = [
+        np.stack([_moved_summary(face, at_vertices, inputs) for face, (at_vertices, *_) in zip(of, some, strict=True)])
+        for of, some in zip((settling, known), moves, strict=True)
+    ]
+    learned = *left, np.vstack(responses), np.vstack(remainders)
     parts = [principal(data, size, rng) for data, size in zip(learned, config.network.modes, strict=True)]
     modes, sizes = [part[0] for part in parts], [part[1] for part in parts]
     network = ModalNetwork(
@@ -419,35 +428,44 @@ def _started(
     with torch.no_grad():
         network.position.copy_(torch.from_numpy(start_positions(faces.mean, config.network.position, rng)))
         for layer, data, rows, mode in (
-            (network.settled_linear, left, changes, modes[0]),
-            (network.relaxed_linear, learned[1], changes[: len(known)], modes[1]),
+            (network.settled_linear, left[0], changes[0], modes[0]),
+            (network.relaxed_linear, left[1], changes[1], modes[1]),
         ):
             layer.weight.copy_(torch.from_numpy(_ridge(rows, data @ mode.T).T.astype(np.float32)))
     return network
 
 
-def _first_order(face: Face | Neutral, effects: Floats32, inputs: Inputs) -> tuple[Floats32, Floats32]:
-    """How far the face's summary is from that of nothing moved, and the settled skin by effects alone, shape (3 n,)."""
-    at_vertices = inputs.features.at_vertices(face.coefficients)
-    unmoved = inputs.features.unmoved(at_vertices)
-    change = inputs.summary(face.code, at_vertices) - inputs.summary(face.code, unmoved)
-    return change, np.einsum("ve,evc->vc", inputs.features.effects(at_vertices), effects).ravel()
+def _settling(face: Face | Neutral, features: Features, *, mirrored: bool = False) -> tuple[Floats, Floats, np.ndarray]:
+    """What a face settles under, its skin, and how far it goes; or of its mirror image."""
+    at_vertices, skin, move = features.without_palsy(features.at_vertices(face.coefficients)), face.skin, face.settled
+    if mirrored:
+        return features.mirrored(at_vertices), features.mirrored_move(skin), features.mirrored_move(move)
+    return at_vertices, skin, move
 
 
-def _effects(faces: Sequence[Face | Neutral], features: Features) -> Floats32:
-    """What each effect does at each vertex, by ridge regression over faces and their mirror images, (EFFECTS, n, 3)."""
+def _relaxing(face: Face, features: Features) -> tuple[Floats, Floats, np.ndarray]:
+    return features.at_vertices(face.coefficients), face.skin, face.relaxed
+
+
+def _moved_summary(face: Face | Neutral, at_vertices: Floats, inputs: Inputs) -> Floats32:
+    """How far a face's summary is from that of nothing moved."""
+    return inputs.summary(face.code, at_vertices) - inputs.summary(face.code, inputs.features.unmoved(at_vertices))
+
+
+def _first_order(table: Floats32, features: Features, at_vertices: Floats, skin: Floats) -> Floats32:
+    """What a table of effects (EFFECTS, n, 3) makes of a face [mm], shape (3 n,)."""
+    return np.einsum("ve,evc->vc", features.effects(at_vertices, skin), table).ravel()
+
+
+def _effects(moves: Sequence[tuple[Floats, Floats, np.ndarray]], features: Features) -> Floats32:
+    """What each effect does at each vertex, by ridge regression over faces, shape (EFFECTS, n, 3)."""
     n = len(features.mean.vertices)
     gram, pulled = np.zeros((n, EFFECTS, EFFECTS)), np.zeros((n, EFFECTS, 3))
-    for face in faces:
-        at_vertices = features.at_vertices(face.coefficients)
-        seen = [(at_vertices, face.settled)]
-        if features.mirror is not None:
-            seen.append((features.mirrored(at_vertices), mirrored(face.settled, features.mirror)))
-        for p, settled in seen:
-            effects = features.effects(p).astype(np.float64)
-            gram += effects[:, :, None] * effects[:, None]
-            pulled += effects[:, :, None] * settled[:, None].astype(np.float64)
-    size = np.maximum(np.einsum("vee->ve", gram).mean(axis=0) / max(len(faces), 1), 1e-12)
+    for at_vertices, skin, move in moves:
+        effects = features.effects(at_vertices, skin).astype(np.float64)
+        gram += effects[:, :, None] * effects[:, None]
+        pulled += effects[:, :, None] * move[:, None].astype(np.float64)
+    size = np.maximum(np.einsum("vee->ve", gram).mean(axis=0) / max(len(moves), 1), 1e-12)
     return np.linalg.solve(gram + 3.0 * np.diag(size), pulled).transpose(1, 0, 2).astype(np.float32)
 
 

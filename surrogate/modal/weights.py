@@ -20,9 +20,10 @@ from ..surface_hash import surface_hash
 from .features import STATIC
 from .looseness import Looseness
 
-FORMAT = "softdeca-modal-2"
-COARSE = ("modes.", "position", "response_table", "effects")
-"""Kept in float16, which rounds an answer of 10 mm by some thousandths: what most of the file is."""
+FORMAT = "softdeca-modal-3"
+PARTS = ("settled", "relaxed", "responses", "remainder")
+"""The neutral face that p has settled; what it relaxes to among its targets; what is linear in w; and the rest."""
+NEUTRAL = PARTS[:2]
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,10 @@ class ModalWeights:
         return surface_hash(self.mean)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write one .safetensors file; `path` is whole or as it was."""
+        """Write one .safetensors file; `path` is whole or as it was.
+
+        Tables and matrices of the network in float16, which rounds an answer of 10 mm by some thousandths.
+        """
         about = {
             "format": FORMAT,
             "space": self.space,
@@ -74,7 +78,7 @@ class ModalWeights:
             "note": asdict(self.note),
         }
         arrays = {
-            f"network.{name}": np.ascontiguousarray(value, dtype=np.float16 if name.startswith(COARSE) else np.float32)
+            f"network.{name}": np.ascontiguousarray(value, dtype=np.float16 if np.ndim(value) > 1 else np.float32)
             for name, value in self.network.items()
         }
         arrays |= {

@@ -23,8 +23,8 @@ class ModalMethod:
 
     def bind(self, face: Face) -> Bound:
         """By the run time's own arithmetic."""
-        modal = self._modal
-        bound = compressed(modal.bound(face.code, modal.features.at_vertices(face.coefficients), face.shapes))
+        at_vertices = self._modal.features.at_vertices(face.coefficients)
+        bound = compressed(self._modal.bound(face.code, face.skin, at_vertices, face.shapes))
         offset = face.offset.astype(np.float32) if self.simulates else bound.offset
         responses = face.responses.astype(np.float32) if self.simulates else bound.responses
         return lambda weights: offset + np.tensordot(weights, responses, axes=1) + bound.remainder(weights)

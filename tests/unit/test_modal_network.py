@@ -172,7 +172,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
     begun = _Loop(faces["train"], CONFIG, start=start).weights()
     assert all(np.array_equal(value, start.network[name]) for name, value in begun.network.items())
-    kept = ("settled", "relaxed", "gain", "position", "effects", "modes.0", "modes.1", "size")
+    kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
         assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
     assert more.note.curve[0]["loss"] < weights.note.curve[0]["loss"]
@@ -194,18 +194,25 @@ def test_run_time_equals_torch(faces):
     modal, network = Modal(loop.weights()), loop.network
     face = faces["test"].face(1)
     p = modal.features.at_vertices(face.coefficients)
-    found = modal.bound(face.code, p, face.shapes)
+    found = modal.bound(face.code, face.skin, p, face.shapes)
     every = np.arange(N)
     expressions = np.random.default_rng(0).random((3, 52)).astype(np.float32)
     with torch.no_grad():
         local, summary, unmoved = loop._features([face], [p], every)
         hidden = network.hidden(local, summary, every)
-        settled, relaxed, responses, remainder = network.bases(hidden, every, (0, 1, 2, 3))
+        responses, remainder = network.bases(hidden, every, (2, 3))
         lagging = (network.lags(hidden, local)[0, :, None] * torch.from_numpy(face.shapes).float()).flatten(1)
+        rested = modal.features.without_palsy(p)
+        of_rested = loop._features([face], [rested], every)
         expected = [
-            network.settled_amplitudes(summary, unmoved)[:, None] @ settled
-            + network.relaxed_amplitudes(summary, unmoved)[:, None] @ relaxed
-            + torch.einsum("ve,evc->vc", torch.from_numpy(modal.features.effects(p)), network.effects).flatten(),
+            network.neutral(1, hidden, summary, unmoved, loop._effects([p], [face.skin], every), every)
+            + network.neutral(
+                0,
+                network.hidden(of_rested[0], of_rested[1], every),
+                *of_rested[1:],
+                loop._effects([rested], [face.skin], every),
+                every,
+            ),
             network.response_amplitudes(summary) @ responses - lagging,
             network.remainder_amplitudes(summary, torch.from_numpy(expressions)[None]) @ remainder,
         ]
