@@ -43,8 +43,8 @@ from .problem import Problem
 from .recovery import Nodal, recover
 from .run import Attempt, Record, Run
 from .saddle import SADDLES
-from .scope import DEGREE_OF, LAWS, TERMS, processes_for
-from .shared import check_same, gathered
+from .scope import DEGREE_OF, LAWS, TERMS, processes_for, refuse_in_parts
+from .shared import anywhere, check_same, gathered
 
 FORCE_DEGREE = 6
 BULK = 10.0  # lmbda by mu of a large scene's start: volumes are nearly kept, linear tets do not lock yet
@@ -79,6 +79,7 @@ def _check_terms(scene: Scene, element: str):
     if not len(scene.tets):
         raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
+    refuse_in_parts(scene)
     for term in scene.of(Hyperelastic):
         if element == "P2P1":
             check_mixed(term.material)
@@ -101,6 +102,7 @@ class PreparedFenicsx:
         self.comm = ALONE if alone else processes_for(scene)
         check_same(self.comm, scene)
         self._numbering = Numbering(scene, DEGREE_OF[element], comm=self.comm)
+        self._large = self.comm.allreduce(len(self._numbering.tet)) >= LARGE
         self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
         make = LINEAR_SOLVERS["cg" if linear == "block" else linear]
         self._linear, self._direct = make(self._problem.matrix), Mumps(self._problem.matrix)
@@ -163,7 +165,7 @@ class PreparedFenicsx:
 
     def _plan(self, scene: Scene) -> Plan:
         if self._condensed is not None:
-            path_first = (bool(scene.of(Traction)) or len(scene.tets) < LARGE) and self._linear_solver != "block"
+            path_first = (bool(scene.of(Traction)) or not self._large) and self._linear_solver != "block"
             return mixed(path_first=path_first, loaded=bool(self._problem.loads.any()))
         if scene.of(Pressure):
             return FOLLOWER_PRESSURE
@@ -174,8 +176,7 @@ class PreparedFenicsx:
             return self._continuation(run).attempt()
         if strategy == "minimise":
             return self._minimisation(run).attempt()
-        large = len(run.scene.tets) >= LARGE
-        return self._descent(self._from_linear(run) if large and not run.warm else run).attempt()
+        return self._descent(self._from_linear(run) if self._large and not run.warm else run).attempt()
 
     def _minimisation(self, run: Run) -> Minimisation:
         poses: list[Pose] = []
@@ -206,7 +207,7 @@ class PreparedFenicsx:
         linear = PreparedFenicsx(compressible(run.scene), "P1", "cg", alone=self.comm is ALONE)
         near = linear.solve(tolerance=LOAD_STEP_TOLERANCE)
         run.record.add(near.iterations, **near.detail)
-        sound = near.converged and near.volume_ratio.min() > 0.0
+        sound = near.converged and not anywhere(self.comm, near.volume_ratio <= 0.0)
         return run.from_start(near.positions) if sound else run.from_start(run.scene.vertices)
 
     def _nodal(self, end: Attempt) -> Nodal:
@@ -219,9 +220,10 @@ class PreparedFenicsx:
         """A pressure, a field, by scene vertex, of all processes."""
         if pressure is None:
             return None
-        problem, owned = self._problem, self._problem.pressures.owned
+        problem, asked = self._problem, self._numbering.asked
+        mine = problem.pressures.owned if self._numbering.divided else len(pressure)
         result = np.zeros(len(self.scene.vertices))
-        result[gathered(self.comm, problem.pressure_vertex[:owned])] = gathered(self.comm, pressure[:owned])
+        result[gathered(asked, problem.pressure_vertex[:mine])] = gathered(asked, pressure[:mine])
         return result
 
     def set_body_force(self, density: Callable[[Floats], Floats]):
