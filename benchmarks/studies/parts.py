@@ -64,7 +64,7 @@ class Parts(Study):
         default=("1", "2", "4"), metadata={"option": "--processes", "help": "counts to compare, the first is 1; repeat"}
     )
     unknowns: tuple[str, ...] = field(
-        default=("130000", "290000"), metadata={"option": "--unknowns", "help": "of a block, about; repeat"}
+        default=("65000", "290000"), metadata={"option": "--unknowns", "help": "of a block, about; repeat"}
     )
 
     def tasks(self) -> Sequence[Task]:

@@ -130,7 +130,8 @@ def read_tets(path: Path, name: str, tagged: str | None, comm) -> tuple[mesh.Mes
     Tags are another grid's or the same one's, 0 where there are none.
     """
     with io.XDMFFile(comm, str(path), "r") as file:
-        domain = _mesh(file.read_topology_data(name), file.read_geometry_data(name), comm)
+        cells, points = (read(name, "/Xdmf/Domain") for read in (file.read_topology_data, file.read_geometry_data))
+        domain = _mesh(cells, points, comm)
         found = None if tagged is None else file.read_meshtags(domain, tagged)
     tags = np.zeros(len(domain.topology.original_cell_index), dtype=np.int64)
     if found is not None:
