@@ -85,7 +85,8 @@ def _motions(scene: Scene, X: Floats) -> Floats:
 
 def _null_space(scene: Scene, rows: Floats) -> Floats:
     """Orthonormal combinations of motions on which rows (k, 6) vanish, shape (6, r)."""
-    _, s, Vt = np.linalg.svd(scene.together(np.linalg.qr(np.concatenate([rows, np.zeros((6, 6))]), mode="r")))
+    triangle = np.asarray(np.linalg.qr(np.concatenate([rows, np.zeros((6, 6))]), mode="r"))
+    _, s, Vt = np.linalg.svd(scene.together(triangle), full_matrices=False)
     return Vt[s <= FREE * max(s[0], 1e-300)].T
 
 
