@@ -114,7 +114,8 @@ def compared(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """
     check_mpirun()
-    rows, first = [], None
+    rows: list[dict] = []
+    first = None
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "block.xdmf"
         for count in counts:
