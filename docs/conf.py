@@ -32,7 +32,8 @@ html_copy_source = False
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_sidebars = dict.fromkeys(
-    ("index", "concepts", "glossary", "surrogate", "corpus-small"), []
+    ("index", "concepts", "glossary", "surrogate", "corpus-small", "scaling"),
+    [],
 )
 html_theme_options = {
     "show_prev_next": True,

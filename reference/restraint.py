@@ -25,14 +25,15 @@ def check_restrained(scene: Scene, *, loads: Floats | None):
     """
     for part, motions, free in _free_motions(scene):
         if loads is not None and free.shape[1]:
-            work = np.einsum("vck,vc->k", motions @ free, loads[part])
-            if np.abs(work).max() <= WORK * max(float(np.linalg.norm(loads[part])), 1e-300):
+            work = scene.together(np.einsum("vck,vc->k", motions @ free, loads[part])[None]).sum(axis=0)
+            size = np.linalg.norm(scene.together(np.array([[np.linalg.norm(loads[part])]])))
+            if np.abs(work).max() <= WORK * max(float(size), 1e-300):
                 continue
         if free.shape[1]:
             names = ", ".join(_names(free))
+            which = "" if scene.in_parts else f" of the part with vertex {part[0]}"
             raise SceneError(
-                f"the scene is under-constrained: nothing holds {names} of the part with vertex {part[0]}; "
-                "hold it by Fixed or Target"
+                f"the scene is under-constrained: nothing holds {names}{which}; hold it by Fixed or Target"
             )
 
 
@@ -48,16 +49,18 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
     for term in scene.of(Target):
         held[term.vertices[np.broadcast_to(term.stiffness, len(term.vertices)) > 0]] = True
     for part in _parts(scene):
-        motions = _motions(scene.vertices[part])
-        yield part, motions, _null_space(motions[held[part]])
+        motions = _motions(scene, scene.vertices[part])
+        yield part, motions, _null_space(scene, motions[held[part]])
 
 
 def _parts(scene: Scene) -> list[Ints]:
-    """The vertices that energies and bodies join to parts."""
+    """The vertices that energies and bodies join to parts; what processes have in parts counts as one."""
     solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
     groups = [scene.tets[scene.tets_of(term)] for term in solids]
     groups += [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Bending))]
     groups += [term.vertices[None] for term in scene.of(RigidBody)]
+    if scene.in_parts:
+        return [np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(group.ravel() for group in groups)]))]
     if not groups:
         return []
     first = np.concatenate([np.repeat(group[:, 0], group.shape[1]) for group in groups])
@@ -68,22 +71,22 @@ def _parts(scene: Scene) -> list[Ints]:
     return [used[label[used] == part] for part in np.unique(label[used])]
 
 
-def _motions(X: Floats) -> Floats:
+def _motions(scene: Scene, X: Floats) -> Floats:
     """Displacements of three translations and three rotations, of length about 1 each, shape (v, 3, 6)."""
-    centred = X - X.mean(axis=0)
-    centred = centred / max(np.sqrt(np.mean(np.sum(centred**2, axis=1))), 1e-300)
+    *total, count = scene.together(np.array([[*X.sum(axis=0), len(X)]])).sum(axis=0)
+    centred = X - np.array(total) / count
+    centred = centred / max(np.sqrt(scene.together(np.array([[np.sum(centred**2)]])).sum() / count), 1e-300)
     result = np.zeros((len(X), 3, 6))
     for c in range(3):
         result[:, c, c] = 1.0
         result[:, :, 3 + c] = np.cross(np.eye(3)[c], centred)
-    return result / np.sqrt(len(X))
+    return result / np.sqrt(count)
 
 
-def _null_space(rows: Floats) -> Floats:
+def _null_space(scene: Scene, rows: Floats) -> Floats:
     """Orthonormal combinations of motions on which rows (k, 6) vanish, shape (6, r)."""
-    if not len(rows):
-        return np.eye(6)
-    _, s, Vt = np.linalg.svd(np.concatenate([rows, np.zeros((6, 6))]), full_matrices=False)
+    triangle = np.asarray(np.linalg.qr(np.concatenate([rows, np.zeros((6, 6))]), mode="r"))
+    _, s, Vt = np.linalg.svd(scene.together(triangle), full_matrices=False)
     return Vt[s <= FREE * max(s[0], 1e-300)].T
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -43,6 +44,8 @@ class Scene:
     tets: Ints
     terms: tuple[Term, ...]
     volumes: Floats = field(init=False, repr=False)
+    in_parts: ClassVar[bool] = False
+    """Whether each of several processes has another part of it, as solver "fenicsx" takes it."""
 
     def __post_init__(self):
         try:
@@ -188,6 +191,16 @@ class Scene:
 
     def force_scale(self) -> float:
         """A force [mN] that unit strain would cause, the scale below which a gradient is rounding."""
+        total, count = self._forces()
+        return total / max(count, 1)
+
+    def rounding(self) -> float:
+        """The norm [mN] of a gradient that is rounding, which is independent from vertex to vertex: by their root."""
+        total, count = self._forces()
+        return 1e-14 * total / max(count, 1) ** 0.5
+
+    def _forces(self) -> tuple[float, int]:
+        """What unit strain would cause at all vertices together [mN], and their number."""
         total = 0.0
         for term in self.terms:
             if isinstance(term, (Strain, Volume)):
@@ -203,7 +216,11 @@ class Scene:
             elif isinstance(term, Target):
                 total += float(np.sum(term.stiffness))
         total += float(self.inertia()[0].sum())
-        return total / max(len(self.vertices), 1)
+        return total, len(self.vertices)
+
+    def together(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (k, ...) that processes which have the scene in parts give, one after the other; else these alone."""
+        return rows
 
     def with_targets(self, positions) -> Scene:
         """The same scene with other positions [mm], shape (k, 3), in its one Target term."""

@@ -180,12 +180,8 @@ class Limits:
             raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
 
     def threshold(self, scene: Scene, first: float) -> float:
-        """The gradient norm [mN] at which to stop, from the first one; not below what rounding leaves.
-
-        Rounding is independent from vertex to vertex, so its norm grows with the root of their number.
-        """
-        rounding = 1e-14 * scene.force_scale() * len(scene.vertices) ** 0.5
-        return max(self.tolerance * first if self.absolute is None else self.absolute, rounding)
+        """The gradient norm [mN] at which to stop, from the first one; not below what rounding leaves."""
+        return max(self.tolerance * first if self.absolute is None else self.absolute, scene.rounding())
 
 
 def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:

@@ -19,7 +19,7 @@ QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "How far is the surrogate from a reference, and why?": ("split", "surrogate"),
     "Is projective dynamics right?": ("verification", "effects", "dynamics"),
     "Where is it not?": ("hard", "stability", "material", "convergence", "shapes"),
-    "What does it cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "mixed"),
+    "What does it cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
     "What may be left out?": ("minimal",),
     "On whose heads?": ("heads",),
 }

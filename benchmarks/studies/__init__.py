@@ -25,6 +25,7 @@ STUDIES = {
     "effects": "effects:Effects",
     "dynamics": "dynamics:Dynamics",
     "ranks": "ranks:Ranks",
+    "parts": "parts:Parts",
     "material": "material:Material",
     "shapes": "shapes:Shapes",
     "heads": "heads:Heads",

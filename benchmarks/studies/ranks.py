@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import pickle
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ import numpy as np
 from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, ranks
 from ..cases import NEO_HOOKEAN, PD_ENERGY
+from ..harness.apart import peak_megabytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
@@ -35,7 +35,12 @@ RELATIVE = 1e-6  # of a linear system's right-hand side
 TIGHT = 1e-12
 AGREEMENT = 1e-10  # of the largest displacement
 START = "from softdeca.benchmarks.studies.ranks import measure_here; measure_here()"
-SETTINGS = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMPI_MCA_orte_execute_quiet": "1"}
+SETTINGS = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_orte_execute_quiet": "1",
+    "OMPI_MCA_mpi_yield_when_idle": "1",  # while waiting, leave the processor to who has work
+}
 
 
 @dataclass(frozen=True)
@@ -70,13 +75,7 @@ class Ranks(OfPerson):
     @property
     def counts(self) -> tuple[int, ...]:
         """Of processes; InputError for other than 1 and others."""
-        wanted = f"processes: expected 1 and others, got {', '.join(self.processes) or 'none'}"
-        if not all(text.isdecimal() for text in self.processes):
-            raise InputError(wanted)
-        counts = tuple(map(int, self.processes))
-        if not counts or counts[0] != 1 or min(counts) < 1:
-            raise InputError(wanted)
-        return counts
+        return counts_of(self.processes)
 
     def tasks(self) -> Sequence[Task]:
         """An energy each: answers by several counts are compared with that by one."""
@@ -138,12 +137,11 @@ def compared(scene: Scene, study: Ranks) -> list[dict]:
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """
-    if shutil.which("mpirun") is None:
-        raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
+    check_mpirun()
     found: dict[int, dict] = {}
     for _ in range(study.rounds):
         for count in study.counts:
-            found[count] = _best(found.get(count), _spawned(count, scene, study.repeats))
+            found[count] = _best(found.get(count), by_mpirun(count, START, (scene, study.repeats)))
     alone = found[1]["positions"]
     largest = float(np.linalg.norm(alone - scene.vertices, axis=1).max())
     rows = []
@@ -160,28 +158,39 @@ def _best(before: dict | None, now: dict) -> dict:
     return {**now, **{phase: min(before[phase], now[phase]) for phase in PHASES}}
 
 
-def _spawned(count: int, scene: Scene, repeats: int) -> dict:
-    """What `measure` says in processes of mpirun, which the system may move between processors."""
+def by_mpirun(count: int, start: str, given: object) -> dict:
+    """What a command of Python finds by processes of mpirun, which the system may move between processors.
+
+    `start` reads `given` from the file that its first argument names, and writes the answer to that of its second.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        given, told = Path(folder) / "given", Path(folder) / "told"
-        given.write_bytes(pickle.dumps((scene, repeats)))
-        command = [
-            "mpirun",
-            "--bind-to",
-            "none",
-            "--oversubscribe",
-            "-n",
-            str(count),
-            sys.executable,
-            "-c",
-            START,
-        ]
+        question, told = Path(folder) / "given", Path(folder) / "told"
+        question.write_bytes(pickle.dumps(given))
+        python = [sys.executable, "-c", start, str(question), str(told)]
+        command = ["mpirun", "--bind-to", "none", "--oversubscribe", "-n", str(count), *python]
         outer = {key: value for key, value in os.environ.items() if not key.startswith(ranks.INHERITED)}
-        done = subprocess.run([*command, given, told], env={**outer, **SETTINGS}, capture_output=True, text=True)
+        done = subprocess.run(command, env={**outer, **SETTINGS}, capture_output=True, text=True)
         if done.returncode != 0:
             why = without_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]
             raise SoftdecaError(f"mpirun -n {count}: {why[-1]}")
         return pickle.loads(told.read_bytes())
+
+
+def check_mpirun() -> None:
+    """Raise MissingDependencyError where there is no mpirun."""
+    if shutil.which("mpirun") is None:
+        raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
+
+
+def counts_of(texts: Sequence[str]) -> tuple[int, ...]:
+    """Counts of processes; InputError for other than 1 and others."""
+    wanted = f"processes: expected 1 and others, got {', '.join(texts) or 'none'}"
+    if not all(text.isdecimal() for text in texts):
+        raise InputError(wanted)
+    counts = tuple(map(int, texts))
+    if not counts or counts[0] != 1 or min(counts) < 1:
+        raise InputError(wanted)
+    return counts
 
 
 def without_notices(errors: str) -> str:
@@ -197,7 +206,7 @@ def measure_here() -> None:
     found = measure(scene, repeats)
     from ...reference.fenicsx.dolfinx_version import ALL
 
-    found["peak_mb"] = max(ALL.allgather(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3))
+    found["peak_mb"] = max(ALL.allgather(peak_megabytes()))
     if ALL.rank == 0:
         Path(told).write_bytes(pickle.dumps(found))
 

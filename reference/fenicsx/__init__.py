@@ -10,9 +10,9 @@ How to read it, from what is asked to what is solved:
 - What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (`hyperelastic` laws by UFL from
   `densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
   (`membrane`, `bending`, `follower`) and loads. `bodies` makes parts rigid, `moving` adds a time step.
-- Where it lives: `numbering` is the scene's mesh and its nodes, `shared` how processes divide them, `assembly` the
-  matrix. `linear` and, with a pressure, `saddle` solve systems, by name. `dolfinx_version` is the only module
-  that knows which dolfinx there is.
+- Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no process has
+  whole, `shared` how processes divide them, `assembly` the matrix. `linear` and, with a pressure, `saddle` solve
+  systems, by name. `dolfinx_version` is the only module that knows which dolfinx there is.
 
 Of several processes every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package
 without dolfinx raises MissingDependencyError.
@@ -20,6 +20,7 @@ without dolfinx raises MissingDependencyError.
 
 # First of all, since it says in one line what to install, and keeps ufl's warning of its own imports to itself.
 from . import dolfinx_version
+from .parts import Part, PartScene, read_scene
 from .prepared import PreparedFenicsx, prepare
 
-__all__ = ["PreparedFenicsx", "dolfinx_version", "prepare"]
+__all__ = ["Part", "PartScene", "PreparedFenicsx", "dolfinx_version", "prepare", "read_scene"]

@@ -60,6 +60,8 @@ def check(motion: Motion, element: str):
     if element not in ELEMENTS:
         raise SceneError(f"march: unknown element {element!r}; there are {', '.join(ELEMENTS)}")
     refuse_unknown(motion.scene, "fenicsx, march", MOVING_TERMS, LAWS)
+    if motion.scene.in_parts:
+        raise SceneError("march: processes have this scene in parts; solver 'fenicsx' marches whole ones")
 
 
 def bare(motion: Motion) -> Motion:

@@ -15,12 +15,12 @@ from ..scene import Scene
 from ..terms import Bending, Pressure, SurfaceStrain, Traction
 from . import dolfinx_version as seam
 from .dolfinx_version import ALONE, MPI
+from .parts import FACES, PartScene
 from .shared import Shared, gathered
 
 CORNERS = np.repeat(np.arange(4)[:, None], 2, axis=1)
 EDGES = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
 """Ends of the local nodes of quadratic tets after their corners; on faces the nodes lie opposite to the corners."""
-FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 # Integrals of the shape functions over a tet and a triangle, per volume and per area.
 CELL_SHARES = {1: np.full(4, 1 / 4), 2: np.repeat([-1 / 20, 1 / 5], [4, 6])}
 FACE_SHARES = {1: np.full(3, 1 / 3), 2: np.repeat([0.0, 1 / 3], 3)}
@@ -37,13 +37,15 @@ class Numbering:
     """
 
     def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE, skin: Ints | None = None):
-        domain = seam.tet_mesh(scene.vertices, scene.tets, comm)
+        self._part = scene.part if isinstance(scene, PartScene) else None
+        domain = seam.tet_mesh(scene.vertices, scene.tets, comm) if self._part is None else self._part.domain
         self.degree, self.comm = degree, comm
+        self.divided = comm.size > 1 and self._part is None
         self.space = seam.vector_space(domain, degree)
         local = CORNERS if degree == 1 else np.concatenate([CORNERS, EDGES])
-        self.cell_vertices = seam.cell_vertices(domain)
+        self.cell_vertices = seam.cell_vertices(domain) if self._part is None else self._part.cells
         self.cell_dofs = seam.cell_dofs(self.space, len(local))
-        self.tet = seam.cell_tets(domain)
+        self.tet = seam.cell_tets(domain) if self._part is None else np.arange(len(self.cell_dofs))
         self.cell = np.full(len(scene.tets), -1, dtype=np.int64)
         self.cell[self.tet] = np.arange(len(self.tet))
         self.cell_volumes = scene.volumes[self.tet]
@@ -57,12 +59,19 @@ class Numbering:
         self._number(ends)
         ids = seam.global_dofs(self.space)
         self._own_vertices = ends[:owned][ends[:owned, 0] == ends[:owned, 1], 0]
-        if comm.size > 1:
+        if self.divided:
             ids = self._with_distant(scene, skin, ids, owned)
         self.nodes = Shared(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
-        self._all_vertices = gathered(comm, self._own_vertices)
+        if self._part is not None:
+            self._own_vertices = self.vertex
+        self._all_vertices = gathered(self.asked, self._own_vertices)
         self.own_corners = self.dof[self._own_vertices]
+
+    @property
+    def asked(self) -> MPI.Intracomm:
+        """The processes whose parts together answer for the scene's vertices: of one in parts each for its own."""
+        return self.comm if self.divided else ALONE
 
     def _number(self, ends: Ints):
         """Number nodes by their ends (n, 2)."""
@@ -98,7 +107,7 @@ class Numbering:
 
     def _here(self, triangles: Ints) -> Ints:
         """Those of triangles (k, 3) that this process integrates over; every process asks at once."""
-        if self.comm.size == 1:
+        if not self.divided:
             return np.arange(len(triangles))
         first = self._first_with(triangles)
         return np.flatnonzero(np.where(first < self.comm.size, first, self._owner[triangles[:, 0]]) == self.comm.rank)
@@ -129,7 +138,7 @@ class Numbering:
     def faces(self, name: str, triangles: Ints) -> tuple[Ints, Ints]:
         """Those of a term's triangles (k, 3) that this process integrates over, and their nodes; see `face_dofs`."""
         self.dofs_of(name, triangles)
-        if self.comm.size > 1 and self.degree == 2:
+        if self.divided and self.degree == 2:
             self._check_faces(name, self._first_with(triangles) < self.comm.size)
         here = self._here(triangles)
         return here, self.face_dofs(name, triangles[here])
@@ -175,28 +184,34 @@ class Numbering:
         result = held[self.ends].all(axis=1)
         if self.degree == 1:
             return result
-        faces = np.sort(self._tets[:, FACES].reshape(-1, 3), axis=1)
-        faces = faces[held[faces].all(axis=1).any(axis=1)]
-        _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
-        boundary = faces[first[count == 1]]
+        if self._part is None:
+            faces = np.sort(self._tets[:, FACES].reshape(-1, 3), axis=1)
+            faces = faces[held[faces].all(axis=1).any(axis=1)]
+            _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
+            boundary = faces[first[count == 1]]
+        else:
+            boundary = self._part.boundary
         slots, there = self._slots(boundary)
         on_held = np.zeros_like(result)
         for c in range(3):
             all_held = held[boundary, c].all(axis=1)
             on_held[self._by_key[slots[all_held][there[all_held]]], c] = True
+            if self._part is not None:  # of a face in another process there may be an edge here
+                on_held[:, c] = self.nodes.marked(on_held[:, c])
         on_held[self.corners] = True
         return result & on_held
 
     def to_scene(self, values: Floats, elsewhere: Floats) -> Floats:
         """Values by node (n, 3) per scene vertex, and `elsewhere`'s (scene vertices, 3) for vertices in no tet.
 
-        Every process gives those that it owns at least, and all of them have the whole.
+        Every process gives those that it owns at least, and all of them have the whole; of a scene in parts each gives
+        a field and has its own.
         """
         result = np.array(elsewhere)
-        result[self._all_vertices] = gathered(self.comm, values[self.own_corners])
+        result[self._all_vertices] = gathered(self.asked, values[self.own_corners])
         return result
 
     def all_nodes(self, values: Floats) -> tuple[Ints, Floats]:
-        """The ends (n, 2) and values (n, 3) of all processes' nodes, from those that each owns."""
-        owned = self.nodes.owned
-        return gathered(self.comm, self.ends[:owned]), gathered(self.comm, values[:owned])
+        """The ends (n, 2) and values (n, 3) of the scene's nodes, from those that each process owns."""
+        mine = self.nodes.owned if self.divided else len(values)
+        return gathered(self.asked, self.ends[:mine]), gathered(self.asked, values[:mine])

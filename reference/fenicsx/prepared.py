@@ -42,12 +42,18 @@ from .plan import BODIES, DISPLACEMENT, FOLLOWER_PRESSURE, Plan, follow, mixed
 from .problem import Problem
 from .recovery import Nodal, recover
 from .run import Attempt, Record, Run
-from .saddle import SADDLES
-from .scope import DEGREE_OF, LAWS, TERMS, processes_for
-from .shared import check_same, gathered
+from .saddle import LARGE_SADDLE, SADDLES
+from .scope import DEGREE_OF, LAWS, TERMS, processes_for, refuse_in_parts
+from .shared import anywhere, check_same, gathered
 
 FORCE_DEGREE = 6
 BULK = 10.0  # lmbda by mu of a large scene's start: volumes are nearly kept, linear tets do not lock yet
+STIFF = 4000.0
+"""(2 mu + lmbda) / mu of a law, Poisson's ratio .49987, from which on CG's answer to a share of the forces is far off.
+
+By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iterations and .5 CPU s at .4999, CG 11 and
+3.1 s; at .49999 MUMPS 23 and 1.6 s, where CG creeps. At .49 on 10,125 unknowns both take 1.5 s.
+"""
 LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 
 
@@ -56,8 +62,9 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
-    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct). By
-    element "P2P1" "cg" is by size: factors below LARGE_SADDLE unknowns, above them GMRES with a block preconditioner,
+    linear_solver is "cg" (conjugate gradients with algebraic multigrid, for large scenes) or "mumps" (direct), which
+    "cg" is too for nearly incompressible laws (see STIFF) below LARGE_SADDLE unknowns. By element "P2P1" "cg" is by
+    size: factors below LARGE_SADDLE unknowns, above them GMRES with a block preconditioner,
     which "block" asks for whatever the size. `Continuation` (follower pressure, and where descent gives up) always
     takes factors, whose inertia it needs. Raises SceneError for another element or linear solver, for a term that this
     solver cannot model, and for a law that the element cannot.
@@ -79,6 +86,7 @@ def _check_terms(scene: Scene, element: str):
     if not len(scene.tets):
         raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
+    refuse_in_parts(scene)
     for term in scene.of(Hyperelastic):
         if element == "P2P1":
             check_mixed(term.material)
@@ -101,8 +109,9 @@ class PreparedFenicsx:
         self.comm = ALONE if alone else processes_for(scene)
         check_same(self.comm, scene)
         self._numbering = Numbering(scene, DEGREE_OF[element], comm=self.comm)
+        self._large = self.comm.allreduce(len(self._numbering.tet)) >= LARGE
         self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
-        make = LINEAR_SOLVERS["cg" if linear == "block" else linear]
+        make = LINEAR_SOLVERS[self._kind(linear)]
         self._linear, self._direct = make(self._problem.matrix), Mumps(self._problem.matrix)
         self._rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None
         if scene.of(RigidBody):
@@ -114,6 +123,13 @@ class PreparedFenicsx:
         self._force: Floats | None = None
         self._end: Attempt | None = None
         self._spent = clock.spent()
+
+    def _kind(self, linear: str) -> str:
+        """The linear solver of Newton's steps by displacement: factors where multigrid leaves too much of volumes."""
+        stiff = any(t.material.stiffness > STIFF * shear_modulus(t.material) for t in self.scene.of(Hyperelastic))
+        if linear == "cg" and stiff and 3 * self._numbering.nodes.total < LARGE_SADDLE:
+            return "mumps"
+        return "cg" if linear == "block" else linear
 
     @checked
     def solve(
@@ -163,7 +179,7 @@ class PreparedFenicsx:
 
     def _plan(self, scene: Scene) -> Plan:
         if self._condensed is not None:
-            path_first = (bool(scene.of(Traction)) or len(scene.tets) < LARGE) and self._linear_solver != "block"
+            path_first = (bool(scene.of(Traction)) or not self._large) and self._linear_solver != "block"
             return mixed(path_first=path_first, loaded=bool(self._problem.loads.any()))
         if scene.of(Pressure):
             return FOLLOWER_PRESSURE
@@ -174,8 +190,7 @@ class PreparedFenicsx:
             return self._continuation(run).attempt()
         if strategy == "minimise":
             return self._minimisation(run).attempt()
-        large = len(run.scene.tets) >= LARGE
-        return self._descent(self._from_linear(run) if large and not run.warm else run).attempt()
+        return self._descent(self._from_linear(run) if self._large and not run.warm else run).attempt()
 
     def _minimisation(self, run: Run) -> Minimisation:
         poses: list[Pose] = []
@@ -206,7 +221,7 @@ class PreparedFenicsx:
         linear = PreparedFenicsx(compressible(run.scene), "P1", "cg", alone=self.comm is ALONE)
         near = linear.solve(tolerance=LOAD_STEP_TOLERANCE)
         run.record.add(near.iterations, **near.detail)
-        sound = near.converged and near.volume_ratio.min() > 0.0
+        sound = near.converged and not anywhere(self.comm, near.volume_ratio <= 0.0)
         return run.from_start(near.positions) if sound else run.from_start(run.scene.vertices)
 
     def _nodal(self, end: Attempt) -> Nodal:
@@ -219,9 +234,10 @@ class PreparedFenicsx:
         """A pressure, a field, by scene vertex, of all processes."""
         if pressure is None:
             return None
-        problem, owned = self._problem, self._problem.pressures.owned
+        problem, asked = self._problem, self._numbering.asked
+        mine = problem.pressures.owned if self._numbering.divided else len(pressure)
         result = np.zeros(len(self.scene.vertices))
-        result[gathered(self.comm, problem.pressure_vertex[:owned])] = gathered(self.comm, pressure[:owned])
+        result[gathered(asked, problem.pressure_vertex[:mine])] = gathered(asked, pressure[:mine])
         return result
 
     def set_body_force(self, density: Callable[[Floats], Floats]):

@@ -186,14 +186,15 @@ class Problem:
             hyperelastic = []
         stretched = [s for s in hyperelastic if isinstance(s.hyperelastic.material, BY_STRETCHES)]
         self._stretched = [self._law(s) for s in stretched]
-        self.energy_scale = scene.force_scale() * float(np.cbrt(scene.volumes).sum())
+        sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
+        self.energy_scale = scene.force_scale() * sizes
 
     def _check_loads(self, scene: Scene):
         order = self.numbering
         owned = order.own_corners
         supported = np.zeros(len(scene.vertices), dtype=bool)
         supported[order.vertex[np.searchsorted(order.corners, owned)][~self.unsupported[owned]]] = True
-        if self.comm.size > 1:
+        if order.divided:
             self.comm.Allreduce(MPI.IN_PLACE, supported, op=MPI.LOR)
         bad = np.flatnonzero(~supported & scene.loads().any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
         if bad.size:

@@ -1,6 +1,6 @@
 """Stresses and reactions of an answer on finite elements: P at the points of the rule, and the gradient where held.
 
-Any process may ask for them, alone: it integrates over the whole mesh once.
+Any process may ask for them, alone: it integrates over the whole mesh once. Of a scene in parts all ask together.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import numpy as np
 from ...lhm.mesh import Floats, Ints
 from ..recovered import Recovered
 from ..scene import Scene
+from .dolfinx_version import ALONE
 from .numbering import Numbering
 from .problem import Problem
+from .scope import processes_for
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,7 @@ class Nodal:
 
 def recover(scene: Scene, degree: int, answer: Nodal) -> Recovered:
     """The stresses and reactions of an answer to a scene, by elements of a degree."""
-    numbering = Numbering(scene, degree)
+    numbering = Numbering(scene, degree, comm=processes_for(scene) if scene.in_parts else ALONE)
     node, pressure = numbering.nodes_between(answer.ends), answer.pressure
     problem = Problem(scene, numbering, mixed=pressure is not None)
     if answer.force is not None:
@@ -51,9 +53,9 @@ def recover(scene: Scene, degree: int, answer: Nodal) -> Recovered:
 
 def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:
     """The gradient [mN] at held components by vertex, shape (n, 3); an edge's node gives half to each of its ends."""
-    held = scene.dirichlet()[0]
-    forces = np.where(numbering.held(held), gradient, 0.0)
-    result = np.zeros(scene.vertices.shape)
-    for end in numbering.ends.T:
-        np.add.at(result, end, 0.5 * forces)
-    return result
+    nodes = numbering.nodes
+    forces = np.where(numbering.held(scene.dirichlet()[0])[: nodes.owned], gradient, 0.0)
+    shares = np.zeros(numbering.X.shape)
+    for end in numbering.ends[: nodes.owned].T:
+        np.add.at(shares, numbering.dof[end], 0.5 * forces)
+    return numbering.to_scene(nodes.spread(nodes.summed(shares)), np.zeros(scene.vertices.shape))

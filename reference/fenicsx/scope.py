@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ...lhm.errors import SceneError
 from ..materials import Corotated, Material
 from ..scene import Scene
 from ..terms import (
@@ -20,6 +21,7 @@ from ..terms import (
 )
 from .densities import BY_DENSITY
 from .dolfinx_version import ALL, ALONE, MPI
+from .parts import PartScene
 
 TERMS = (
     Hyperelastic,
@@ -44,6 +46,15 @@ FEW = 300
 """Tets per process, below which dividing them costs more than it saves."""
 
 
+def refuse_in_parts(scene: Scene):
+    """Raise SceneError for what a scene in parts cannot have: what joins vertices of more than one process."""
+    for term in scene.terms if scene.in_parts else ():
+        if isinstance(term, (Bending, RigidBody, Inertia)):
+            raise SceneError(f"solver 'fenicsx' cannot model {term.name} of a scene that processes have in parts")
+
+
 def processes_for(scene: Scene) -> MPI.Intracomm:
-    """Those that divide a scene: all that mpirun has started; of a small one each has the whole."""
+    """Those that divide a scene: all that mpirun has started, or that have it in parts; of a small one each has all."""
+    if isinstance(scene, PartScene):
+        return scene.part.comm
     return ALL if len(scene.tets) >= FEW * ALL.size else ALONE

@@ -96,7 +96,7 @@ def anywhere(comm: MPI.Intracomm, mask) -> bool:
 
 def check_same(comm: MPI.Intracomm, scene: Scene):
     """Raise SceneError, in all processes, unless all of them were given the same scene."""
-    if comm.size == 1:
+    if comm.size == 1 or scene.in_parts:
         return
     parts: list[Any] = [scene.vertices, scene.tets]
     for term in scene.terms:

@@ -10,6 +10,7 @@ import trimesh
 
 from softdeca.lhm import expressions, load_template
 from softdeca.reference import Parameters, facial_scene, solve
+from softdeca.reference.problems.meshes import box, triangles_at
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(), flags=re.DOTALL)
@@ -23,7 +24,7 @@ def example(words: str) -> str:
 
 def test_every_block_is_run_here():
     """A new block has to be put into one of the tests below."""
-    run = ("neo_hookean_scene(scene)", "heavier = settled", "Surrogate.load()", "from_young", "fit_scan")
+    run = ("neo_hookean_scene(scene)", "heavier = settled", "Surrogate.load()", "meshio.read", "fit_scan", "read_scene")
     assert {example(words) for words in run} == set(EXAMPLES) and len(EXAMPLES) == len(run)
 
 
@@ -61,7 +62,7 @@ def test_a_mesh_of_ones_own(tmp_path, monkeypatch):
     pytest.importorskip("dolfinx")
     monkeypatch.chdir(tmp_path)
     names: dict = {}
-    exec(example("from_young"), names)
+    exec(example("meshio.read"), names)
     assert names["solution"].converged
     # It hangs under its own weight: the top sinks.
     sunk = (names["solution"].positions - names["points"])[:, 2].min()
@@ -69,6 +70,25 @@ def test_a_mesh_of_ones_own(tmp_path, monkeypatch):
     read = meshio.read("part_solved.vtu")
     # The file that the comment speaks of is read as it says.
     assert read.points.shape == names["points"].shape and read.cells_dict["tetra"].shape == names["tets"].shape
+
+
+def test_a_mesh_read_in_parts(tmp_path, monkeypatch):
+    pytest.importorskip("dolfinx")
+    pytest.importorskip("h5py")
+    monkeypatch.chdir(tmp_path)
+    points, tets = box((3, 3, 4), (10.0, 10.0, 20.0))
+    side = triangles_at(points, tets, 0, 10.0)
+    firm = np.where(points[tets, 2].mean(axis=1) < 10.0, 1, 2)
+    meshio.Mesh(points, [("tetra", tets)], cell_data={"tag": [firm]}).write("part.xdmf")
+    meshio.Mesh(points, [("triangle", side)], cell_data={"tag": [np.full(len(side), 7)]}).write("surface.xdmf")
+    names: dict = {}
+    exec(example("read_scene"), names)
+    scene, solution = names["scene"], names["solution"]
+    assert solution.converged and Path("answer.xdmf").exists()
+    assert len(scene.part.boundary[scene.part.boundary_tags == 7]) == len(side)
+    # What presses on one side pushes the free end the other way.
+    pushed = (scene.whole(solution.positions) - points)[:, 0]
+    assert pushed[points[:, 2] > 19.9].mean() < -0.01
 
 
 def test_a_head_of_ones_own(tmp_path, monkeypatch):

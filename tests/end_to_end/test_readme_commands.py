@@ -95,6 +95,7 @@ ELSEWHERE = {
     "softdeca bench material": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
+    "softdeca bench parts": "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory",
     "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
     "softdeca corpus plan --preset small --takes takes/": CORPUS,

@@ -158,3 +158,17 @@ def test_a_sequence_on_quadratic_elements():
     assert again.converged
     fresh = solve(other, solver="fenicsx", element="P2", tolerance=1e-10)
     assert np.abs(again.positions - fresh.positions).max() < 1e-8
+
+
+@pytest.mark.parametrize("poisson", [0.4999, 0.49999])
+def test_a_nearly_incompressible_block_is_solved_to_the_end(poisson):
+    """By factors, whatever the usual solver is: CG's steps creep there."""
+    X, tets = meshes.box((3, 3, 3))
+    low, high = (meshes.vertices_at(X, 2, at) for at in (0.0, 1.0))
+    law = terms.Hyperelastic(materials.NeoHookean.from_young(10.0, poisson))
+    scene = Scene(X, tets, [law, terms.Fixed(low), terms.Fixed(high, X[high] + [0.1, 0.05, 0.2])])
+    answer = solve(scene, solver="fenicsx", element="P2", tolerance=1e-9)
+    assert answer.converged and answer.iterations < 40
+    assert answer.detail["linear_iterations"] == answer.detail["linear_solves"]
+    other = solve(scene, solver="skfem", element="P2", start=answer.positions, tolerance=1e-9)
+    assert other.converged and np.abs(other.positions - answer.positions).max() < 1e-6
