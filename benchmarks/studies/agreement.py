@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -354,7 +354,8 @@ class Face:
         errors = {text: distances(skin, pd) for text, skin in others.items()}
         top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
         panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]
-        return strip(panels + [Panel(text, simulated, error, top) for text, error in errors.items()])
+        panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
+        return strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)
 
     def _between(self, solution: Solution, what: str, other: Solution) -> list[dict]:
         apart = difference(solution.positions, other.positions, self.scene.vertices)
