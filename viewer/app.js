@@ -111,6 +111,7 @@ function colourOf(share, out, at) {
   for (let c = 0; c < 3; c++) out[at + c] = RAMP[low][c] + (place - low) * (RAMP[low + 1][c] - RAMP[low][c]);
 }
 
+const INSIDE = [0.07, 0.015, 0.012]; // of a mouth or socket, as `shading.INSIDE`
 const UNCUT = 1e6;
 const STAIR = 0.15; // of the head's radius
 
@@ -151,6 +152,7 @@ function start(content, arrays) {
   }
   const positions = new Float32Array(count), other = new Float32Array(count), colours = new Float32Array(count);
   positions.set(arrays[content.rigs[0].neutral]);
+  const lit = arrays[content.lit];
   const skin = meshOf(positions, arrays[content.triangles], null);
   skin.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
   skin.geometry.computeBoundingSphere();
@@ -159,7 +161,7 @@ function start(content, arrays) {
   const organs = inner && meshOf(new Float32Array(inner.count), arrays[content.within.triangles], null);
   if (organs) {
     organs.geometry.setAttribute("color", new THREE.BufferAttribute(arrays[content.within.colours], 3));
-    organs.material.roughness = 0.3;
+    organs.material.roughness = 0.6;
     organs.frustumCulled = false;
   }
   const layers = content.layers.map((layer) => {
@@ -217,6 +219,8 @@ function start(content, arrays) {
         sum += distance;
       }
       colourOf(distance / state.top, colours, i);
+      const light = lit[i / 3];
+      for (let c = 0; c < 3; c++) colours[i + c] = light * colours[i + c] + (1 - light) * INSIDE[c];
     }
     skin.geometry.attributes.position.needsUpdate = true;
     skin.geometry.attributes.color.needsUpdate = true;

@@ -20,6 +20,7 @@ from ..lhm.errors import InputError
 from ..lhm.mesh import Floats, Floats32, Surface
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
+from .shading import lit
 from .within import TURN, linear_light, within
 
 FINEST = 1 / 32767
@@ -91,13 +92,15 @@ def page(
     for shape in [rig.neutral.shape for rig in rigs] + [np.shape(skin) for skin in skins]:
         if shape != (n, 3):
             raise InputError(f"viewer: skins of shapes {(n, 3)} and {shape} cannot be compared")
+    skin = Surface(np.asarray(rigs[0].neutral, dtype=np.float64), np.asarray(triangles))
     content = {
         "expressions": list(ARKIT),
         "triangles": packed.add("triangles", np.asarray(triangles, dtype=np.uint32)),
         "top": top,
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
-        "within": _within(packed, Surface(rigs[0].neutral, triangles)),
+        "lit": packed.add("lit", lit(skin).astype(np.float32)),
+        "within": _within(packed, skin),
         "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
         "arrays": packed.table,
     }
