@@ -24,7 +24,7 @@ from .studies.hard import Hard
 from .studies.material import Material
 from .studies.split import Split
 from .studies.surrogate import SurrogateOnCorpus
-from .studies.throughput import Throughput
+from .studies.throughput import ITERATION, Throughput
 from .studies.verification import Verification
 from .studies.work_precision import FACE, WorkPrecision
 
@@ -51,15 +51,16 @@ def parts(agreement: Agreement, corpus: Path) -> Sequence[Part]:
     found = [
         Part(agreement),
         Part(Verification()),
-        Part(Hard()),
+        Part(Hard(solvers=("projective",))),
         Part(Material(poisson=("0.45",))),
-        Part(Effects(identities=whose, effects=("bells-palsy", "weight-40", "gravity-3"))),
+        Part(Effects(identities=whose, effects=("bells-palsy", "weight-40"))),
     ]
     if learned:
         found.append(Part(SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all")))
     if learned and not agreement.weights:
-        found.append(Part(Split(identities=whose, effects=("defaults", "40 % more soft tissue"))))
-    found.append(Part(Throughput(identities=whose, people=1, frames=13)))
+        frames = ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
+        found.append(Part(Split(identities=whose, expressions=frames, effects=("defaults", "40 % more soft tissue"))))
+    found.append(Part(Throughput(identities=whose), ITERATION))
     # Of the face's energy, and of what has learned it; not of ARAP's.
     timed = "the face's energy" if learned else FACE
     return [*found, Part(WorkPrecision(identities=whose, expressions=("jawOpen",)), timed)]
