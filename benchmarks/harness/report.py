@@ -123,7 +123,7 @@ def _as_markdown(
         parts += [f"## {name}", section["question"], section["words"]]
         parts.append(markdown(Table("Statements", ["statement", "measured", "bound", "reached"], section["gates"])))
         if section["failed"]:
-            failed = Table("What could not be measured", ["case", "method", "", "why"], section["failed"])
-            parts.append(markdown(failed))
+            unmeasured = Table("What could not be measured", ["case", "method", "", "why"], section["failed"])
+            parts.append(markdown(unmeasured))
         parts += [markdown(table) for table in (*section["tables"], section["rows"])]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -312,15 +312,15 @@ class Face:
                 "lips_mm": [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())],
             }
         if method == PLAIN:
-            limits = {"enough": PLAIN_STOP, "max_iterations": PLAIN_LIMIT}
-            solution, trace = traced(prepare(self.scene, method="plain"), self.pd[0].positions, **limits)
+            plain, truth = prepare(self.scene, method="plain"), self.pd[0].positions
+            solution, trace = traced(plain, truth, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
             enough = solution.reason is Reason.INTERRUPTED and trace.error[-1] <= PLAIN_STOP
             row = _row(solution, "rest", self._between(solution, TO_PD, self.pd[0]))
             return row | {"to_001_mm": trace.settled(ACCURACY), "done": solution.converged or enough}
         if method == FENICSX:
             solution, another = self.fenicsx
-            start = "rest" if another is None else "PD's answer"
-            return _row(solution, start, self._between(solution, TO_PD, self.pd[0])) | {"another_minimum_mm": another}
+            begun = "rest" if another is None else "PD's answer"
+            return _row(solution, begun, self._between(solution, TO_PD, self.pd[0])) | {"another_minimum_mm": another}
         if method == SKFEM:
             rough = solve(self.scene, tolerance=ROUGH).positions
             solution = solve(self.scene, solver="skfem", tolerance=TIGHT / ROUGH, start=rough)
