@@ -1,5 +1,5 @@
 # make study   the whole chain on the default head -> out/study/index.html
-# make test    every test, two at a time        make check   ruff, mypy, import-linter
+# make test    every test, two at a time        make check   ruff, mypy, import-linter, the pages
 # make docs    the pages, their programs run -> out/docs/index.html
 # Each does first all set-up that is missing (tools/set-up), and starts at once when nothing is.
 .PHONY: study test check docs setup clean
@@ -17,6 +17,8 @@ check: setup
 	rm -rf build && $(PYTHON) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --target build/typecheck .
 	cd build/typecheck && ../../.venv/bin/mypy --config-file ../../pyproject.toml --namespace-packages --explicit-package-bases softdeca
 	.venv/bin/lint-imports
+	@tools/set-up docs
+	$(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going -D nb_execution_mode=off -D suppress_warnings=myst-nb.lexer docs build/docs
 
 docs:
 	@tools/set-up docs

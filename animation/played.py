@@ -80,7 +80,8 @@ class Played:
             for k, moved in zip(shown, self._shown(wanted, shown), strict=True)
         )
         told = _told(pairs, len(shown), f"preview: {path.name}", progress)
-        pictures = pictures_of(self.neutral, told, ("blendshapes", caption), framed=self.framed)
+        captions, weights = ("blendshapes", caption), self.take.weights[shown]
+        pictures = pictures_of(self.neutral, told, captions, framed=self.framed, weights=weights)
         write_preview(path, wanted.preview, pictures, self.take.times[shown], self.take.rate)
         progress(f"preview: {path.name}", 1.0)
         return path

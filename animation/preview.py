@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -14,8 +15,9 @@ from ..lhm.errors import InputError, MissingDependencyError
 from ..lhm.files.atomic import replaced
 from ..lhm.geometry.closing import closed
 from ..lhm.mesh import Floats, Surface
-from ..viewer.pictures import behind, load_pyvista, look, poly, skin_colours
+from ..viewer.pictures import behind, eyes_and_teeth, load_pyvista, look, poly, skin_colours
 from ..viewer.shading import shades
+from ..viewer.within import within
 
 Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
@@ -40,8 +42,9 @@ def pictures_of(
     *,
     size: int = 400,
     framed: Floats | None = None,
+    weights: Iterable[Floats] | None = None,
 ) -> Iterator[Picture]:
-    """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3).
+    """RGB pictures, (1.15 size, 2 size, 3), of pairs of skins [mm], each (n, 3); eyes turn by `weights` (52,) of each.
 
     The camera stands still, so that what moves is the face. It sees the points `framed` [mm], shape (k, 3), by default
     all of the skin. What is hidden in `neutral` is drawn dark.
@@ -63,13 +66,17 @@ def pictures_of(
         mesh.point_data.active_normals = neutral.vertex_normals
         actor = plotter.add_mesh(mesh, **skin_colours(colours), **how)
         actor.prop.interpolation = "Phong"
-        meshes.append((mesh, behind(plotter, neutral.with_vertices(neutral.vertices + offset)), offset))
+        beside = neutral.with_vertices(neutral.vertices + offset)
+        meshes.append((mesh, behind(plotter, beside), eyes_and_teeth(plotter, beside), offset))
     plotter.reset_camera_clipping_range()
-    for pair in pairs:
-        for (mesh, reverse, offset), vertices in zip(meshes, pair, strict=True):
+    organs = within(neutral)
+    for pair, gaze in zip(pairs, repeat(None) if weights is None else weights, strict=False):
+        for (mesh, reverse, inner, offset), vertices in zip(meshes, pair, strict=True):
             moved = neutral.with_vertices(vertices + offset)
             mesh.points, reverse.points = moved.vertices, closed(moved).vertices
             mesh.point_data.active_normals = moved.vertex_normals
+            if organs is not None:
+                inner.points = organs.at(moved.vertices, gaze)
         plotter.render()
         yield _captioned(np.asarray(plotter.screenshot(None, return_img=True)), captions)
     plotter.close()

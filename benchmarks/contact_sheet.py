@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,8 @@ def _frame(table: Table, row: Row) -> bytes:
     ]
     y = skin.vertices[:, 1]
     framed: Floats = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
-    return strip(panels, size=SIZE, framed=framed)
+    gazed = [replace(panel, weights=row["weights"]) for panel in panels]
+    return strip(gazed, size=SIZE, framed=framed)
 
 
 def _largest(row: Row) -> str:

@@ -12,6 +12,8 @@ from .harness.apart import forget_peak, held_megabytes, peak_megabytes
 from .harness.study import Column, Values
 from .traces import Stopwatch
 
+PD_ENERGY, NEO_HOOKEAN = "PD", "neo-Hookean"
+"""What studies call the energy of a scene as it is, and of one with that law."""
 TIMES = (
     Column("scene_s", "scene [s]", cost=True),
     Column("prepare_s", "prepare [s]", cost=True),

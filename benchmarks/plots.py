@@ -1,53 +1,10 @@
-"""Plots of a results file as SVG text."""
+"""Plots that studies share, as SVG text or PNG."""
 
 from __future__ import annotations
 
 import io
 import math
 from collections.abc import Mapping, Sequence
-
-COLOURS = {
-    "PD, plain": "#999999",
-    "PD, accelerated": "#1f77b4",
-    "FEniCSx Newton": "#d62728",
-    "scikit-fem Newton": "#2ca02c",
-    "surrogate": "#9467bd",
-    "blendshapes (T = S)": "#ff7f0e",
-}
-
-
-def work_precision(cases: Sequence[Mapping]) -> str:
-    """Error against run time, a panel per case: curves of the solvers, points of surrogate and blendshapes."""
-    plt = pyplot()
-    columns = min(3, len(cases))
-    rows = math.ceil(len(cases) / columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(4.3 * columns, 3.4 * rows), squeeze=False, sharey=True)
-    for axis in axes.ravel()[len(cases) :]:
-        axis.set_visible(False)
-    for axis, case in zip(axes.ravel(), cases, strict=False):
-        for run in case["runs"]:
-            if run["energy_law"] == "PD" and run["start"] == "rest":
-                points = [
-                    (1e3 * t, e)
-                    for t, e in zip(run["history"]["time"], run["error_mm"], strict=True)
-                    if t > 0 and e > 1e-9
-                ]
-                axis.plot(*zip(*points, strict=True), label=run["label"], color=COLOURS.get(run["label"]), lw=1.5)
-        for point in case["points"]:
-            x = max(point["milliseconds"], 1e-2)
-            axis.plot(x, point["rms"], "o", label=point["label"], color=COLOURS.get(point["label"]), ms=6)
-        axis.axhline(0.01, color="#bbbbbb", lw=0.8, ls=":")
-        axis.set(xscale="log", yscale="log", title=case["name"], ylim=(1e-8, None))
-        axis.grid(alpha=0.25, which="major")
-        axis.tick_params(labelsize=8)
-    for axis in axes[:, 0]:
-        axis.set_ylabel("RMS error [mm]")
-    for axis in axes[-1]:
-        axis.set_xlabel("time [ms]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper center", ncol=6, frameon=False, fontsize=9)
-    figure.tight_layout(rect=(0, 0, 1, 0.95))
-    return svg(plt, figure)
 
 
 def learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:

@@ -1,10 +1,12 @@
 """softdeca study: the main job."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from .progress import shown
+from .study_command import ONLY, gate_line
 from .written_file import FOLDER
 
 
@@ -12,12 +14,7 @@ from .written_file import FOLDER
 @click.option(
     "--identities", default="anny", help="whose head: 'anny' (the default), 'ict:FILE', 'flame:FILE' or 'folder:DIR'"
 )
-@click.option(
-    "--out",
-    default="out/study",
-    type=FOLDER,
-    help="folder of the report; the corpus in it is used again",
-)
+@click.option("--out", default="out/study", type=FOLDER, help="folder of the report; what is in it is used again")
 @click.option(
     "--expressions",
     default="jawOpen,mouthSmileLeft+mouthSmileRight,mouthPucker,cheekPuff,browInnerUp",
@@ -28,23 +25,32 @@ from .written_file import FOLDER
     type=click.Path(path_type=Path),
     help="weights to test, of `softdeca train`; by default those that are shipped, for the people they know",
 )
-@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
-def study(identities: str, out: Path, expressions: str, surrogate: Path | None, as_json: bool) -> int:
-    """Head, scenes, every solver and the surrogate, compared: OUT/index.html and OUT/results.json.
+@click.option("--only", type=click.Choice(ONLY), default="missing", help="which rows to make: failed again, or all")
+@click.option("--json", "as_json", is_flag=True, help="print the results of all studies to stdout")
+def study(identities: str, out: Path, expressions: str, surrogate: Path | None, only: Any, as_json: bool) -> int:
+    """Head, scenes, every solver and the surrogate, compared: OUT/index.html and OUT/report.json.
 
-    Exit status 1 if an answer misses its bound; a figure of speed that does is printed only.
+    The quick version of what `softdeca bench` has, each in its folder of OUT. A run that was stopped goes on. Exit
+    status 1 if an answer misses its bound or a study could not be run; a figure of speed that does is printed only.
     """
-    from ..benchmarks.study import StudyConfig, run_study
+    from ..benchmarks.studies.agreement import Agreement
+    from ..benchmarks.study import run_study
 
-    config = StudyConfig(identities=identities, out=out, expressions=tuple(expressions.split(",")), surrogate=surrogate)
+    weights = "" if surrogate is None else str(surrogate)
+    asked = Agreement(identities=identities, expressions=tuple(expressions.split(",")), weights=weights)
     with shown() as progress:
-        results = run_study(config, progress)
+        done = run_study(asked, out, only=only, progress=progress)
     if as_json:
-        click.echo((out / "results.json").read_text())
+        click.echo((out / "report.json").read_text())
     else:
-        for gate in results["gates"]:
-            value = "not measured" if gate["value"] is None else f"{gate['value']:.3g}"
-            click.echo(f"{'ok  ' if gate['passed'] else 'MISS'} {gate['what']}: {value} ({gate['bound']})")
-        for name in ("index.html", "results.json"):
-            click.echo(f"wrote {out / name}")
-    return 0 if all(gate["passed"] for gate in results["gates"] if gate["answer"]) else 1
+        for results in done.results:
+            for row in results.rows:
+                if row.status == "failed":
+                    click.echo(f"FAILED {results.study}: {row.case}, {row.method}: {row.reason}")
+            for gate in results.gates:
+                click.echo(f"{gate_line(gate)}  [{results.study}]")
+        for name, why in done.failed:
+            click.echo(f"FAILED {name}: {why}")
+        for path in done.written:
+            click.echo(f"wrote {path}")
+    return 0 if done.passed else 1

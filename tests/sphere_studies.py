@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from conftest import layered_sphere
 
+from softdeca.benchmarks.studies.agreement import Agreement
 from softdeca.benchmarks.studies.convergence import Convergence
 from softdeca.benchmarks.studies.dynamics import Dynamics
 from softdeca.benchmarks.studies.effects import Effects
@@ -127,3 +128,27 @@ class Drawn(SimpleNamespace):
 class SphereShapes(OfSphere, Shapes):
     def person(self, level=None, seed=None):
         return replace(sphere(3), space=Drawn())
+
+
+@dataclass(frozen=True)
+class SphereAgreement(Agreement):
+    """A small sphere, whose people no network knows."""
+
+    def network(self):
+        return None
+
+    def person(self):
+        return small_sphere()
+
+
+@lru_cache
+def small_sphere():
+    head = layered_sphere(1)
+    head = replace(head, regions={"lips": np.arange(len(head.bone)) < 5})
+    return Sphere(SimpleNamespace(name="spheres", expression_deltas=lambda code: _shapes(head)), np.zeros(3), head)
+
+
+def _shapes(head):
+    deltas = np.zeros((52, len(head.skin.vertices), 3))
+    deltas[expressions.index("jawOpen")] = [0.0, 0.0, 1.0]
+    return deltas

@@ -66,6 +66,43 @@ class Rig {
   }
 }
 
+/** Eyes and teeth of a skin: bodies that follow the affine motion of some of its vertices; the eyes turn. */
+class Within {
+  constructor(content, arrays, expressions) {
+    this.turn = content.turn;
+    this.expressions = expressions;
+    this.bodies = content.bodies.map((body) => ({
+      ...body, points: arrays[body.points], carriers: arrays[body.carriers], fit: arrays[body.fit],
+    }));
+    this.count = this.bodies.reduce((sum, body) => sum + body.points.length, 0);
+  }
+
+  /** Three rows: how an eye is turned by the weights; by nothing where it is none. */
+  rotation(side, weights) {
+    if (!side) return [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+    const of = (way) => this.turn[way] * weights[this.expressions.indexOf(`eyeLook${way}${side}`)];
+    const aboutX = ((of("Up") + of("Down")) * Math.PI) / 180;
+    const aboutY = (((of("Out") - of("In")) * Math.PI) / 180) * (side === "Left" ? 1 : -1);
+    const [sx, cx, sy, cy] = [Math.sin(aboutX), Math.cos(aboutX), Math.sin(aboutY), Math.cos(aboutY)];
+    return [[cy, sy * sx, sy * cx], [0, cx, -sx], [-sy, cy * sx, cy * cx]];
+  }
+
+  /** Positions [mm] in a skin, written to `out`. */
+  frame(skin, weights, out) {
+    let at = 0;
+    for (const { points, carriers, fit, side, centre } of this.bodies) {
+      const motion = [0, 1, 2, 3].map((row) => [0, 1, 2].map((c) =>
+        carriers.reduce((sum, vertex, k) => sum + fit[row * carriers.length + k] * skin[3 * vertex + c], 0)));
+      const turned = this.rotation(side, weights);
+      for (let i = 0; i < points.length; i += 3) {
+        const own = turned.map((row, c) => row[0] * points[i] + row[1] * points[i + 1] + row[2] * points[i + 2] + centre[c]);
+        for (let c = 0; c < 3; c++) out[at++] = own[0] * motion[0][c] + own[1] * motion[1][c] + own[2] * motion[2][c] + motion[3][c];
+      }
+    }
+    return out;
+  }
+}
+
 /** Colours of distances [mm]: the skin's own at 0, over yellow and red to violet at `top`. */
 const RAMP = [[0.86, 0.68, 0.58], [0.98, 0.8, 0.35], [0.9, 0.3, 0.2], [0.4, 0.1, 0.45]];
 function colourOf(share, out, at) {
@@ -74,6 +111,7 @@ function colourOf(share, out, at) {
   for (let c = 0; c < 3; c++) out[at + c] = RAMP[low][c] + (place - low) * (RAMP[low + 1][c] - RAMP[low][c]);
 }
 
+const INSIDE = [0.07, 0.015, 0.012]; // of a mouth or socket, as `shading.INSIDE`
 const UNCUT = 1e6;
 const STAIR = 0.15; // of the head's radius
 
@@ -114,10 +152,18 @@ function start(content, arrays) {
   }
   const positions = new Float32Array(count), other = new Float32Array(count), colours = new Float32Array(count);
   positions.set(arrays[content.rigs[0].neutral]);
+  const lit = arrays[content.lit];
   const skin = meshOf(positions, arrays[content.triangles], null);
   skin.geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
   skin.geometry.computeBoundingSphere();
   const { center, radius } = skin.geometry.boundingSphere.clone();
+  const inner = content.within && new Within(content.within, arrays, content.expressions);
+  const organs = inner && meshOf(new Float32Array(inner.count), arrays[content.within.triangles], null);
+  if (organs) {
+    organs.geometry.setAttribute("color", new THREE.BufferAttribute(arrays[content.within.colours], 3));
+    organs.material.roughness = 0.6;
+    organs.frustumCulled = false;
+  }
   const layers = content.layers.map((layer) => {
     const rig = new Rig(arrays[layer.rig.neutral], arrays[layer.rig.targets]);
     const mesh = meshOf(Float32Array.from(rig.neutral), arrays[layer.triangles], layer.colour);
@@ -173,10 +219,17 @@ function start(content, arrays) {
         sum += distance;
       }
       colourOf(distance / state.top, colours, i);
+      const light = lit[i / 3];
+      for (let c = 0; c < 3; c++) colours[i + c] = light * colours[i + c] + (1 - light) * INSIDE[c];
     }
     skin.geometry.attributes.position.needsUpdate = true;
     skin.geometry.attributes.color.needsUpdate = true;
     skin.geometry.computeVertexNormals();
+    if (organs) {
+      inner.frame(positions, weights, organs.geometry.attributes.position.array);
+      organs.geometry.attributes.position.needsUpdate = true;
+      organs.geometry.computeVertexNormals();
+    }
     for (const { mesh, rig } of layers.filter(({ mesh }) => mesh.visible)) {
       rig.frame(weights, mesh.geometry.attributes.position.array);
       mesh.geometry.attributes.position.needsUpdate = true;
@@ -198,7 +251,7 @@ function start(content, arrays) {
   function cut() {
     const share = Number(element("cut").value), open = share < 1;
     const place = center.x + radius * (share * 2 - 1);
-    skin.material.clippingPlanes[0].constant = open ? place : UNCUT;
+    for (const mesh of [skin, organs]) if (mesh) mesh.material.clippingPlanes[0].constant = open ? place : UNCUT;
     layers.forEach(({ mesh }, k) => {
       const [above, below] = mesh.material.clippingPlanes;
       above.constant = k + 1 < layers.length ? place + STAIR * (k + 1) * radius : UNCUT;
@@ -253,6 +306,7 @@ function start(content, arrays) {
     pose(k) { buttons[k].click(); },
     show(name) { state.shown = name; update(); },
     positions() { return Array.from(positions); },
+    within() { return organs ? Array.from(organs.geometry.attributes.position.array) : []; },
     /** Milliseconds of a frame of sliders: rig, normals and upload, median of `repeats`. */
     frameTime(repeats) {
       const times = [];

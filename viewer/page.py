@@ -17,9 +17,11 @@ from jinja2 import Environment, StrictUndefined
 
 from ..lhm.arkit import ARKIT
 from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32
+from ..lhm.mesh import Floats, Floats32, Surface
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
+from .shading import lit
+from .within import TURN, linear_light, within
 
 FINEST = 1 / 32767
 """Of the largest number of a row: what a 16-bit number tells apart."""
@@ -90,12 +92,15 @@ def page(
     for shape in [rig.neutral.shape for rig in rigs] + [np.shape(skin) for skin in skins]:
         if shape != (n, 3):
             raise InputError(f"viewer: skins of shapes {(n, 3)} and {shape} cannot be compared")
+    skin = Surface(np.asarray(rigs[0].neutral, dtype=np.float64), np.asarray(triangles))
     content = {
         "expressions": list(ARKIT),
         "triangles": packed.add("triangles", np.asarray(triangles, dtype=np.uint32)),
         "top": top,
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
+        "lit": packed.add("lit", lit(skin).astype(np.float32)),
+        "within": _within(packed, skin),
         "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
         "arrays": packed.table,
     }
@@ -136,6 +141,29 @@ def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> di
         "name": pose.name,
         "weights": packed.add(f"pose {k}", np.asarray(pose.weights, dtype=np.float32)),
         "skins": {name: packed.small(f"pose {k} {name}", (skin - neutral)[None]) for name, skin in pose.skins.items()},
+    }
+
+
+def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
+    """Eyes and teeth, where the skin's are known."""
+    found = within(skin)
+    if found is None:
+        return None
+    bodies = [
+        {
+            "points": packed.add(f"within {k}", body.points.astype(np.float32)),
+            "carriers": packed.add(f"within {k} carriers", body.carriers.astype(np.uint32)),
+            "fit": packed.add(f"within {k} fit", body.fit.astype(np.float32)),
+            "side": body.side,
+            "centre": np.broadcast_to(body.centre, 3).tolist(),
+        }
+        for k, body in enumerate(found.bodies)
+    ]
+    return {
+        "bodies": bodies,
+        "turn": TURN,
+        "triangles": packed.add("within triangles", found.triangles.astype(np.uint32)),
+        "colours": packed.add("within colours", linear_light(found.colours).astype(np.float32)),
     }
 
 

@@ -15,6 +15,7 @@ from ..lhm.geometry.closing import closed
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Ints, Surface
 from .shading import INSIDE, SKIN, shades
+from .within import within
 
 SOFT = "#e9c46a"
 MUSCLE = "#b5413b"
@@ -25,12 +26,16 @@ VIEW = (0.45, 0.08, 1.0)
 
 @dataclass(frozen=True)
 class Panel:
-    """One view: a surface with a caption, coloured by values [mm], shape (n,), from 0 to `top` where given."""
+    """One view: a surface with a caption, coloured by values [mm], shape (n,), from 0 to `top` where given.
+
+    weights (52,) of its expression turn the eyes, where a skin has some.
+    """
 
     caption: str
     surface: Surface
     values: Floats | None = None
     top: float = 1.0
+    weights: Floats | None = None
 
 
 def load_pyvista():
@@ -79,6 +84,17 @@ def behind(plotter, surface: Surface):
     return mesh
 
 
+def eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
+    """Add a skin's eyes and teeth to a plotter, and return the mesh; None where none are known."""
+    found = within(skin)
+    if found is None:
+        return None
+    mesh = poly(load_pyvista(), found.at(skin.vertices, weights), found.triangles)
+    how = {"smooth_shading": True, "specular": 0.5, "specular_power": 30, "reset_camera": False}
+    plotter.add_mesh(mesh, scalars=found.colours, rgb=True, **how)
+    return mesh
+
+
 def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
     return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
@@ -115,6 +131,7 @@ def strip(
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
         mesh = poly(pyvista, panel.surface.vertices, panel.surface.triangles)
+        eyes_and_teeth(plotter, panel.surface, panel.weights)
         if panel.values is None:
             plotter.add_mesh(mesh, **skin_colours(colours), smooth_shading=True, specular=0.15)
             if colours is not None:
@@ -203,6 +220,7 @@ def views(
         plotter.subplot(0, column)
         mesh = poly(pyvista, surface.vertices, surface.triangles)
         mesh.point_data.active_normals = surface.vertex_normals
+        eyes_and_teeth(plotter, surface)
         actor = plotter.add_mesh(mesh, **skin_colours(colours), specular=0.1, specular_power=8, ambient=0.12)
         if colours is not None:
             behind(plotter, surface)

@@ -6,15 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.geometry.sky import sky_seen
-from ..lhm.mesh import Surface
+from ..lhm.mesh import Floats, Surface
 
 SKIN, INSIDE = "#d8a48f", "#4a211f"
 LIGHT = 0.2
 """The share of the sky from which up a vertex is drawn as skin; one that sees nothing is drawn as INSIDE."""
 
 
+def lit(surface: Surface) -> Floats:
+    """The share (n,) of SKIN in a vertex' colour, from 0 where it sees nothing of the sky to 1."""
+    return np.clip(sky_seen(surface) / LIGHT, 0.0, 1.0)
+
+
 def shades(surface: Surface) -> NDArray[np.uint8]:
     """Colours (n, 3) of a skin at rest: SKIN where it sees the sky, INSIDE where it does not."""
-    seen = np.clip(sky_seen(surface) / LIGHT, 0.0, 1.0)[:, None]
+    seen = lit(surface)[:, None]
     light, dark = (np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)], dtype=float) for text in (SKIN, INSIDE))
     return np.round(seen * light + (1 - seen) * dark).astype(np.uint8)

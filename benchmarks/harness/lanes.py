@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from ...lhm.errors import MissingDependencyError, SoftdecaError
 from ...reference.added import NotModelledError, add_file, added_files
+from ...reference.ranks import followers
 from .apart import forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
@@ -35,8 +36,15 @@ class Measured:
 
 
 def measured(study: Study, tasks: Sequence[Task], lanes: int) -> Iterator[Measured]:
-    """Each task as it is done, by as many processes side by side; they end with the iterator."""
-    waiting = list(reversed(tasks))
+    """Each task as it is done, by as many processes side by side; they end with the iterator.
+
+    A process goes on with the case that it is at, of which it may have kept something. Under mpirun, whose processes
+    share each solve of FEniCSx, this process does all.
+    """
+    if followers() is not None:
+        yield from (_measure(study, task) for task in tasks)
+        return
+    waiting = list(tasks)
     running: dict[Future, _Lane] = {}
     idle = [_Lane(study) for _ in range(max(1, min(lanes, len(tasks))))]
     every = list(idle)
@@ -44,7 +52,9 @@ def measured(study: Study, tasks: Sequence[Task], lanes: int) -> Iterator[Measur
         while waiting or running:
             while waiting and idle:
                 lane = idle.pop()
-                running[lane.submit(waiting.pop())] = lane
+                task = lane.next_of(waiting, {other.case for other in running.values()})
+                waiting.remove(task)
+                running[lane.submit(task)] = lane
             done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
             for future, lane in list(running.items()):
                 if future in done or lane.overdue:
@@ -71,6 +81,17 @@ class _Lane:
             )
         self._task, self._begin = task, time.monotonic()
         return self._pool.submit(_measure, self._study, task)
+
+    @property
+    def case(self) -> str:
+        """The one that it is at, or was at last."""
+        return self._task.case
+
+    def next_of(self, waiting: Sequence[Task], elsewhere: Set[str]) -> Task:
+        """The first of its own case, else of one that is not done elsewhere, else of all."""
+        own = (task for task in waiting if task.case == self.case)
+        new = (task for task in waiting if task.case not in elsewhere)
+        return next(own, None) or next(new, None) or waiting[0]
 
     @property
     def overdue(self) -> bool:

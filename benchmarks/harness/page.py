@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from .runner import Results, Row
-from .study import Study, Table, Values
+from .study import Study, Table
 
 FOLDERS = (Path(__file__).parent, Path(__file__).parents[1])
 
@@ -31,7 +31,10 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
         "words": results.words,
         "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
         "figures": study.pictures(done) if done else {},
-        "pictures": {caption: png for row in done for caption, png in _pictures(row, folder).items()},
+        "pictures": {
+            caption: base64.b64encode(png).decode() for row in done for caption, png in _drawn(row, folder, ".png")
+        },
+        "pages": {caption: page.decode() for row in done for caption, page in _drawn(row, folder, ".html")},
         "tables": study.tables(done) if done else [],
         "rows": rows_table(study, done),
         "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
@@ -63,15 +66,11 @@ def one(value: Any) -> Any:
     return value
 
 
-def _pictures(row: Row, folder: Path) -> Mapping[str, str]:
-    found: Values = {
-        key: value for key, value in row.values.items() if isinstance(value, str) and value.endswith(".png")
-    }
-    return {
-        f"{row.case}, {row.method}: {key}": base64.b64encode((folder / name).read_bytes()).decode()
-        for key, name in found.items()
-        if (folder / name).is_file()
-    }
+def _drawn(row: Row, folder: Path, kind: str) -> Iterator[tuple[str, bytes]]:
+    """The pictures or the pages of a row by caption."""
+    for key, name in row.values.items():
+        if isinstance(name, str) and name.endswith(kind) and (folder / name).is_file():
+            yield f"{row.case}, {row.method}: {key}", (folder / name).read_bytes()
 
 
 def rendered(template: str, results: Mapping, **more) -> str:

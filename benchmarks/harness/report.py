@@ -16,14 +16,16 @@ from .study import Study, Table
 from .tables import latex, markdown
 
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
+    "Is projective dynamics right?": ("agreement", "verification", "effects", "dynamics"),
+    "Where is it not?": ("hard", "material", "convergence", "shapes"),
     "How far is the surrogate from a reference, and why?": ("split", "surrogate"),
-    "Is projective dynamics right?": ("verification", "effects", "dynamics"),
-    "Where is it not?": ("hard", "stability", "material", "convergence", "shapes"),
     "What does it cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
     "What may be left out?": ("minimal",),
     "On whose heads?": ("heads",),
 }
 """What a reader comes for, and the studies that answer it, in the report's order."""
+FIRST = "split"
+"""Whose figure a reader sees first: all errors in one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,8 @@ def read(path: Path, kind_of: Callable[[str], type[Study]]) -> Made:
     return Made(study, results, file.parent)
 
 
-def write(studies: Sequence[Made], out: Path, title: str) -> list[Path]:
-    """The report's files: index.html, report.md, report.json, and tables.tex.
+def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple[str, str]] = ()) -> list[Path]:
+    """The report's files: index.html, report.md, report.json, and tables.tex; `failed`, studies that were not run, why.
 
     Raises InputError where there is no study, two of one name, or results that another version has made.
     """
@@ -77,10 +79,10 @@ def write(studies: Sequence[Made], out: Path, title: str) -> list[Path]:
     first = next(iter(named.values())).results.machine
     files = {
         "index.html": rendered(
-            "report_of_studies.html", {"title": title}, conclusion=conclusion, missed=missed, sections=sections,
-            machines=machines, machine=machine_rows(first),
+            "report_of_studies.html", {"title": title}, conclusion=conclusion, missed=missed, failed=failed,
+            sections=sections, machines=machines, machine=machine_rows(first),
         ),
-        "report.md": _as_markdown(title, conclusion, sections),
+        "report.md": _as_markdown(title, conclusion, failed, sections),
         "report.json": json.dumps({name: made.results.json() for name, made in named.items()}, indent=1),
         "tables.tex": "\n".join(
             latex(table, f"{name} {table.caption}") for name, made in named.items() for table in _tables(made)
@@ -102,8 +104,8 @@ def concluded(named: Mapping[str, Made]) -> list[tuple[str, str]]:
 
 
 def _ordered(named: Mapping[str, Made]) -> dict[str, Made]:
-    first = [name for names in QUESTIONS.values() for name in names if name in named]
-    return {name: named[name] for name in [*first, *(name for name in named if name not in first)]}
+    asked = [name for names in QUESTIONS.values() for name in names]
+    return {name: named[name] for name in dict.fromkeys([FIRST, *asked, *named]) if name in named}
 
 
 def _tables(made: Made) -> list[Table]:
@@ -111,13 +113,17 @@ def _tables(made: Made) -> list[Table]:
     return [*made.study.tables(done), rows_table(made.study, done)] if done else []
 
 
-def _as_markdown(title: str, conclusion: Sequence[tuple[str, str]], sections: Mapping[str, dict[str, Any]]) -> str:
+def _as_markdown(
+    title: str, conclusion: Sequence[tuple[str, str]], failed: Sequence[tuple[str, str]],
+    sections: Mapping[str, dict[str, Any]],
+) -> str:  # fmt: skip
     parts = [f"# {title}", *(f"**{question}** {words}" for question, words in conclusion)]
+    parts += [f"The study {name} could not be run: {why}" for name, why in failed]
     for name, section in sections.items():
         parts += [f"## {name}", section["question"], section["words"]]
         parts.append(markdown(Table("Statements", ["statement", "measured", "bound", "reached"], section["gates"])))
         if section["failed"]:
-            failed = Table("What could not be measured", ["case", "method", "", "why"], section["failed"])
-            parts.append(markdown(failed))
+            unmeasured = Table("What could not be measured", ["case", "method", "", "why"], section["failed"])
+            parts.append(markdown(unmeasured))
         parts += [markdown(table) for table in (*section["tables"], section["rows"])]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -23,6 +23,7 @@ from .lanes import Measured, measured
 from .study import Study, Task, Values
 
 Only = Literal["missing", "failed", "all"]
+PNG = b"\x89PNG"
 PACKAGE = Path(__file__).resolve().parents[2]
 
 
@@ -144,11 +145,12 @@ class _Rows:
             file.flush()
 
     def _drawn(self, one: Measured) -> Values:
-        """The values, with the names of files that now hold their pictures."""
+        """The values, with the names of files that now hold their pictures and pages."""
         found = dict(one.values)
         for key, value in one.values.items():
             if isinstance(value, bytes):
-                name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{one.task}, {key}")[:120].strip("-") + ".png"
+                kind = ".png" if value.startswith(PNG) else ".html"
+                name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{one.task}, {key}")[:120].strip("-") + kind
                 write_whole(self._path.parent / name, value)
                 found[key] = name
         return found

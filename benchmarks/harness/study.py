@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from .runner import Row
 
 Values = Mapping[str, Any]
-"""What was measured of a task, as JSON can say it: numbers, texts, lists of them; and PNG pictures as bytes, whose key
-is their caption, and which become the names of files. A NaN makes the row a failure."""
+"""What was measured of a task, as JSON can say it: numbers, texts, lists of them; and as bytes PNG pictures and HTML
+pages, whose key is their caption, and which become the names of files. A NaN makes the row a failure."""
 
 
 @dataclass(frozen=True)

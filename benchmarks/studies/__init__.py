@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ..harness.study import Study
 
 STUDIES = {
+    "agreement": "agreement:Agreement",
     "verification": "verification:Verification",
     "hard": "hard:Hard",
     "mixed": "mixed:Mixed",

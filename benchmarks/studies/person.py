@@ -55,8 +55,11 @@ class OfPerson(Study):
 
 
 @lru_cache(maxsize=3)
-def person(whose: str = "anny", seed: int = 0, level: int = DEFAULT_LEVEL) -> Person:
-    """The head of a seed in the space that is named ('anny', ict:FILE, flame:FILE, folder:DIR)."""
+def person(whose: str = "anny", seed: int | None = 0, level: int = DEFAULT_LEVEL) -> Person:
+    """The head of a seed in the space that is named ('anny', ict:FILE, flame:FILE, folder:DIR); None, its mean."""
     space = identities.from_text(whose)
-    code, skin = space.sample(np.random.default_rng(seed))
+    code = np.zeros(space.code_size)
+    skin = space.skin(code)
+    if seed is not None:
+        code, skin = space.sample(np.random.default_rng(seed))
     return Person(space, code, fit_head(load_template(space, level=level), skin))

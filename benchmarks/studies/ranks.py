@@ -22,7 +22,7 @@ import numpy as np
 
 from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, ranks
-from ..cases import NEO_HOOKEAN, PD_ENERGY
+from ..costs import NEO_HOOKEAN, PD_ENERGY
 from ..harness.apart import peak_megabytes
 from ..harness.gates import at_most
 from ..harness.runner import Row

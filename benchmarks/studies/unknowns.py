@@ -17,8 +17,7 @@ import numpy as np
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene
-from ..cases import NEO_HOOKEAN, PD_ENERGY
-from ..costs import COUNTS, ENDED, TIMES, load_kernels, slope, timed, unfinished
+from ..costs import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, load_kernels, slope, timed, unfinished
 from ..floor import bandwidth
 from ..harness.apart import forget_peak, peak_megabytes
 from ..harness.gates import at_most

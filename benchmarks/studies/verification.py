@@ -47,7 +47,8 @@ class Verification(Study):
         found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
         if "fenicsx" not in solvers:
             return found
-        return [*found, Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_fine() if self.fine else ()))]
+        # What takes longest is first, so that no process is left with it while the others have ended.
+        return [Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_fine() if self.fine else ())), *found]
 
     def measure(self, task: Task) -> Values:
         """The outcomes of a problem, or of a series of meshes or materials."""

@@ -13,6 +13,8 @@ from ..mesh import Surface
 from .space import LinearSpace
 
 FILE = Path(__file__).with_name("anny.npz")
+WITHIN = Path(__file__).with_name("anny_within.npz")
+"""Eyeballs and teeth, which are drawn only: `makehuman.within`."""
 
 
 def load() -> LinearSpace:

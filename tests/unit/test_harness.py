@@ -2,10 +2,12 @@
 
 import json
 import sys
+from pathlib import Path
 
 import pytest
 
-from softdeca.benchmarks.harness import compared, run
+from softdeca.benchmarks.harness import Task, compared, lanes, run
+from softdeca.benchmarks.harness.runner import PNG
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
@@ -177,3 +179,31 @@ def test_no_study_has_an_option_twice():
         options = [option for parameter in command_of(study_of(name)).params for option in parameter.opts]
         assert len(options) == len(set(options)), name
     assert "--processes" in [option for parameter in command_of(study_of("ranks")).params for option in parameter.opts]
+
+
+def test_under_mpirun_the_first_process_measures_itself(toys, tmp_path, monkeypatch):
+    """The others follow this process, and none that it would start."""
+    monkeypatch.setattr(lanes, "followers", object)
+    monkeypatch.setattr(lanes, "_Lane", None)
+    results = run(toys.Toy(folder=str(tmp_path), cases=("1", "bad", "2")), tmp_path / "out")
+    assert [row.status for row in results.rows] == ["done", "failed", "done"]
+
+
+def test_a_process_goes_on_with_its_case(toys, tmp_path):
+    """What it has kept of a case serves the rest of it; another begins with a case of its own."""
+    lane = lanes._Lane(toys.Toy())
+    tasks = [Task(case, method) for case in "123" for method in "ab"]
+    assert lane.next_of(tasks, {"1"}) == tasks[2]
+    lane._task = tasks[4]
+    assert lane.next_of(tasks, {"1", "2"}) == tasks[4] and lane.next_of(tasks[:4], {"1", "2"}) == tasks[0]
+
+
+def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_path, monkeypatch):
+    drawn = {"a picture": PNG + b"...", "turn it": b"<!doctype html><p>round</p>"}
+    monkeypatch.setattr(lanes, "followers", object)
+    monkeypatch.setattr(toys.Toy, "measure", lambda self, task: {"twice": 2.0, **drawn})
+    (row,) = run(toys.Toy(folder=str(tmp_path), cases=("1",)), tmp_path / "out").rows
+    kept = {key: (tmp_path / "out" / row.values[key]).read_bytes() for key in drawn}
+    assert kept == drawn and [Path(row.values[key]).suffix for key in drawn] == [".png", ".html"]
+    text = (tmp_path / "out" / "index.html").read_text()
+    assert "&lt;p&gt;round" in text and "data:image/png;base64" in text

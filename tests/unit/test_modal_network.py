@@ -6,13 +6,14 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from softdeca.benchmarks.cases import Case, CaseResult
-from softdeca.benchmarks.study import compare_surrogate
+from softdeca.benchmarks.studies.agreement import Face
+from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters, settled
 from softdeca.reference.face.linearised import linearised
@@ -430,13 +431,12 @@ def test_features_follow_the_mirror():
     assert len(set(features.points.tolist())) == len(features.points)
 
 
-def test_the_study_compares_the_surrogate_with_its_cases(surrogate):
-    skin = SPACE.mean
-    head, deltas, weights = SPACE.fit(skin), shapes(), np.zeros(52)
+def test_the_study_asks_the_surrogate_for_its_faces(surrogate):
+    skin, weights, deltas = SPACE.mean, np.zeros(52), shapes()
     weights[7] = 0.6
-    expression = skin.vertices + 0.6 * deltas[7]
-    result = CaseResult({"skin": {}, "points": []}, expression, expression, expression, expression, head.vertices)
-    found = compare_surrogate(surrogate, head, np.zeros(4), deltas, Case("7", weights, Parameters()), result)
-    assert np.isfinite(found).all() and found.shape == skin.vertices.shape
-    assert [point["label"] for point in result.record["points"]] == ["surrogate", "blendshapes (T = S)"]
-    assert result.record["points"][1]["rms"] == pytest.approx(0.0, abs=1e-4)
+    space = SimpleNamespace(expression_deltas=lambda code: deltas)
+    of = Person(space, np.zeros(4), SPACE.fit(skin))
+    face = Face.__new__(Face)  # nothing is simulated here
+    face.of, face.weights, face.parameters, face._network = of, weights, Parameters(), surrogate
+    bound = surrogate.bind(skin, np.zeros(4), Parameters(), expressions=deltas)
+    assert np.array_equal(face.learned, bound.frame(weights).astype(np.float64))

@@ -53,7 +53,8 @@ def test_no_module_is_imported_by_its_folder(path):
 
 def test_the_default_head_is_part_of_the_package():
     lines = (ROOT / "pyproject.toml").read_text().split("package-data]")[1].splitlines()[1:5]
-    assert '"softdeca.lhm.identities" = ["anny.npz"]' in lines and (ROOT / "lhm/identities/anny.npz").is_file()
+    assert '"softdeca.lhm.identities" = ["anny.npz", "anny_within.npz"]' in lines
+    assert all((ROOT / "lhm" / "identities" / name).is_file() for name in ("anny.npz", "anny_within.npz"))
 
 
 @pytest.mark.parametrize("module", ["softdeca.lhm", "softdeca.reference", "softdeca.cli", "softdeca.surrogate"])

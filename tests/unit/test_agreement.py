@@ -1,0 +1,170 @@
+"""How far the solvers are apart on one face: differences by hand, gates on rows by hand, and the study of a sphere."""
+
+import copy
+import json
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softdeca.benchmarks.differences import difference, distances
+from softdeca.benchmarks.harness import Row, run
+from softdeca.benchmarks.studies import agreement
+from softdeca.benchmarks.studies.agreement import (
+    ALL,
+    BESIDE,
+    BLENDSHAPES,
+    FENICSX,
+    FIT,
+    HEAD,
+    NEO,
+    NEO_SKFEM,
+    PD,
+    PLAIN,
+    SKFEM,
+    SKIN,
+    SOLVERS,
+    TO_FENICSX,
+    TO_NEO,
+    TO_PD,
+    TURNED,
+    Agreement,
+)
+from softdeca.lhm import InputError
+
+
+def test_difference_is_that_of_two_points_by_hand():
+    rest = np.zeros((2, 3))
+    found = difference(np.array([[3.0, 4.0, 0.0], [10.0, 0, 0]]), np.array([[0.0, 0, 0], [10.0, 0, 0]]), rest)
+    assert (found.mean, found.max, found.relative) == (2.5, 5.0, 0.5)
+    assert found.rms == pytest.approx(np.sqrt(12.5)) and found.p95 == pytest.approx(4.75)
+    only_second = difference(np.ones((2, 3)), np.array([[1.0, 1, 1], [1, 1, 3]]), rest, np.array([False, True]))
+    assert only_second.max == 2.0 and only_second.relative == pytest.approx(2 / np.sqrt(11))
+    assert distances(rest, rest + [0, 0, 2]).tolist() == [2.0, 2.0]
+
+
+def test_difference_where_nothing_moves_is_all_or_nothing():
+    rest = np.zeros((2, 3))
+    assert difference(rest, rest, rest).relative == 0.0
+    assert difference(rest + 1e-3, rest, rest).relative == 1.0
+
+
+def apart(what, relative=1e-10):
+    return {"compared": what, "mean": 0.1, "rms": 0.1, "p95": 0.2, "max": 0.3, "relative": relative}
+
+
+def solved(method, what, **more):
+    values = {"compared": [apart(what + ALL), apart(what + SKIN)], "done": True, "iterations": 2} | more
+    return Row("jawOpen", method, "done", "", values, 1.0, None, 0.0, "")
+
+
+@pytest.fixture
+def rows():
+    return [
+        solved(FENICSX, TO_PD, another_minimum_mm=None),
+        solved(PD, TO_FENICSX, to_001_mm=10, least_ratio=0.12, lips_mm=[0.2, 0.9, 1.5]),
+        solved(PLAIN, TO_PD, to_001_mm=100),
+        solved(SKFEM, TO_FENICSX),
+        solved(NEO, TO_PD),
+        solved(NEO_SKFEM, TO_NEO),
+    ]
+
+
+def edited(rows, method, key, value):
+    found = copy.deepcopy(rows)
+    values = next(row.values for row in found if row.method == method)
+    if key == "relative":
+        values["compared"][0]["relative"] = value
+    else:
+        values[key] = value
+    return found
+
+
+def test_all_gates_are_passed_by_good_rows(rows):
+    found = Agreement().gates(rows)
+    assert len(found) == 6 and all(gate["passed"] for gate in found)
+    assert sum(gate["answer"] for gate in found) == 5
+    assert next(gate for gate in found if gate["what"].startswith("accelerated"))["value"] == 0.1
+    json.dumps(found, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("method", "key", "value", "missed", "answer"),
+    [
+        (PD, "relative", 1.1e-6, "PD to FEniCSx-Newton", True),
+        (SKFEM, "relative", 1.1e-8, "PD's energy", True),
+        (NEO_SKFEM, "relative", 1.1e-8, "neo-Hookean", True),
+        (PD, "least_ratio", -0.01, "smallest volume ratio", True),
+        (PD, "least_ratio", 0.0, "smallest volume ratio", True),
+        (PLAIN, "done", False, "did not reach what was asked", True),
+        (PD, "to_001_mm", 21, "accelerated PD's iterations", False),
+        (PD, "to_001_mm", None, "accelerated PD's iterations", False),
+        (PLAIN, "to_001_mm", None, "accelerated PD's iterations", False),
+    ],
+)
+def test_a_miss_is_a_miss(rows, method, key, value, missed, answer):
+    found = [gate for gate in Agreement().gates(edited(rows, method, key, value)) if not gate["passed"]]
+    assert len(found) == 1 and missed in found[0]["what"] and found[0]["answer"] is answer
+
+
+def test_what_failed_is_left_out_of_the_gates(rows):
+    """A solver without a row has no statement; that its case failed is one of every study."""
+    assert len(Agreement().gates([row for row in rows if row.method not in (SKFEM, PLAIN)])) == 4
+
+
+def test_a_second_minimum_stands_in_the_words(rows):
+    assert "two minima" not in Agreement().words(rows)
+    words = Agreement().words(edited(rows, FENICSX, "another_minimum_mm", 0.226))
+    assert "jawOpen has two minima of PD's energy: FEniCSx from rest ends 0.23 mm" in words
+
+
+@pytest.mark.parametrize("wrong", [{"gravity": -1.0}, {"expressions": ("jaw",)}, {"identities": "nobody"}])
+def test_options_are_checked(wrong):
+    with pytest.raises(InputError):
+        Agreement(**wrong).tasks()
+
+
+@pytest.fixture
+def sphere(monkeypatch):
+    pytest.importorskip("dolfinx")
+    monkeypatch.syspath_prepend(Path(__file__).parents[1])
+    import sphere_studies
+
+    agreement._face.cache_clear()
+    return sphere_studies.SphereAgreement(expressions=("jawOpen",))
+
+
+def test_the_study_of_a_sphere(sphere, tmp_path):
+    results = run(sphere, tmp_path)
+    assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
+    cases = ("jawOpen", "gravity 3 g")
+    methods = (*SOLVERS, BLENDSHAPES, BESIDE)
+    asked = [(HEAD, FIT), *((case, method) for case in cases for method in methods), (TURNED, BESIDE)]
+    assert [(row.case, row.method) for row in results.rows] == asked
+    assert results.passed and len(results.gates) == 7 and "in all 2 scenes" in results.words
+    text = unescape((tmp_path / "index.html").read_text())
+    assert text.count("<iframe") == 1 and "three.js" in text and text.count("data:image/png") == 3
+    blends = next(row for row in results.rows if row.method == BLENDSHAPES)
+    assert [line["compared"] for line in blends.values["compared"]] == [
+        what + SKIN for what in (TO_PD, TO_FENICSX, TO_NEO)
+    ]
+    # Blendshapes are as far from FEniCSx' answer as from PD's, which is the same.
+    assert blends.values["compared"][0]["mean"] == pytest.approx(blends.values["compared"][1]["mean"], rel=1e-6)
+
+
+def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere, monkeypatch):
+    solve, starts = agreement.solve, []
+
+    def elsewhere(scene, **asked):
+        solution = solve(scene, **asked)
+        starts.append(asked.get("start"))
+        return solution if starts[-1] is not None else replace(solution, positions=solution.positions + [0, 0.5, 0])
+
+    monkeypatch.setattr(agreement, "solve", elsewhere)
+    face = sphere.make("gravity 3 g")
+    row = face.solved(FENICSX)
+    assert starts[0] is None and np.array_equal(starts[1], face.pd[0].positions) and len(starts) == 2
+    assert row["another_minimum_mm"] == pytest.approx(0.5, rel=1e-3) and row["start"] == "PD's answer"
+    assert row["compared"][0]["relative"] < 1e-6

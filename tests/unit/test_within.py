@@ -1,0 +1,96 @@
+"""Eyes and teeth: where they are in the default people, how they turn, and that other skins have none."""
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import Surface, expressions, identities
+from softdeca.lhm.geometry.closing import openings
+from softdeca.viewer.pictures import Panel, strip
+from softdeca.viewer.within import _default, turned, within
+
+SPACE = identities.Anny()
+EYE, TEETH = slice(0, 960), slice(1920, None)
+
+
+def shown(named, code=None):
+    weights = expressions.weights_of(named)
+    skin = expressions.blend(SPACE, np.zeros(SPACE.code_size) if code is None else code, weights[None])[0]
+    return skin, within(SPACE.mean).at(skin, weights)
+
+
+def test_eyes_lie_behind_open_lids_and_within_the_head():
+    skin, points = shown({})
+    balls = points[: TEETH.start].reshape(2, -1, 3)
+    assert np.allclose(balls[0].mean(axis=0) * [-1, 1, 1], balls[1].mean(axis=0), atol=0.01)  # left and right
+    size = np.linalg.norm(balls[0] - (balls[0].max(axis=0) + balls[0].min(axis=0)) / 2, axis=1)
+    assert 13.0 < size.min() and size.max() < 16.5
+    assert (points.max(axis=0) < skin.max(axis=0)).all() and (points.min(axis=0) > skin.min(axis=0)).all()
+
+
+@pytest.mark.parametrize(
+    ("side", "way", "axis", "sign"),
+    [("Left", "Up", 1, 1), ("Right", "Up", 1, 1), ("Left", "Down", 1, -1), ("Left", "In", 0, -1), ("Left", "Out", 0, 1),
+     ("Right", "In", 0, 1), ("Right", "Out", 0, -1)],
+)  # fmt: skip
+def test_an_eye_looks_where_its_weight_says(side, way, axis, sign):
+    """x is the subject's left: the left eye looks to the nose by x falling."""
+    rotation = turned(side, expressions.weights_of({f"eyeLook{way}{side}": 1.0}))
+    assert np.allclose(rotation @ rotation.T, np.eye(3)) and np.linalg.det(rotation) == pytest.approx(1.0)
+    looks = rotation @ [0.0, 0.0, 1.0]
+    assert 0.3 < sign * looks[axis] < 0.6 and looks[1 - axis] == pytest.approx(0.0) and looks[2] > 0.8
+    other = "Right" if side == "Left" else "Left"
+    assert np.array_equal(turned(other, expressions.weights_of({f"eyeLook{way}{side}": 1.0})), np.eye(3))
+
+
+def test_lids_and_gaze_leave_the_eyes_where_they_are():
+    """A blink moves lids, not balls."""
+    _, rest = shown({})
+    _, shut = shown({"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0})
+    assert np.abs(shut[: TEETH.start] - rest[: TEETH.start]).max() < 1.0
+
+
+def test_the_lower_teeth_go_with_the_jaw_and_the_upper_ones_stay():
+    _, rest = shown({})
+    _, wide = shown({"jawOpen": 1.0})
+    upper, lower = np.split((wide - rest)[TEETH], 2)
+    assert np.abs(upper).max() < 3.0 and lower[:, 1].mean() < -8.0 and lower[:, 1].max() < 0.5
+
+
+def test_they_turn_with_the_head():
+    skin, rest = shown({})
+    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    moved = within(SPACE.mean).at(skin @ turn.T + [5.0, 0, 0])
+    assert np.allclose(moved, rest @ turn.T + [5.0, 0, 0], atol=1e-6)
+
+
+def test_their_surfaces_are_closed_and_look_outward():
+    found = _default()
+    ball = found.triangles[(found.triangles < EYE.stop).all(axis=1)]
+    x = found.bodies[0].points
+    a, b, c = x[ball[:, 0]], x[ball[:, 1]], x[ball[:, 2]]
+    outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c)
+    assert (outward > -1e-9).all() and len(found.colours) == sum(len(body.points) for body in found.bodies)
+    tooth = found.bodies[2].points[:144]
+    faces = found.triangles[((found.triangles >= TEETH.start) & (found.triangles < TEETH.start + 144)).all(axis=1)]
+    a, b, c = (tooth[faces[:, k] - TEETH.start] for k in range(3))
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - tooth.mean(axis=0)) > -1e-9).all()
+    assert openings(SPACE.mean.triangles) == []  # the skin's own pockets hold them
+
+
+def test_another_skin_has_none():
+    triangles = SPACE.mean.triangles
+    assert within(Surface(SPACE.mean.vertices, triangles[:, [1, 2, 0]])) is None
+
+
+def test_a_picture_shows_the_white_of_the_eyes():
+    from io import BytesIO
+
+    from PIL import Image
+
+    def bright(surface):
+        image = np.asarray(Image.open(BytesIO(strip([Panel("", surface)], view=(0, 0, 1)))).convert("RGB")).astype(int)
+        blue = (image[..., 2] > image[..., 0]) & (image.sum(axis=2) < 650)
+        return int(blue.sum())
+
+    other = Surface(SPACE.mean.vertices, SPACE.mean.triangles[:, [1, 2, 0]])
+    assert bright(SPACE.mean) > 20 and bright(other) == 0  # irises are blue, skin is not
