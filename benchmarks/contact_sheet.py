@@ -17,8 +17,8 @@ from ..surrogate.corpus.reading import Row, Table
 from ..viewer.pictures import Panel, strip
 
 SIZE = 220
-SHOWN = 2
-"""Parameters named in a caption."""
+FITS = 19
+"""Letters of a caption."""
 FACE_HEIGHT = 0.86
 """Of a head, from its top, that a picture frames."""
 
@@ -54,7 +54,7 @@ def _frame(table: Table, row: Row) -> bytes:
     distance = np.linalg.norm(corrected, axis=1)
     top = max(0.5, float(np.percentile(distance, 99.0)))
     panels = [
-        Panel(f"S  {row['recording'].decode()[:22]}", skin.with_vertices(blended)),
+        Panel(f"S  {row['recording'].decode()[:FITS]}", skin.with_vertices(blended)),
         Panel(f"T  {row['kind'].decode()}", skin.with_vertices(blended + corrected)),
         Panel(_largest(row), skin.with_vertices(blended + corrected), distance, top),
     ]
@@ -65,7 +65,7 @@ def _frame(table: Table, row: Row) -> bytes:
 
 
 def _largest(row: Row) -> str:
-    """The parameters that differ most from the middle of their range."""
+    """The parameter that differs most from the middle of its range."""
     varied = np.array([k for k in np.flatnonzero(row["varied"]) if NAMES[k] not in UNDIFFERENTIATED], dtype=int)
-    order = varied[np.argsort(-np.abs(row["coefficients"][varied, 0]))][:SHOWN]
-    return "|T - S|  " + ", ".join(NAMES[k].replace("_", " ") for k in order)[:26]
+    largest = varied[np.argmax(np.abs(row["coefficients"][varied, 0]))]
+    return NAMES[largest].replace("_", " ")[:FITS]
