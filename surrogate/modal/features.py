@@ -134,13 +134,14 @@ class Features:
     def effects(self, at_vertices: Floats, skin: Floats) -> Floats32:
         """How strong each effect is at each vertex, shape (n, EFFECTS), all zero at the defaults.
 
-        Volumes and growth there, bones' scales, the same times how far the person's neutral skin (n, 3) [mm] is from
-        the mean along the scaled axis, and added gravity over soft tissue's stiffness there: to first order a neutral
-        face answers to these.
+        Volumes and growth there, bones' scales, the same times how far the person's neutral skin (n, 3) [mm], moved
+        onto the mean, is from it along the scaled axis, and added gravity over soft tissue's stiffness there: to first
+        order a neutral face answers to these.
         """
         change = at_vertices - _DEFAULTS
         bones = change[:, list(_BONES)]
-        likeness = np.tile((skin - self.mean.vertices) / LIKENESS, len(_BONES) // 3)
+        apart = skin - self.mean.vertices
+        likeness = np.tile((apart - apart.mean(axis=0)) / LIKENESS, len(_BONES) // 3)
         gravity = _added_gravity(at_vertices[0]) / _softness(at_vertices[:, [_SOFT]])
         return np.hstack([change[:, list(_THERE)], bones, bones * likeness, gravity]).astype(np.float32)
 

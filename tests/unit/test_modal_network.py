@@ -18,6 +18,7 @@ from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters, settled
 from softdeca.reference.face.linearised import linearised
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.fields import WAVES
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
@@ -246,6 +247,29 @@ def test_rest_stays_at_rest_whatever_the_materials(surrogate):
     for parameters in (Parameters(), Parameters(soft_stiffness=2.0, target_stiffness=20.0)):
         rig = bound(surrogate, parameters=parameters)
         assert np.abs(rig.frame(np.zeros(52)) - SPACE.mean.vertices).max() < 1e-5
+
+
+def test_a_face_is_the_same_wherever_it_lies(surrogate):
+    parameters, there = Parameters(mandible_scale_y=1.1, soft_volume=1.2), np.array([30.0, -5.0, 2.0])
+    moved = SPACE.mean.with_vertices(SPACE.mean.vertices + there)
+    here, other = (bound(surrogate, skin=skin, parameters=parameters) for skin in (SPACE.mean, moved))
+    assert np.abs(here.modes.offset).max() > 0.01
+    assert np.abs(other.modes.offset - here.modes.offset).max() < 1e-5
+
+
+def test_settling_knows_no_palsy(surrogate):
+    features = surrogate._modal.features
+    whole, half = (
+        features.at_vertices(np.column_stack([chosen, np.zeros((len(chosen), WAVES))]))
+        for chosen in (_normalised(soft_volume=1.2), _normalised(soft_volume=1.2, paralysis_left=0.8))
+    )
+    assert np.abs(whole - half).max() > 0.1
+    assert np.array_equal(features.without_palsy(half), whole)
+
+
+def _normalised(**changes):
+    chosen = Parameters(**changes)
+    return np.array([Parameters.info(name).normalise(getattr(chosen, name)) for name in STATIC])
 
 
 def test_ten_thousand_frames_of_random_weights_stay_near(surrogate):
