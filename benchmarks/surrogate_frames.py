@@ -56,8 +56,7 @@ def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: 
             panels.append(Panel("|FEniCSx - T|", simulated, away, top))
         y = skin.vertices[:, 1]
         framed = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
-        weights = frame.weights.astype(np.float64)
-        gazed = [replace(panel, weights=weights) for panel in panels]
+        gazed = [replace(panel, weights=frame.weights.astype(np.float64)) for panel in panels]
         rows.append(Image.open(io.BytesIO(strip(gazed, size=SIZE, framed=framed))).convert("RGB"))
         progress("pictures", (number + 1) / len(SHOWN))
     sheet = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)), "white")

@@ -12,6 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -75,12 +76,20 @@ class _Lane:
         self._task, self._begin = Task("", ""), 0.0
 
     def submit(self, task: Task) -> Future:
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(added_files(),)
-            )
         self._task, self._begin = task, time.monotonic()
-        return self._pool.submit(_measure, self._study, task)
+        if self._pool is not None:
+            return self._pool.submit(_measure, self._study, task)
+        self._pool = ProcessPoolExecutor(
+            1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(added_files(),)
+        )
+        # The process begins with its first task, and inherits that Ctrl-C is blocked until it ignores it; the tracker
+        # of resources would unblock it if it began later.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return self._pool.submit(_measure, self._study, task)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     @property
     def case(self) -> str:
@@ -130,6 +139,7 @@ def _begin(files: Sequence[Path]) -> None:
 def _ended_by_the_first_alone() -> None:
     # Ctrl-C reaches every process of a terminal; the first one decides, and takes the others with it however it ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_the_first, daemon=True).start()
 
 

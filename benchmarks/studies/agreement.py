@@ -12,7 +12,7 @@ import numpy as np
 from ...lhm import check_head, expressions, identities
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats
-from ...reference import Parameters, Reason, Scene, Solution, neo_hookean_scene, prepare, settled, solve
+from ...reference import Parameters, Scene, Solution, neo_hookean_scene, prepare, settled, solve
 from ...surrogate import Surrogate
 from ...viewer import Pose, Rig, face_page
 from ...viewer.pictures import Panel, cut_away, strip
@@ -314,9 +314,9 @@ class Face:
         if method == PLAIN:
             plain, truth = prepare(self.scene, method="plain"), self.pd[0].positions
             solution, trace = traced(plain, truth, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
-            enough = solution.reason is Reason.INTERRUPTED and trace.error[-1] <= PLAIN_STOP
+            reached = trace.settled(ACCURACY)
             row = _row(solution, "rest", self._between(solution, TO_PD, self.pd[0]))
-            return row | {"to_001_mm": trace.settled(ACCURACY), "done": solution.converged or enough}
+            return row | {"to_001_mm": reached, "done": reached is not None}
         if method == FENICSX:
             solution, another = self.fenicsx
             begun = "rest" if another is None else "PD's answer"

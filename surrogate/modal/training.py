@@ -24,6 +24,8 @@ from .principal import principal
 from .weights import ModalWeights, TrainingNote
 
 Precision = Literal["float32", "bfloat16"]
+Move = tuple[Floats, Floats, np.ndarray]
+"""A face's p at the vertices (n, P), its skin and how far that goes (n, 3) [mm]."""
 WIDENED = 0.05
 AGAIN = 0.3
 """Of the learning rate, where a training begins with weights that know most already."""
@@ -408,10 +410,7 @@ def _started(
         face = faces.face(int(index))
         frames = faces.frames(int(index), rng.permutation(len(faces.frames_of[index]))[:4])
         remainders.append(frames.remainder(face).reshape(-1, n3))
-    changes = [
-        np.stack([_moved_summary(face, at_vertices, inputs) for face, (at_vertices, *_) in zip(of, some, strict=True)])
-        for of, some in zip((settling, known), moves, strict=True)
-    ]
+    changes = [_moved_summaries(settling, moves[0], inputs), _moved_summaries(known, moves[1], inputs)]
     learned = *left, np.vstack(responses), np.vstack(remainders)
     parts = [principal(data, size, rng) for data, size in zip(learned, config.network.modes, strict=True)]
     modes, sizes = [part[0] for part in parts], [part[1] for part in parts]
@@ -435,7 +434,7 @@ def _started(
     return network
 
 
-def _settling(face: Face | Neutral, features: Features, *, mirrored: bool = False) -> tuple[Floats, Floats, np.ndarray]:
+def _settling(face: Face | Neutral, features: Features, *, mirrored: bool = False) -> Move:
     """What a face settles under, its skin, and how far it goes; or of its mirror image."""
     at_vertices, skin, move = features.without_palsy(features.at_vertices(face.coefficients)), face.skin, face.settled
     if mirrored:
@@ -443,13 +442,17 @@ def _settling(face: Face | Neutral, features: Features, *, mirrored: bool = Fals
     return at_vertices, skin, move
 
 
-def _relaxing(face: Face, features: Features) -> tuple[Floats, Floats, np.ndarray]:
+def _relaxing(face: Face, features: Features) -> Move:
     return features.at_vertices(face.coefficients), face.skin, face.relaxed
 
 
-def _moved_summary(face: Face | Neutral, at_vertices: Floats, inputs: Inputs) -> Floats32:
-    """How far a face's summary is from that of nothing moved."""
-    return inputs.summary(face.code, at_vertices) - inputs.summary(face.code, inputs.features.unmoved(at_vertices))
+def _moved_summaries(faces: Sequence[Face | Neutral], moves: Sequence[Move], inputs: Inputs) -> Floats32:
+    """How far each face's summary is from that of nothing moved, a row each."""
+    rows = []
+    for face, (at_vertices, *_) in zip(faces, moves, strict=True):
+        unmoved = inputs.features.unmoved(at_vertices)
+        rows.append(inputs.summary(face.code, at_vertices) - inputs.summary(face.code, unmoved))
+    return np.stack(rows)
 
 
 def _first_order(table: Floats32, features: Features, at_vertices: Floats, skin: Floats) -> Floats32:
@@ -457,7 +460,7 @@ def _first_order(table: Floats32, features: Features, at_vertices: Floats, skin:
     return np.einsum("ve,evc->vc", features.effects(at_vertices, skin), table).ravel()
 
 
-def _effects(moves: Sequence[tuple[Floats, Floats, np.ndarray]], features: Features) -> Floats32:
+def _effects(moves: Sequence[Move], features: Features) -> Floats32:
     """What each effect does at each vertex, by ridge regression over faces, shape (EFFECTS, n, 3)."""
     n = len(features.mean.vertices)
     gram, pulled = np.zeros((n, EFFECTS, EFFECTS)), np.zeros((n, EFFECTS, 3))

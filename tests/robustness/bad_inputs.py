@@ -334,7 +334,7 @@ def commands() -> Iterator[Case]:
         yield Case(f"softdeca {' '.join(words)}", lambda w=words: command_ends(w))
 
 
-NOTHING = {"names": "all effects", "reference": "no other solver"}
+NOTHING = {"names": "all effects", "reference": "no other solver", "weights": "those that are shipped"}
 """Texts that may be empty, and what that means: the work would begin, and is not tried."""
 MATCHING = ("no/such.file", "a,b", "é" * 300)
 """What is part of no name; others may be, as "nan" is of another word."""

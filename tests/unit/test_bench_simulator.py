@@ -7,7 +7,7 @@ from softdeca.benchmarks import arap, floor
 from softdeca.benchmarks.costs import timed
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.apart import apart, held_megabytes, peak_megabytes
-from softdeca.benchmarks.studies.throughput import COLD, ITERATION, RATIO, SEQUENCE, WORKER, Throughput
+from softdeca.benchmarks.studies.throughput import COLD, ITERATION, LOCAL_58K, RATIO, SEQUENCE, WORKER, Throughput
 from softdeca.benchmarks.studies.work_precision import (
     ACCURACIES,
     ARAP,
@@ -136,8 +136,8 @@ def cold_row(**changes) -> Row:
     return Row(COLD, "default p", "done", "", {"lines": [line]}, 1.0, None, 0.0, "")
 
 
-def row(case: str, line: dict) -> Row:
-    return Row(case, "PD", "done", "", {"lines": [line]}, 1.0, None, 0.0, "")
+def row(case: str, *lines: dict) -> Row:
+    return Row(case, "PD", "done", "", {"lines": list(lines)}, 1.0, None, 0.0, "")
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,8 @@ def row(case: str, line: dict) -> Row:
         ([row(SEQUENCE, {"solve_s": [0.3], "per_hour": 12000.0, "error_mm": 0.003})], ["median", "warm frames per"]),
         ([row(SEQUENCE, {"solve_s": [0.1], "per_hour": 36000.0, "error_mm": float("nan")})], ["warm frame: largest"]),
         ([row(WORKER, {"value": 601.0})], ["memory of a worker"]),
-        ([row(ITERATION, {"what": RATIO, "value": 2.1})], ["over its floor"]),
+        ([row(ITERATION, {"what": RATIO, "value": 2.1}, {"what": LOCAL_58K, "value": 7.0})], ["over its floor"]),
+        ([row(ITERATION, {"what": RATIO, "value": 1.9}, {"what": LOCAL_58K, "value": 9.0})], ["local step"]),
     ],
 )
 def test_a_miss_of_throughput_is_a_miss(rows, missed):
