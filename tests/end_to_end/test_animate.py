@@ -131,8 +131,10 @@ def test_gaps_of_lids_and_lips_are_drawn(command, tmp_path):
     widths = json.loads((tmp_path / "gaps.json").read_text())["widths_mm"]
     lids = np.array(widths["PD"])[:, 0]
     assert lids[0] - lids[-1] > 2.0, "the blink closes them"
-    network = [row for row in rows if row["method"].startswith("network")]
-    assert all(row["largest"] < 0.5 for row in network)
+    # The network knows level 2, whose simulated lids close .45 mm farther than those of level 1.
+    off = {(row["gap"], row["method"]): row["largest"] for row in rows}
+    plain = {gap: largest for (gap, method), largest in off.items() if method == "blendshapes"}
+    assert all(largest < 0.6 * plain[gap] for (gap, method), largest in off.items() if method != "blendshapes")
     assert (tmp_path / "gaps.png").read_bytes().startswith(b"\x89PNG")
 
 
