@@ -158,11 +158,7 @@ def _processes(workers: int) -> Iterator[Client]:
     """A cluster of this machine that ends at once with the context, whatever runs on it."""
     from distributed import Client, LocalCluster
 
-    # Ctrl-C reaches every process of a terminal, but this one alone decides, and then ends the others. They inherit
-    # that it is blocked; the tracker of resources would unblock it if it began later.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
+    with without_interrupts():
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -172,8 +168,6 @@ def _processes(workers: int) -> Iterator[Client]:
             scheduler_kwargs={"dashboard_address": ":0"},  # its own port, or a second cluster would warn of the first
             silence_logs=logging.CRITICAL,
         )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     with cluster, Client(cluster) as client:
         try:
             yield client
@@ -183,6 +177,21 @@ def _processes(workers: int) -> Iterator[Client]:
                 nanny.auto_restart = False
                 if nanny.pid is not None:
                     os.kill(nanny.pid, signal.SIGKILL)
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Processes that begin within are not reached by Ctrl-C, which goes to every process of a terminal.
+
+    The one that starts them decides, and ends the others. They inherit that it is blocked; the tracker of resources
+    would unblock it if it began later.
+    """
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _short(error: BaseException) -> str:

@@ -72,7 +72,7 @@ class Within:
 
 def within(skin: Surface) -> Within | None:
     """What is drawn in a skin of the default triangles; None in another, of which no eyes and teeth are known."""
-    return _default() if np.array_equal(skin.triangles, anny.load().mean.triangles) else None
+    return _default() if np.array_equal(skin.triangles, _mean().triangles) else None
 
 
 def turned(side: str, weights: Floats | None) -> Floats:
@@ -91,11 +91,16 @@ def linear_light(colours: NDArray[np.uint8]) -> Floats:
 
 
 @cache
+def _mean() -> Surface:
+    return anny.load().mean
+
+
+@cache
 def _default() -> Within:
     data = read_arrays(
         anny.WITHIN, "eyes", "radius", "teeth", "carriers", "counts", of="the default head's eyes and teeth"
     )
-    skin, (ball, faces, colours) = anny.load().mean.vertices, _ball()
+    skin, (ball, faces, colours) = _mean().vertices, _ball()
     groups = np.split(data["carriers"], np.cumsum(data["counts"])[:-1])
     fits = [np.linalg.pinv(np.hstack([skin[ids], np.ones((len(ids), 1))])) for ids in groups]
     ball = ball * float(data["radius"]) * SMALLER
@@ -121,7 +126,10 @@ def _crown() -> tuple[Floats, Ints]:
     """A box of unit size with round edges, in rings about y."""
     up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)
     around = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-    blunt = lambda value: np.sign(value) * np.abs(value) ** BLUNT  # noqa: E731
+
+    def blunt(value: Floats) -> Floats:
+        return np.sign(value) * np.abs(value) ** BLUNT
+
     ring = np.stack(
         [np.outer(blunt(np.cos(up)), blunt(np.cos(around))), np.outer(blunt(np.sin(up)), np.ones(16)),
          np.outer(blunt(np.cos(up)), blunt(np.sin(around)))], axis=2,

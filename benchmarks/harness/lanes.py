@@ -12,7 +12,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -20,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from ...lhm.errors import MissingDependencyError, SoftdecaError
 from ...reference.added import NotModelledError, add_file, added_files
 from ...reference.ranks import followers
+from ...surrogate.schedule import without_interrupts
 from .apart import forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
@@ -82,14 +82,8 @@ class _Lane:
         self._pool = ProcessPoolExecutor(
             1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(added_files(),)
         )
-        # The process begins with its first task, and inherits that Ctrl-C is blocked until it ignores it; the tracker
-        # of resources would unblock it if it began later.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with without_interrupts():  # the process begins with its first task
             return self._pool.submit(_measure, self._study, task)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     @property
     def case(self) -> str:

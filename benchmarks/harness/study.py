@@ -72,8 +72,9 @@ class Study(ABC):
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
-        """What the report shows of a task: one line, unless it answers several questions."""
-        return [values]
+        """What the report shows of a task: one line, or those of its `rows` where it answers several questions."""
+        lines: Sequence[Values] = values.get("rows", [values])
+        return lines
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """What has to hold, as `harness.gates` says it, beside that no row failed."""

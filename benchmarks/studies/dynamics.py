@@ -86,12 +86,6 @@ class Dynamics(OfPerson):
             return {"rows": own_mass(released, self.frames)}
         return shake(released, self.frames)
 
-    @staticmethod
-    def lines(values: Values) -> Sequence[Values]:
-        """A march each."""
-        lines: Sequence[Values] = values["rows"]
-        return lines
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """They agree where they model the same, schemes have their order, and all marches end."""
         found: list[dict] = []

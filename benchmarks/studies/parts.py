@@ -21,14 +21,12 @@ from ...lhm.errors import InputError
 from ...reference import solve, terms
 from ...reference.materials import NeoHookean
 from ..harness.apart import held_megabytes, peak_megabytes
-from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from .ranks import by_mpirun, check_mpirun, counts_of
+from .ranks import agreement, by_mpirun, check_mpirun, counts_of
 
 STRONG, WEAK = "strong", "weak"
 TOLERANCE = 1e-12
-AGREEMENT = 1e-10  # of the largest displacement
 START = "from softdeca.benchmarks.studies.parts import measure_here; measure_here()"
 WRITE = "from softdeca.benchmarks.studies.parts import write_here; write_here()"
 FEWEST = 3000  # unknowns
@@ -81,20 +79,9 @@ class Parts(Study):
         kind, size = task.case.split(", ")
         return {"rows": compared(counts_of(self.processes), int(size.split()[0]), each=kind == WEAK)}
 
-    @staticmethod
-    def lines(values: Values) -> Sequence[Values]:
-        """A count each."""
-        lines: Sequence[Values] = values["rows"]
-        return lines
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All agree and converge."""
-        lines = [line for row in rows for line in row.values["rows"]]
-        what = "distance to one process' answer, of the largest displacement"
-        return [
-            at_most(what, max(line["off"] for line in lines if line["off"] is not None), AGREEMENT),
-            at_most("solves that did not converge", sum(not line["converged"] for line in lines), 0),
-        ]
+        return agreement(rows)
 
     def words(self, rows: Sequence[Row]) -> str:
         """What the most processes gain."""

@@ -91,20 +91,9 @@ class Ranks(OfPerson):
         scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
         return {"rows": compared(neo_hookean_scene(scene) if task.case == NEO_HOOKEAN else scene, self)}
 
-    @staticmethod
-    def lines(values: Values) -> Sequence[Values]:
-        """A count each."""
-        lines: Sequence[Values] = values["rows"]
-        return lines
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All agree and converge."""
-        lines = [line for row in rows for line in row.values["rows"]]
-        what = "distance to one process' answer, of the largest displacement"
-        return [
-            at_most(what, max(line["off"] for line in lines), AGREEMENT),
-            at_most("solves that did not converge", sum(not line["converged"] for line in lines), 0),
-        ]
+        return agreement(rows)
 
     def words(self, rows: Sequence[Row]) -> str:
         """What a whole solve gains."""
@@ -130,6 +119,16 @@ class Ranks(OfPerson):
         axes[0][0].set_ylabel("times as fast as one process")
         figure.tight_layout()
         return {"What several processes gain, phase by phase.": svg(plt, figure)}
+
+
+def agreement(rows: Sequence[Row]) -> list[dict]:
+    """The gates of lines by counts of processes: one answer, where it was compared, and all converged."""
+    lines = [line for row in rows for line in row.values["rows"]]
+    what = "distance to one process' answer, of the largest displacement"
+    return [
+        at_most(what, max(line["off"] for line in lines if line["off"] is not None), AGREEMENT),
+        at_most("solves that did not converge", sum(not line["converged"] for line in lines), 0),
+    ]
 
 
 def compared(scene: Scene, study: Ranks) -> list[dict]:

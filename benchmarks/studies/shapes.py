@@ -56,12 +56,6 @@ class Shapes(OfPerson):
         """A row per shape."""
         return {"rows": shapes_of(self.person(seed=int(task.case.split()[1])))}
 
-    @staticmethod
-    def lines(values: Values) -> Sequence[Values]:
-        """A shape each."""
-        lines: Sequence[Values] = values["rows"]
-        return lines
-
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Few pairs have an inverted tet, and all frames converge."""
         lines = _lines(rows)

@@ -34,54 +34,58 @@ class Modal:
         """
         network, weights = self.weights.network, self.weights
         known = normalised_code(code, weights.code_mean, weights.code_scale)
-        summary = self.features.summary(known, at_vertices)
-        local = self.features.local(at_vertices)
-        hidden = self._hidden(known, local)
+        seen = self._seen(known, at_vertices)
+        settling = self.features.without_palsy(at_vertices)
+        rested = seen if np.array_equal(settling, at_vertices) else self._seen(known, settling)
+        effects = self.features.effects(at_vertices, skin)
+        hidden, summary = seen.hidden, seen.summary
         responses, remainder = (
             (1.0 + _linear(network, "gain_out", hidden, self._rows[part]))[:, :, None] * self._modes[part]
             for part in (2, 3)
         )
-        lag = local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
-        scale = np.float32(1.0 / np.sqrt(3 * len(local)))
+        lag = seen.local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
+        scale = np.float32(1.0 / np.sqrt(3 * len(hidden)))
         return BoundModes(
-            offset=self._offset(known, skin, at_vertices, hidden),
+            offset=self._neutral(0, rested, effects) + self._neutral(1, seen, effects),
             responses=_combined(_response_amplitudes(network, summary) * scale, responses)
             - lag * shapes.astype(np.float32),
             modes=np.ascontiguousarray(remainder.transpose(1, 0, 2)) * scale,
             remainder_of=Remainder.of(network, summary),
         )
 
-    def _hidden(self, known: Floats, local: Floats32) -> Floats32:
-        """What gains follow from, shape (n, wide)."""
-        network = self.weights.network
+    def _seen(self, known: Floats, at_vertices: Floats) -> _Seen:
+        network, features = self.weights.network, self.features
+        local = features.local(at_vertices)
         wide, columns = network["gain_in.weight"], local.shape[1]
         inputs = local @ wide[:, :columns].T + network["position"] @ wide[:, columns:].T
         own = network["gain_code.weight"] @ known.astype(np.float32)
         hidden = _silu(inputs + network["gain_in.bias"] + own)
-        return _silu(_linear(network, "gain_middle", hidden) + hidden)
-
-    def _offset(self, known: Floats, skin: Floats, at_vertices: Floats, hidden: Floats32) -> Floats32:
-        """Both of NEUTRAL [mm], shape (n, 3); `hidden` is that of the face as it is."""
-        features = self.features
-        settling = features.without_palsy(at_vertices)
-        alike = np.array_equal(settling, at_vertices)
-        own = hidden if alike else self._hidden(known, features.local(settling))
-        return self._neutral(0, known, skin, settling, own) + self._neutral(1, known, skin, at_vertices, hidden)
-
-    def _neutral(self, part: int, known: Floats, skin: Floats, at_vertices: Floats, hidden: Floats32) -> Floats32:
-        """One of NEUTRAL [mm], shape (n, 3)."""
-        network, name, features = self.weights.network, NEUTRAL[part], self.features
-        summary = features.summary(known, at_vertices)
+        hidden = _silu(_linear(network, "gain_middle", hidden) + hidden)
         unmoved = features.summary(known, features.unmoved(at_vertices))
+        return _Seen(local, features.summary(known, at_vertices), unmoved, hidden)
+
+    def _neutral(self, part: int, seen: _Seen, effects: Floats32) -> Floats32:
+        """One of NEUTRAL [mm], shape (n, 3)."""
+        network, name, summary, unmoved = self.weights.network, NEUTRAL[part], seen.summary, seen.unmoved
         amplitudes = network[f"{name}_linear.weight"] @ (summary - unmoved)
         amplitudes += (_bent(network, name, summary) - _bent(network, name, unmoved)) * network[f"size_{name}"]
-        amplitudes *= np.float32(1.0 / np.sqrt(3 * len(hidden)))
-        gains = (1.0 + _linear(network, "gain_out", hidden, self._rows[part])) * amplitudes
+        amplitudes *= np.float32(1.0 / np.sqrt(3 * len(seen.hidden)))
+        gains = (1.0 + _linear(network, "gain_out", seen.hidden, self._rows[part])) * amplitudes
         columns = slice(part * EFFECTS, (part + 1) * EFFECTS)
         level = _linear(network, "effect_level.2", _silu(_linear(network, "effect_level.0", summary)), columns)
-        gained = 1.0 + _linear(network, "effect_gain", hidden, columns) + level
-        first = np.einsum("ne,enc->nc", features.effects(at_vertices, skin) * gained, network["effects"][part])
+        gained = 1.0 + _linear(network, "effect_gain", seen.hidden, columns) + level
+        first = np.einsum("ne,enc->nc", effects * gained, network["effects"][part])
         return first + np.einsum("nk,nkc->nc", gains, self._modes[part])
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Features of a face, its summary when unmoved, and what its gains follow from, shape (n, wide)."""
+
+    local: Floats32
+    summary: Floats32
+    unmoved: Floats32
+    hidden: Floats32
 
 
 @dataclass(frozen=True, eq=False)

@@ -395,7 +395,7 @@ def _started(
     features = inputs.features
     moves = [[_settling(face, features) for face in settling], [_relaxing(face, features) for face in known]]
     seen = moves[0] + [_settling(face, features, mirrored=True) for face in settling if features.mirror is not None]
-    effects = np.stack([_effects(some, features) for some in (seen, moves[1])])
+    effects = np.stack([_table(some, features) for some in (seen, moves[1])])
     left = [
         np.stack([move.ravel() - _first_order(table, features, *given) for *given, move in some])
         for table, some in zip(effects, moves, strict=True)
@@ -460,7 +460,7 @@ def _first_order(table: Floats32, features: Features, at_vertices: Floats, skin:
     return np.einsum("ve,evc->vc", features.effects(at_vertices, skin), table).ravel()
 
 
-def _effects(moves: Sequence[Move], features: Features) -> Floats32:
+def _table(moves: Sequence[Move], features: Features) -> Floats32:
     """What each effect does at each vertex, by ridge regression over faces, shape (EFFECTS, n, 3)."""
     n = len(features.mean.vertices)
     gram, pulled = np.zeros((n, EFFECTS, EFFECTS)), np.zeros((n, EFFECTS, 3))
