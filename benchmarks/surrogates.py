@@ -30,9 +30,10 @@ from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
 from ..surrogate.surface_hash import surface_hash
-from . import plots
+from . import corpus_size, plots
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
+from .corpus_size import errors_over_size
 from .surrogate_frames import frames_png
 
 ITERATIONS = (1, 5, 20)
@@ -60,16 +61,19 @@ def compare(
     progress: OnProgress,
     external: Path | None = None,
     simulated: int = 0,
+    curve: Sequence[Path] = (),
 ) -> tuple[list[Score], list[Path]]:
     """Scores of all methods, and the files written.
 
     On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
     FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL, and sequences. On so
     many of the test faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs
-    people whose heads can be fitted, and the default people's network on parameters that it has not seen.
+    people whose heads can be fitted, and the default people's network on parameters that it has not seen. `curve`:
+    weights by `train --share`, see `corpus_size`.
     """
     network = Surrogate.load(surrogate)
     test = faces_of(corpus, "test", partial, network)
+    grown = errors_over_size(corpus, curve, test, progress) if curve else []
     elsewhere = None if external is None else faces_of(external, None, partial, network)
     ready = [make(network.weights) for make in READY.values()]
     content = read_manifest(corpus)["content"]
@@ -99,13 +103,18 @@ def compare(
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:
         found = {"scores": [asdict(score) for score in scores], "breakeven": None if paid is None else asdict(paid)}
-        path.write_text(json.dumps(found, indent=1))
+        path.write_text(json.dumps(found | ({"curve": [asdict(one) for one in grown]} if grown else {}), indent=1))
     with replaced(written[1]) as path:
-        path.write_text(table(scores) + ("" if paid is None else "\n" + told(paid)))
+        parts = [table(scores), "" if paid is None else told(paid), corpus_size.table(grown) if grown else ""]
+        path.write_text("\n".join(part for part in parts if part))
     with replaced(written[2]) as path:
         path.write_bytes(plots.error_against_cost([score for score in scores if score.kind == "all"]))
     with replaced(written[3]) as path:
         path.write_bytes(frames_png(corpus, network.weights, partial=partial, progress=progress))
+    if grown:
+        written.append(out / "curve.png")
+        with replaced(written[-1]) as path:
+            path.write_bytes(corpus_size.picture(grown))
     return scores, written
 
 

@@ -123,6 +123,12 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     default=0,
     help="faces on which rivals that simulate run, too, and unseen parameters: minutes",
 )
+@click.option(
+    "--curve",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="weights of `train --share`, one option each: errors over the corpus' size",
+)
 @click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
 @click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
 @click.option("--json", "as_json", is_flag=True, help="print the scores as JSON")
@@ -132,6 +138,7 @@ def evaluate(
     external: Path | None,
     rivals: bool,
     simulated: int,
+    curve: tuple[Path, ...],
     partial: bool,
     out: Path,
     as_json: bool,
@@ -142,7 +149,8 @@ def evaluate(
     against FEniCSx, both laws, where CORPUS has its answers.
 
     Writes OUT/scores.json, scores.md with the frames and faces after which training has paid, error against the cost
-    at bind and per frame as cost.png, and six frames with their errors as frames.png.
+    at bind and per frame as cost.png, and six frames with their errors as frames.png; with --curve, errors over the
+    number of people trained on as curve.png.
     """
     from ..benchmarks.surrogates import compare
 
@@ -156,6 +164,7 @@ def evaluate(
             partial=partial,
             external=external,
             simulated=simulated,
+            curve=curve,
             progress=progress,
         )
     if as_json:

@@ -6,6 +6,7 @@ The paper's own list and ranges are not public; these are reconstructed, and eac
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -194,6 +195,7 @@ class Parameters:
         return np.array([getattr(self, f"{bone}_scale_{axis}") for axis in "xyz"])
 
     @classmethod
+    @cache
     def infos(cls) -> tuple[ParameterInfo, ...]:
         """Default, range and unit of every parameter, in the order of `vector`."""
         return tuple(ParameterInfo(name=f.name, default=float(f.default), **f.metadata) for f in fields(cls))  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg.blas import ssyrk
 
 from ..usual import usual_expressions
 from .rig import BoundModes
@@ -20,8 +21,8 @@ def compressed(bound: BoundModes) -> BoundModes:
     flat = bound.modes.reshape(len(bound.modes), -1)
     second = amplitudes.T @ amplitudes / len(amplitudes)
     # Of the two Gram matrices, since components of amplitudes · modes are wanted and modes are not orthogonal.
-    gram = (flat @ flat.copy().T).astype(np.float64)  # of one array BLAS makes a slower product
-    size, turn = np.linalg.eigh(gram)
+    gram = ssyrk(1.0, flat.T, trans=1).astype(np.float64)  # its upper triangle, in a third of a product's time
+    size, turn = np.linalg.eigh(gram, UPLO="U")
     root = turn * np.sqrt(np.maximum(size, 1e-12 * size[-1]))
     power, vectors = np.linalg.eigh(root.T @ second @ root)
     tail = np.cumsum(np.maximum(power, 0.0)) / bound.modes.shape[1]

@@ -21,11 +21,12 @@ class Modal:
     def __init__(self, weights: ModalWeights):
         self.weights = weights
         self.features = Features(weights.mean)
-        modes = (weights.network[f"modes.{k}"] for k in range(4))
-        self._modes: list[Floats32] = [np.ascontiguousarray(part.transpose(1, 0, 2)) for part in modes]  # (n, k, 3)
-        begins = np.cumsum([0, *(part.shape[1] for part in self._modes)])
+        network = weights.network
+        self._modes: list[Floats32] = [np.ascontiguousarray(network[f"modes.{k}"]) for k in range(4)]  # (k, n, 3)
+        begins = np.cumsum([0, *(len(part) for part in self._modes)])
         self._rows = [slice(int(first), int(last)) for first, last in pairwise(begins)]
         """Of each part among all gains."""
+        self._of_place = network["position"] @ self._wide[:, self.features.local_size :].T + network["gain_in.bias"]
 
     def bound(self, code: Floats, skin: Floats, at_vertices: Floats, shapes: np.ndarray) -> BoundModes:
         """Offset, responses and remainder of a person (c,) under parameters mapped to [-1, 1] at vertices (n, P).
@@ -39,27 +40,35 @@ class Modal:
         rested = seen if np.array_equal(settling, at_vertices) else self._seen(known, settling)
         effects = self.features.effects(at_vertices, skin)
         hidden, summary = seen.hidden, seen.summary
-        responses, remainder = (
-            (1.0 + _linear(network, "gain_out", hidden, self._rows[part]))[:, :, None] * self._modes[part]
-            for part in (2, 3)
-        )
-        lag = seen.local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
         scale = np.float32(1.0 / np.sqrt(3 * len(hidden)))
+        responses, remainder = (_gained(self._gains(part, hidden), self._modes[part], scale) for part in (2, 3))
+        lag = seen.local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
+        amplitudes = _response_amplitudes(network, summary)
+        moved = (amplitudes @ responses.reshape(len(responses), -1)).reshape(-1, *skin.shape)
+        _subtract_lag(moved, lag[:, 0], shapes)
         return BoundModes(
             offset=self._neutral(0, rested, effects) + self._neutral(1, seen, effects),
-            responses=_combined(_response_amplitudes(network, summary) * scale, responses)
-            - lag * shapes.astype(np.float32),
-            modes=np.ascontiguousarray(remainder.transpose(1, 0, 2)) * scale,
+            responses=moved,
+            modes=remainder,
             remainder_of=Remainder.of(network, summary),
         )
+
+    @property
+    def _wide(self) -> Floats32:
+        return self.weights.network["gain_in.weight"]
+
+    def _gains(self, part: int, hidden: Floats32) -> Floats32:
+        """By how much more than once a part's modes count at each vertex, shape (k, n)."""
+        network, rows = self.weights.network, self._rows[part]
+        gains: Floats32 = network["gain_out.weight"][rows] @ hidden.T
+        gains += network["gain_out.bias"][rows, None]
+        return gains
 
     def _seen(self, known: Floats, at_vertices: Floats) -> _Seen:
         network, features = self.weights.network, self.features
         local = features.local(at_vertices)
-        wide, columns = network["gain_in.weight"], local.shape[1]
-        inputs = local @ wide[:, :columns].T + network["position"] @ wide[:, columns:].T
         own = network["gain_code.weight"] @ known.astype(np.float32)
-        hidden = _silu(inputs + network["gain_in.bias"] + own)
+        hidden = _silu(local @ self._wide[:, : local.shape[1]].T + self._of_place + own)
         hidden = _silu(_linear(network, "gain_middle", hidden) + hidden)
         unmoved = features.summary(known, features.unmoved(at_vertices))
         return _Seen(local, features.summary(known, at_vertices), unmoved, hidden)
@@ -70,12 +79,11 @@ class Modal:
         amplitudes = network[f"{name}_linear.weight"] @ (summary - unmoved)
         amplitudes += (_bent(network, name, summary) - _bent(network, name, unmoved)) * network[f"size_{name}"]
         amplitudes *= np.float32(1.0 / np.sqrt(3 * len(seen.hidden)))
-        gains = (1.0 + _linear(network, "gain_out", seen.hidden, self._rows[part])) * amplitudes
         columns = slice(part * EFFECTS, (part + 1) * EFFECTS)
         level = _linear(network, "effect_level.2", _silu(_linear(network, "effect_level.0", summary)), columns)
         gained = 1.0 + _linear(network, "effect_gain", seen.hidden, columns) + level
         first = np.einsum("ne,enc->nc", effects * gained, network["effects"][part])
-        return first + np.einsum("nk,nkc->nc", gains, self._modes[part])
+        return first + _gained_sum(amplitudes, self._gains(part, seen.hidden), self._modes[part])
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,18 +171,45 @@ def _response_amplitudes(network, summary: Floats32) -> Floats32:
     return network["response_table"] * np.exp(_linear(network, "response_gain", hidden)) + mixed
 
 
-def _combined(amplitudes: Floats32, modes: Floats32) -> Floats32:
-    """Σ_k a_jk B_k, shape (j, n, 3), of modes (n, k, 3)."""
-    flat = np.ascontiguousarray(modes.transpose(1, 0, 2)).reshape(modes.shape[1], -1)
-    return (amplitudes @ flat).reshape(len(amplitudes), -1, 3)
-
-
 def _linear(network, layer: str, values, rows: slice = EVERY):
     return values @ network[f"{layer}.weight"][rows].T + network[f"{layer}.bias"][rows]
 
 
 def _silu(values):
     return values / (1.0 + np.exp(-values))
+
+
+@numba.njit(cache=True, fastmath=True)
+def _gained(gains, modes, scale):
+    """Modes times their gains, s (1 + g_kv) B_kv, shape (k, n, 3), of gains (k, n) and modes (k, n, 3)."""
+    found = np.empty_like(modes)
+    for k in range(len(modes)):
+        for v in range(modes.shape[1]):
+            gain = scale * (np.float32(1.0) + gains[k, v])
+            for c in range(3):
+                found[k, v, c] = gain * modes[k, v, c]
+    return found
+
+
+@numba.njit(cache=True, fastmath=True)
+def _gained_sum(amplitudes, gains, modes):
+    """Σ_k a_k (1 + g_kv) B_kv, shape (n, 3), of gains (k, n) and modes (k, n, 3)."""
+    found = np.zeros(modes.shape[1:], dtype=modes.dtype)
+    for k in range(len(modes)):
+        for v in range(modes.shape[1]):
+            gain = amplitudes[k] * (np.float32(1.0) + gains[k, v])
+            for c in range(3):
+                found[v, c] += gain * modes[k, v, c]
+    return found
+
+
+@numba.njit(cache=True, fastmath=True)
+def _subtract_lag(moved, lag, shapes):
+    """Take the share of each vertex (n,) in shapes (52, n, 3) from what they move, in place."""
+    for j in range(len(moved)):
+        for v in range(len(lag)):
+            for c in range(3):
+                moved[j, v, c] -= lag[v] * shapes[j, v, c]
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -58,6 +58,23 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert "<svg" in (tmp_path / "study" / "index.html").read_text()
 
 
+def test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares(command, corpus, tmp_path):
+    shares = {"0.92": tmp_path / "few", "1.0": tmp_path / "all"}
+    for share, out in shares.items():
+        assert command("train", corpus, "--share", share, "--out", out, "--steps", "4").status == 0
+    few, every = (out / "modal.safetensors" for out in shares.values())
+    given = ("evaluate", corpus, "--surrogate", every, "--out", tmp_path / "scores")
+    ended = command(*given, "--curve", every, "--curve", few)
+    assert ended.status == 0 and (tmp_path / "scores" / "curve.png").read_bytes().startswith(b"\x89PNG")
+    curve = json.loads((tmp_path / "scores" / "scores.json").read_text())["curve"]
+    people = [point["people"] for point in curve]
+    assert people == sorted(people) and people[0] < people[1] <= 11
+    assert all(0.0 < point[name] < 10.0 for point in curve for name in ("unseen", "seen"))
+    assert "| of seen ones |" in (tmp_path / "scores" / "scores.md").read_text()
+    alone = command(*given, "--curve", few)
+    assert alone.status != 0 and "different numbers of people" in alone.errors[0]
+
+
 def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):
     ended = command("train", corpus, "--network", "paper", "--out", tmp_path, "--steps", "4")
     assert ended.status == 0 and (tmp_path / "paper.npz").is_file()

@@ -1,0 +1,79 @@
+"""Errors over the size of a corpus: of networks that learned from more and more of its people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..lhm.errors import InputError
+from ..lhm.progress import OnProgress
+from ..surrogate import Surrogate
+from ..surrogate.evaluate import evaluate
+from ..surrogate.modal.faces import Faces
+from ..surrogate.rivals.modal import ModalMethod
+from ..surrogate.surface_hash import surface_hash
+from . import plots
+
+SEEN = 24
+"""Training faces, of people that all networks know, on which each is tried, too."""
+
+
+@dataclass(frozen=True)
+class Grown:
+    """A network by what it was trained on, and its share of the error of T = S on unseen people, and on seen ones."""
+
+    people: int
+    faces: int
+    steps: int
+    unseen: float
+    seen: float
+
+
+def errors_over_size(corpus: Path, weights: Sequence[Path], test: Faces, progress: OnProgress) -> list[Grown]:
+    """One of each weights file of `softdeca train --share`, fewest people first.
+
+    Where the share of seen people stays far below that of unseen ones, more people help; where both are level, another
+    form would. InputError for weights of another mesh, and for fewer than two of them.
+    """
+    networks = sorted((Surrogate.load(path).weights for path in weights), key=lambda one: one.note.people)
+    if len(networks) < 2 or networks[0].note.people == networks[-1].note.people:
+        raise InputError("curve: two weights at least, trained on different numbers of people")
+    if any(one.template != surface_hash(test.mean) for one in networks):
+        raise InputError("curve: weights of another mean skin than the corpus'")
+    training = Faces(corpus, "train", partial=True)
+    known = training.groups[:, 0]
+    rows = np.flatnonzero(np.isin(known, np.unique(known)[: networks[0].note.people]))
+    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
+    found = []
+    for number, one in enumerate(networks):
+        of_unseen, of_seen = evaluate([ModalMethod(one)], test), evaluate([ModalMethod(one)], training, chosen=chosen)
+        note = one.note
+        found.append(Grown(note.people, note.faces, note.steps, of_unseen[0].share, of_seen[0].share))
+        progress(f"curve: {note.people} people", (number + 1) / len(networks))
+    return found
+
+
+def table(found: Sequence[Grown]) -> str:
+    """The curve as a Markdown table."""
+    lines = ["| people | faces | steps | error of unseen people [% of T = S] | of seen ones |", "|---|---|---|---|---|"]
+    lines += [f"| {f.people} | {f.faces} | {f.steps} | {100 * f.unseen:.1f} | {100 * f.seen:.1f} |" for f in found]
+    return "\n".join(lines) + "\n"
+
+
+def picture(found: Sequence[Grown]) -> bytes:
+    """The curve as PNG."""
+    plt = plots.pyplot()
+    figure, axis = plt.subplots(figsize=(6, 3.4))
+    people = [f.people for f in found]
+    axis.plot(people, [100 * f.unseen for f in found], "o-", label="people that it has not seen")
+    axis.plot(people, [100 * f.seen for f in found], "s--", label="people that it has learned from")
+    axis.set(xlabel="people in training", ylabel="error [% of T = S]", xscale="log", ylim=(0.0, None))
+    axis.set_xticks(people, [str(count) for count in people], minor=False)
+    axis.minorticks_off()
+    axis.grid(alpha=0.25)
+    axis.legend(frameon=False)
+    figure.tight_layout()
+    return plots.png(plt, figure)
