@@ -160,5 +160,7 @@ def _tangent_of(
         return prepared, near, tangent
     answer = prepared.solve(start=near.positions, absolute=accuracy * norm, metric=tangent, untangle=False)
     if answer.iterations:
-        tangent = prepared.tangent(answer, like=tangent)
+        pattern = tangent.pattern
+        del tangent  # before another factor is made: each is an eighth of a gigabyte
+        tangent = prepared.tangent(answer, like=pattern)
     return prepared, answer, tangent

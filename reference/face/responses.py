@@ -6,7 +6,7 @@ What p does to the gradient is a difference quotient of scenes, which costs two 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Protocol
 
@@ -30,8 +30,8 @@ class Tangent(Protocol):
         """How vertices move where the first Target's positions do."""
         ...
 
-    def of_scenes(self, changes: Sequence[Sequence[tuple[Scene, float]]]) -> Floats:
-        """How vertices move where the scene changes by difference quotients."""
+    def of_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
+        """How vertices move where the scene changes by difference quotients, each scene let go when it has served."""
         ...
 
 
@@ -61,15 +61,13 @@ def parameter_responses(
     At an end of a parameter's range the quotient is one-sided, of second order. Raises InputError for an unknown
     parameter, and for a direction along which it cannot vary within its range.
     """
-    changes = []
-    for name, direction in along.items():
+
+    def change(name: str, direction: float | Floats) -> Iterator[tuple[Scene, float]]:
         moving = None if drift is None else drift.get(name)
-        changes.append(
-            [
-                (scene_at(changed, targets if moving is None else targets + t * moving), weight)
-                for t, weight, changed in _quotient(parameters, name, direction)
-            ]
-        )
+        for t, weight, changed in _quotient(parameters, name, direction):
+            yield scene_at(changed, targets if moving is None else targets + t * moving), weight
+
+    changes = (change(name, direction) for name, direction in along.items())
     return dict(zip(along, tangent.of_scenes(changes), strict=True))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,22 +142,26 @@ class Tangent:
             right[:, k] = self.coordinates.pull(force, self.place)
         return np.stack([self._moved(step) for step in self.solve(right).T])
 
-    def of_scenes(self, changes: Sequence[Sequence[tuple[Scene, float]]]) -> Floats:
+    def of_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
         """How vertices move, shape (k, n, 3), where the scene changes; by implicit differentiation.
 
         Each change is a difference quotient: scenes near by, each with its weight [1/unit of the change], such as
         ((ahead, 1/(2h)), (behind, -1/(2h))). They may differ in all numbers, also in what is Fixed and in bodies' rest,
         but not in vertices, tets and what is held; SceneError says where they do.
         """
-        right = np.zeros((self.coordinates.size, len(changes)))
-        base = np.zeros((len(changes), *self.place.u.shape))
-        for k, change in enumerate(changes):
+        right, base = [], []
+        for change in changes:
+            force, carried = np.zeros(self.coordinates.size), np.zeros_like(self.place.u)
             for scene, weight in change:
                 gradient, u = self._gradient_in(scene)
-                right[:, k] -= weight * gradient
-                base[k] += weight * (u - self.place.u)
-        steps = self.solve(right) if len(changes) else right
-        return base + np.reshape([self._moved(step) for step in steps.T], base.shape)
+                force -= weight * gradient
+                carried += weight * (u - self.place.u)
+            right.append(force)
+            base.append(carried)
+        if not right:
+            return np.zeros((0, *self.place.u.shape))
+        steps = self.solve(np.stack(right, axis=1))
+        return np.stack([carried + self._moved(step) for carried, step in zip(base, steps.T, strict=True)])
 
     def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
         """Gradient [mN] over the unknowns in another scene, and the displacement [mm], where the unknowns stay."""

@@ -17,7 +17,7 @@ from ...lhm.errors import InputError
 from ...lhm.expressions.recordings import Recording, recordings, starts
 from ...lhm.expressions.take import Take
 from ...lhm.files.toml_file import read_toml
-from ...lhm.mesh import Floats
+from ...lhm.mesh import Floats32
 from .mixture import KINDS, ParameterSet, draw
 
 Split = Literal["train", "test"]
@@ -205,9 +205,9 @@ class CorpusPlan:
         """What travels to another process: the fields; what is derived is derived again there."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
-    def weights(self, static: Static) -> Floats:
+    def weights(self, static: Static) -> Floats32:
         """ARKit weights of a static frame, shape (52,)."""
-        return np.array(self.take(static.recording).weights[static.frame])
+        return self.take(static.recording).weights[static.frame].astype(np.float32)
 
     def to_json(self) -> str:
         """The plan and its recordings as one line of JSON; where takes lie does not count, what is in them does."""

@@ -133,7 +133,7 @@ def _simulate(
 ):
     """Fill in what the plan asks of a person's k-th group."""
     statics = [plan.static(identity, k * plan.frames + frame) for frame in range(plan.frames)]
-    one.frames = [(static, plan.weights(static).astype(np.float32)) for static in statics]
+    one.frames = [(static, plan.weights(static)) for static in statics]
     with clock("statics"):
         for _, weights in one.frames:
             one.answers.append(Answer.failed(one.failure, person.skin) if group is None else group.static(weights))
