@@ -40,7 +40,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert {"network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)"} < methods
     kept = json.loads((scores / "scores.json").read_text())
     assert len(methods) == 12 and rows == kept["scores"] and kept["breakeven"]["training"] > 0
-    assert (scores / "scores.md").read_text().count("\n") == len(rows) + 4
+    assert (scores / "scores.md").read_text().count("\n") == len(rows) + 6
     assert (scores / "cost.png").read_bytes().startswith(b"\x89PNG")
     # The study of the same gives the same figures; so little training beats nothing, which is told.
     study = command(
