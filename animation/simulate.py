@@ -70,7 +70,7 @@ def run_take(
         store = TakeStore(config.out, _manifest(config, head, deltas, take, parameters))
         neutral, reason = _neutral(config, head, parameters, store, progress)
         _simulate(config, neutral, deltas, take, store, progress)
-        log = list(store.log())
+        log = store.log()
         # The wrap ends below the neck: of a bust it is the head.
         framed = head.skin_wrap.vertices
         played = Played(head.skin, deltas, pivot(head), framed, take, lambda numbers: map(store.moved, numbers))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.errors import InputError
-from ..lhm.files.atomic import replaced, write_whole
+from ..lhm.files.atomic import write_whole
 from ..lhm.files.npz import read_arrays, write_arrays
+from ..lhm.files.resumable import Records, check_same
 from ..reference.face.sequence import State
 
 STATE = ("positions", "sought", "before", "drift", "turns")
@@ -39,17 +40,9 @@ class TakeStore:
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]):
-        self.folder, self._manifest = folder, dict(manifest)
-        found = self._read_manifest()
-        for key, value in self._manifest.items():
-            if found is not None and found.get(key) != value:
-                raise InputError(
-                    f"{folder}: holds a take with another {key} ({found.get(key)}, asked for {value}); "
-                    "give another --out or remove it"
-                )
-        if found is None:
-            with replaced(folder / "take.json") as temporary:
-                temporary.write_text(json.dumps(self._manifest, indent=1))
+        self.folder, self._log = folder, Records(folder / "log.jsonl")
+        if not check_same(folder / "take.json", "take", manifest):
+            write_whole(folder / "take.json", json.dumps(dict(manifest), indent=1).encode())
 
     def done(self) -> tuple[int, State | None]:
         """How many frames are done, and the state after them; the log is cut to these.
@@ -63,11 +56,10 @@ class TakeStore:
                 self.moved(number)
         except InputError:
             count, state = 0, None
-        lines = self._lines()[:count]
-        if len(lines) < count:
-            count, state, lines = 0, None, []
-        with replaced(self.folder / "log.jsonl") as temporary:
-            temporary.write_text("".join(lines))
+        records = {record.get("frame"): record for record in self._log.read()}
+        if not records.keys() >= set(range(count)):
+            count, state = 0, None
+        self._log.keep(records[number] for number in range(count))
         return count, state
 
     def neutral(self) -> dict[str, np.ndarray] | None:
@@ -82,13 +74,12 @@ class TakeStore:
         write_arrays(self.folder / "neutral.npz", {name: arrays[name] for name in NEUTRAL})
 
     def add(self, number: int, moved: NDArray[np.float32], record: Mapping[str, Any], state: State) -> None:
-        """Write frame `number` (they come in order), its line of the log, and the state after it."""
+        """Write frame `number` (they come in order), its line of the log, and the state after it.
+
+        `record` has the number as "frame".
+        """
         write_arrays(self._path(number), {"moved": moved})
-        try:
-            with open(self.folder / "log.jsonl", "a", encoding="utf-8") as log:
-                log.write(json.dumps(record, allow_nan=False) + "\n")
-        except OSError as error:
-            raise InputError(f"{self.folder / 'log.jsonl'}: cannot be written ({error.strerror})") from None
+        self._log.add(record)
         buffer = io.BytesIO()
         np.savez(buffer, frames=np.int64(number + 1), **{name: getattr(state, name) for name in STATE})
         write_whole(self.folder / "state.npz", buffer.getvalue())
@@ -97,38 +88,9 @@ class TakeStore:
         """A frame's skin less its neutral [mm], shape (n, 3); InputError if it is missing or damaged."""
         return read_arrays(self._path(number), "moved", of="a frame of a take")["moved"]
 
-    def log(self) -> Iterator[dict[str, Any]]:
+    def log(self) -> list[dict[str, Any]]:
         """The log's lines, in the frames' order."""
-        return map(json.loads, self._lines())
+        return self._log.read()
 
     def _path(self, number: int) -> Path:
         return self.folder / "frames" / f"{number:06d}.npz"
-
-    def _lines(self) -> list[str]:
-        """The log's whole lines; those from the first damaged one on are left out."""
-        try:
-            lines = (self.folder / "log.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
-        except (OSError, UnicodeDecodeError):
-            return []
-        whole = []
-        for line in lines:
-            try:
-                json.loads(line)
-            except ValueError:
-                break
-            if not line.endswith("\n"):
-                break
-            whole.append(line)
-        return whole
-
-    def _read_manifest(self) -> dict[str, Any] | None:
-        path = self.folder / "take.json"
-        if not path.exists():
-            return None
-        try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            manifest = None
-        if not isinstance(manifest, dict):
-            raise InputError(f"{path}: damaged, or no take of softdeca; give another --out") from None
-        return manifest

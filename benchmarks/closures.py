@@ -124,15 +124,12 @@ def closures(
 
 
 def _curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -> bytes:
-    plt = plots.pyplot()
-    figure, axes = plt.subplots(len(openings), 1, figsize=(9, 2.4 * len(openings)), sharex=True)
+    figure, axes = plots.subplots(len(openings), 1, figsize=(9, 2.4 * len(openings)), sharex=True)
     styles = {"blendshapes": ":", TRUTH: "-", "network": "--"}
     for k, (axis, gap) in enumerate(zip(axes, openings, strict=True)):
         for name, values in widths.items():
             axis.plot(times, values[:, k], styles.get(name, "-."), label=name, lw=2.2 if name == TRUTH else 1.2)
         axis.set_ylabel(f"{gap.name} [mm]")
-        axis.grid(alpha=0.25)
-    axes[0].legend(frameon=False, ncols=4, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     axes[-1].set_xlabel("time [s]")
-    figure.tight_layout()
-    return plots.png(plt, figure)
+    return plots.png(figure)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.mesh import Floats, Surface
 from ..lhm.progress import OnProgress
 from ..surrogate.corpus.group import UNDIFFERENTIATED
 from ..surrogate.corpus.mixture import NAMES
@@ -25,24 +26,36 @@ FACE_HEIGHT = 0.86
 
 def contact_sheet(folder: Path, count: int, seed: int, on_progress: OnProgress) -> bytes:
     """A picture of `count` accepted static frames of both splits, chosen by `seed`, two to a line."""
-    from PIL import Image
-
     tables = [Table(folder, "statics", split, partial=True) for split in SPLITS]
     choices = [(table, row) for table in tables for row in range(len(table))]
     chosen = np.random.default_rng(seed).choice(len(choices), min(count, len(choices)), replace=False)
-    images = []
+    frames = []
     for done, number in enumerate(chosen):
         table, row = choices[number]
-        images.append(Image.open(io.BytesIO(_frame(table, table[row]))).convert("RGB"))
+        frames.append(_frame(table, table[row]))
         on_progress("pictures", (done + 1) / len(chosen))
-    width, height = max(i.width for i in images), max(i.height for i in images)
-    lines = -(-len(images) // 2)
-    sheet = Image.new("RGB", (2 * width, lines * height), "white")
+    return sheet(frames, 2)
+
+
+def sheet(pictures: Sequence[bytes], columns: int) -> bytes:
+    """PNG pictures in lines of so many, as PNG."""
+    from PIL import Image
+
+    images = [Image.open(io.BytesIO(picture)) for picture in pictures]
+    width, height = max(image.width for image in images), max(image.height for image in images)
+    whole = Image.new("RGB", (columns * width, -(-len(images) // columns) * height), "white")
     for number, image in enumerate(images):
-        sheet.paste(image, ((number % 2) * width, (number // 2) * height))
+        whole.paste(image, (number % columns * width, number // columns * height))
     buffer = io.BytesIO()
-    sheet.save(buffer, "PNG")
+    whole.save(buffer, "PNG")
     return buffer.getvalue()
+
+
+def face_strip(panels: Sequence[Panel], skin: Surface, weights: Floats, size: int) -> bytes:
+    """Panels side by side, framed as the face of a neutral skin, whose eyes the weights (52,) turn. PNG."""
+    y = skin.vertices[:, 1]
+    framed: Floats = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
+    return strip([replace(panel, weights=weights) for panel in panels], size=size, framed=framed)
 
 
 def _frame(table: Table, row: Row) -> bytes:
@@ -58,10 +71,7 @@ def _frame(table: Table, row: Row) -> bytes:
         Panel(f"T  {row['kind'].decode()}", skin.with_vertices(blended + corrected)),
         Panel(_largest(row), skin.with_vertices(blended + corrected), distance, top),
     ]
-    y = skin.vertices[:, 1]
-    framed: Floats = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
-    gazed = [replace(panel, weights=row["weights"]) for panel in panels]
-    return strip(gazed, size=SIZE, framed=framed)
+    return face_strip(panels, skin, row["weights"], SIZE)
 
 
 def _largest(row: Row) -> str:

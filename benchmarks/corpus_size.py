@@ -16,6 +16,7 @@ from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.surface_hash import surface_hash
 from . import plots
+from .harness.study import Table
 
 SEEN = 24
 """Training faces, of people that all networks know, on which each is tried, too."""
@@ -56,24 +57,21 @@ def errors_over_size(corpus: Path, weights: Sequence[Path], test: Faces, progres
     return found
 
 
-def table(found: Sequence[Grown]) -> str:
-    """The curve as a Markdown table."""
-    lines = ["| people | faces | steps | error of unseen people [% of T = S] | of seen ones |", "|---|---|---|---|---|"]
-    lines += [f"| {f.people} | {f.faces} | {f.steps} | {100 * f.unseen:.1f} | {100 * f.seen:.1f} |" for f in found]
-    return "\n".join(lines) + "\n"
+def table(found: Sequence[Grown]) -> Table:
+    """The curve, a line per network."""
+    head = ["people", "faces", "steps", "error of unseen people [% of T = S]", "of seen ones"]
+    lines = [(f.people, f.faces, f.steps, 100.0 * f.unseen, 100.0 * f.seen) for f in found]
+    return Table("Error over the number of people trained on", head, lines)
 
 
 def picture(found: Sequence[Grown]) -> bytes:
     """The curve as PNG."""
-    plt = plots.pyplot()
-    figure, axis = plt.subplots(figsize=(6, 3.4))
+    figure, axis = plots.subplots(figsize=(6, 3.4))
     people = [f.people for f in found]
-    axis.plot(people, [100 * f.unseen for f in found], "o-", label="people that it has not seen")
-    axis.plot(people, [100 * f.seen for f in found], "s--", label="people that it has learned from")
+    axis.plot(people, [100.0 * f.unseen for f in found], "o-", label="people that it has not seen")
+    axis.plot(people, [100.0 * f.seen for f in found], "s--", label="people that it has learned from")
     axis.set(xlabel="people in training", ylabel="error [% of T = S]", xscale="log", ylim=(0.0, None))
-    axis.set_xticks(people, [str(count) for count in people], minor=False)
+    axis.set_xticks(people, [str(count) for count in people])
     axis.minorticks_off()
-    axis.grid(alpha=0.25)
-    axis.legend(frameon=False)
-    figure.tight_layout()
-    return plots.png(plt, figure)
+    axis.legend()
+    return plots.png(figure)

@@ -14,7 +14,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, facial_scene, solve
 from ..viewer.pictures import MUSCLE, SOFT, VIEW, coloured, cut_away, views
-from .plots import png, pyplot
+from .plots import png, subplots
 
 FRONT, SIDE = (0.0, 0.05, 1.0), (1.0, 0.05, 0.15)
 VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
@@ -61,13 +61,12 @@ def head_pictures(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = No
 
 def sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
     """The tissue [mm] in the mid-plane, and in the horizontal plane between the lips; the skin as a line."""
-    plt = pyplot()
     rest = head.skin_wrap.vertices
     mouth = head.regions.get("lips", np.ones(len(rest), bool))
     wrap = positions[: len(rest)]
     middle = 0.5 * (wrap[:, 0].min() + wrap[:, 0].max())
     height = float(np.median(wrap[mouth, 1]))
-    figure, axes = plt.subplots(1, 2, figsize=(13, 7.2), width_ratios=(1, 1))
+    figure, axes = subplots(1, 2, figsize=(13, 7.2), width_ratios=(1, 1))
     planes = (
         (0, middle, (2, 1), "mid-plane", "z, forward [mm]", "y, up [mm]"),
         (
@@ -89,10 +88,8 @@ def sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
         axis.set_aspect("equal")
         axis.set_title(title, fontsize=11)
         axis.set(xlabel=x_label, ylabel=y_label)
-        axis.grid(alpha=0.25)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncol=3, frameon=False)
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
-    return png(plt, figure)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncol=3)
+    return png(figure)
 
 
 def _polygons(pieces: Sequence[Floats], colour: str, label: str):

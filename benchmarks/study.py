@@ -15,7 +15,7 @@ from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.schedule import processors, schedule
-from .harness import Results, Study, run
+from .harness import Asked, Results, Study, run_together
 from .harness.report import Made, write
 from .harness.runner import Only
 from .studies.agreement import Agreement
@@ -33,37 +33,33 @@ PLAN = PRESETS["study"]
 """Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """A study of the main one, and the part of names that its tasks must have."""
-
-    study: Study
-    match: str = ""
-
-
-def parts(agreement: Agreement, corpus: Path) -> Sequence[Part]:
-    """The studies, in the order in which they are run: what is compared of a head first, what is timed last.
+def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Asked]:
+    """The studies, each with its folder of `out`, in the order in which they are run: what is timed comes last.
 
     Where no network knows the people of `agreement`, those of the surrogate are left out; `corpus` is what it is
     tested on.
     """
     whose, learned = agreement.identities, agreement.network() is not None
-    found = [
-        Part(agreement),
-        Part(Verification()),
-        Part(Hard(solvers=("projective",))),
-        Part(Material(poisson=("0.45",))),
-        Part(Effects(identities=whose, effects=("bells-palsy", "weight-40"))),
+    found: list[tuple[Study, str]] = [
+        (agreement, ""),
+        (Verification(), ""),
+        (Hard(solvers=("projective",)), ""),
+        (Material(poisson=("0.45",)), ""),
+        (Effects(identities=whose, effects=("bells-palsy", "weight-40")), ""),
     ]
-    if learned:
-        found.append(Part(SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all")))
     if learned and not agreement.weights:
         frames = ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
-        found.append(Part(Split(identities=whose, expressions=frames, effects=("defaults", "40 % more soft tissue"))))
-    found.append(Part(Throughput(identities=whose), ITERATION))
+        split = Split(identities=whose, expressions=frames, effects=("defaults", "40 % more soft tissue"))
+        found.append((split, ""))
+    if learned:
+        found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
     # Of the face's energy, and of what has learned it; not of ARAP's.
     timed = "the face's energy" if learned else FACE
-    return [*found, Part(WorkPrecision(identities=whose, expressions=("jawOpen",)), timed)]
+    found += [
+        (Throughput(identities=whose), ITERATION),
+        (WorkPrecision(identities=whose, expressions=("jawOpen",)), timed),
+    ]
+    return [Asked(study, out / study.name, match) for study, match in found]
 
 
 @dataclass(frozen=True)
@@ -91,15 +87,16 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
         template = load_template(identities.from_text(agreement.identities), progress=progress)
         corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
         made, failed = [], []
-        for part in parts(agreement, corpus):
-            folder = out / part.study.name
-            try:
-                if isinstance(part.study, SurrogateOnCorpus):
-                    _simulate(agreement.identities, template, corpus, progress)
-                results = run(part.study, folder, only=only, match=part.match, progress=progress)
-                made.append(Made(part.study, results, folder))
-            except SoftdecaError as error:
-                failed.append((part.study.name, str(error)))
+        found = parts(agreement, out, corpus)
+        # What is timed is run by itself: nothing of ours runs beside it.
+        for asked in ([each for each in found if not each.study.timed], *([e] for e in found if e.study.timed)):
+            if any(isinstance(each.study, SurrogateOnCorpus) for each in asked):
+                _simulate(agreement.identities, template, corpus, progress)
+            for each, results in zip(asked, run_together(asked, only=only, progress=progress), strict=True):
+                if isinstance(results, SoftdecaError):
+                    failed.append((each.study.name, str(results)))
+                else:
+                    made.append(Made(each.study, results, each.out))
         written = write(made, out, TITLE, failed)
     return Done([each.results for each in made], failed, written)
 

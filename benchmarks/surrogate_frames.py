@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from ..surrogate.evaluate_references import referenced
 from ..surrogate.modal.faces import Faces
 from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals.modal import ModalMethod
-from ..viewer.pictures import Panel, strip
-from .contact_sheet import FACE_HEIGHT
+from ..viewer.pictures import Panel
+from .contact_sheet import face_strip, sheet
 
 SHOWN = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
 """Which frames: those at these shares of all test frames in the order of how far simulation moves the face."""
@@ -29,8 +28,6 @@ def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: 
 
     Where FEniCSx has solved frames of the corpus on PD's energy, they are of these, with its answer beside the others.
     """
-    from PIL import Image
-
     faces = Faces(corpus, "test", partial=partial)
     methods = ModalMethod(weights), ModalMethod(weights, exact=True)
     rows = []
@@ -54,17 +51,9 @@ def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: 
             away = np.linalg.norm(frame.fenicsx - truth, axis=1)
             panels.insert(2, Panel("FEniCSx", skin.with_vertices(blended + frame.fenicsx)))
             panels.append(Panel("|FEniCSx - T|", simulated, away, top))
-        y = skin.vertices[:, 1]
-        framed = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
-        gazed = [replace(panel, weights=frame.weights.astype(np.float64)) for panel in panels]
-        rows.append(Image.open(io.BytesIO(strip(gazed, size=SIZE, framed=framed))).convert("RGB"))
+        rows.append(face_strip(panels, skin, frame.weights.astype(np.float64), SIZE))
         progress("pictures", (number + 1) / len(SHOWN))
-    sheet = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)), "white")
-    for number, row in enumerate(rows):
-        sheet.paste(row, (0, number * row.height))
-    buffer = io.BytesIO()
-    sheet.save(buffer, "PNG")
-    return buffer.getvalue()
+    return sheet(rows, 1)
 
 
 @dataclass(frozen=True, eq=False)

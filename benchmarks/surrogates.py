@@ -34,6 +34,8 @@ from . import corpus_size, plots
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
 from .corpus_size import errors_over_size
+from .harness.study import Table
+from .harness.tables import markdown
 from .surrogate_frames import frames_png
 
 ITERATIONS = (1, 5, 20)
@@ -105,7 +107,8 @@ def compare(
         found = {"scores": [asdict(score) for score in scores], "breakeven": None if paid is None else asdict(paid)}
         path.write_text(json.dumps(found | ({"curve": [asdict(one) for one in grown]} if grown else {}), indent=1))
     with replaced(written[1]) as path:
-        parts = [table(scores), "" if paid is None else told(paid), corpus_size.table(grown) if grown else ""]
+        parts = [markdown(table(scores)), "" if paid is None else told(paid)]
+        parts.append(markdown(corpus_size.table(grown)) if grown else "")
         path.write_text("\n".join(part for part in parts if part))
     with replaced(written[2]) as path:
         path.write_bytes(plots.error_against_cost([score for score in scores if score.kind == "all"]))
@@ -158,24 +161,16 @@ def faces_of(corpus: Path, split: Split | None, partial: bool, network: Surrogat
     return faces
 
 
-def table(scores: Sequence[Score]) -> str:
-    """The scores as a Markdown table."""
+def table(scores: Sequence[Score]) -> Table:
+    """The scores, a line each."""
+    head = ["method", "frames of", "frames", "mean [mm]", "95 % [mm]", "max [mm]", "moving vertices [mm]",
+            "share of T = S [%]", "fit [s]", "bind [ms]", "simulator at bind", "frame [ms]"]  # fmt: skip
     lines = [
-        "| method | frames of | frames | mean [mm] | 95 % [mm] | max [mm] | moving vertices [mm] | share of T = S [%] "
-        "| fit [s] | bind [ms] | frame [ms] |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for s in scores:
-        bind = _cell(s.bind_ms, 0) + (" + simulator" if s.simulates and s.bind_ms is not None else "")
-        lines.append(
-            f"| {s.method} | {s.kind} | {s.frames} | {s.mean:.4f} | {s.p95:.3f} | {s.largest:.2f} | {s.moving:.4f} "
-            f"| {100.0 * s.share:.1f} | {_cell(s.fit_seconds, 0)} | {bind} | {_cell(s.frame_ms, 2)} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def _cell(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
+        (s.method, s.kind, s.frames, s.mean, s.p95, s.largest, s.moving, 100.0 * s.share, s.fit_seconds, s.bind_ms,
+         "yes" if s.simulates else "", s.frame_ms)
+        for s in scores
+    ]  # fmt: skip
+    return Table("Distances to the simulator", head, lines)
 
 
 def told(paid: Breakeven) -> str:

@@ -1,20 +1,21 @@
 "use strict";
 // The viewer's page. `Rig` and `decode` know nothing of the page; `start` builds it and answers on `window.viewer`.
 
-/** Arrays by name, as Float32Array or Uint32Array, of a block of bytes in base64 and its table of contents. */
-function decode(table, text) {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+/** Arrays by name, as Float32Array or Uint32Array, of a block of bytes (gzip, in base64) and its table of contents. */
+async function decode(table, text) {
+  const packed = new Blob([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))]);
+  const block = await new Response(packed.stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
   const arrays = {};
   for (const [name, { type, offset, length, scale }] of Object.entries(table)) {
     if (type === "int16") {
-      const packed = new Int16Array(bytes.buffer, offset, length);
+      const numbers = new Int16Array(block, offset, length);
       const values = new Float32Array(length);
       const row = length / scale.length;
-      for (let i = 0; i < length; i++) values[i] = packed[i] * scale[Math.floor(i / row)];
+      for (let i = 0; i < length; i++) values[i] = numbers[i] * scale[Math.floor(i / row)];
       arrays[name] = values;
     } else {
       const kind = type === "float32" ? Float32Array : Uint32Array;
-      arrays[name] = new kind(bytes.buffer, offset, length);
+      arrays[name] = new kind(block, offset, length);
     }
   }
   return arrays;
@@ -111,7 +112,6 @@ function colourOf(share, out, at) {
   for (let c = 0; c < 3; c++) out[at + c] = RAMP[low][c] + (place - low) * (RAMP[low + 1][c] - RAMP[low][c]);
 }
 
-const INSIDE = [0.07, 0.015, 0.012]; // of a mouth or socket, as `shading.INSIDE`
 const UNCUT = 1e6;
 const STAIR = 0.15; // of the head's radius
 
@@ -220,7 +220,7 @@ function start(content, arrays) {
       }
       colourOf(distance / state.top, colours, i);
       const light = lit[i / 3];
-      for (let c = 0; c < 3; c++) colours[i + c] = light * colours[i + c] + (1 - light) * INSIDE[c];
+      for (let c = 0; c < 3; c++) colours[i + c] = light * colours[i + c] + (1 - light) * content.inside[c];
     }
     skin.geometry.attributes.position.needsUpdate = true;
     skin.geometry.attributes.color.needsUpdate = true;
@@ -324,5 +324,5 @@ function start(content, arrays) {
 
 {
   const content = JSON.parse(document.getElementById("content").textContent);
-  start(content, decode(content.arrays, document.getElementById("bytes").textContent));
+  decode(content.arrays, document.getElementById("bytes").textContent).then((arrays) => start(content, arrays));
 }

@@ -1,11 +1,13 @@
 """One self-contained page: a head in 3D with the 52 sliders, by blendshapes, a rig and solvers, with its layers.
 
-It opens from a local file and asks no network for anything. Positions travel as 16-bit numbers, one scale per target.
+It opens from a local file and asks no network for anything. Positions travel as 16-bit numbers, one scale per target,
+all of them packed by gzip.
 """
 
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -20,8 +22,8 @@ from ..lhm.errors import InputError
 from ..lhm.mesh import Floats, Floats32, Surface
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
-from .shading import lit
-from .within import TURN, linear_light, within
+from .shading import INSIDE, colour, linear_light, lit
+from .within import TURN, within
 
 FINEST = 1 / 32767
 """Of the largest number of a row: what a 16-bit number tells apart."""
@@ -100,6 +102,7 @@ def page(
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
         "lit": packed.add("lit", lit(skin).astype(np.float32)),
+        "inside": linear_light(colour(INSIDE)).tolist(),
         "within": _within(packed, skin),
         "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
         "arrays": packed.table,
@@ -111,7 +114,7 @@ def page(
         words=words,
         # "</" would end the script that holds it.
         content=json.dumps(content, allow_nan=False).replace("</", "<\\/"),
-        bytes=base64.b64encode(packed.bytes).decode(),
+        bytes=base64.b64encode(gzip.compress(packed.bytes, mtime=0)).decode(),
         three=(here / "three.js").read_text("utf-8"),
         app=(here / "app.js").read_text("utf-8"),
     )

@@ -21,5 +21,14 @@ def lit(surface: Surface) -> Floats:
 def shades(surface: Surface) -> NDArray[np.uint8]:
     """Colours (n, 3) of a skin at rest: SKIN where it sees the sky, INSIDE where it does not."""
     seen = lit(surface)[:, None]
-    light, dark = (np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)], dtype=float) for text in (SKIN, INSIDE))
-    return np.round(seen * light + (1 - seen) * dark).astype(np.uint8)
+    return np.round(seen * colour(SKIN) + (1 - seen) * colour(INSIDE)).astype(np.uint8)
+
+
+def colour(text: str) -> Floats:
+    """Red, green and blue, 0 to 255, shape (3,), of a colour as #rrggbb."""
+    return np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
+
+
+def linear_light(colours: Floats | NDArray[np.uint8]) -> Floats:
+    """Colours of a screen, 0 to 255, as shares of light in [0, 1], which a renderer reckons in (gamma 2.2)."""
+    return (colours / 255.0) ** 2.2

@@ -85,11 +85,6 @@ def turned(side: str, weights: Floats | None) -> Floats:
     return np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
 
 
-def linear_light(colours: NDArray[np.uint8]) -> Floats:
-    """Colours of a screen, 0 to 255, as shares of light in [0, 1], which a renderer reckons in (gamma 2.2)."""
-    return (colours / 255.0) ** 2.2
-
-
 @cache
 def _mean() -> Surface:
     return anny.load().mean

@@ -25,10 +25,23 @@ from .study import Study, Task, Values
 
 
 @dataclass(frozen=True)
+class Job:
+    """A task of a study."""
+
+    study: Study
+    task: Task
+
+    @property
+    def case(self) -> tuple[str, str]:
+        """Whose tasks may share what a process has kept."""
+        return self.study.name, self.task.case
+
+
+@dataclass(frozen=True)
 class Measured:
     """How a task ended: "done" with values, "skipped" or "failed" with a reason; seconds, and peak memory [MB]."""
 
-    task: Task
+    job: Job
     status: str
     reason: str = ""
     values: Values = field(default_factory=dict)
@@ -36,26 +49,26 @@ class Measured:
     memory_mb: float | None = None
 
 
-def measured(study: Study, tasks: Sequence[Task], lanes: int) -> Iterator[Measured]:
-    """Each task as it is done, by as many processes side by side; they end with the iterator.
+def measured(jobs: Sequence[Job], lanes: int) -> Iterator[Measured]:
+    """Each job as it is done, by as many processes side by side; they end with the iterator.
 
     A process goes on with the case that it is at, of which it may have kept something. Under mpirun, whose processes
     share each solve of FEniCSx, this process does all.
     """
     if followers() is not None:
-        yield from (_measure(study, task) for task in tasks)
+        yield from map(_measure, jobs)
         return
-    waiting = list(tasks)
+    waiting = list(jobs)
     running: dict[Future, _Lane] = {}
-    idle = [_Lane(study) for _ in range(max(1, min(lanes, len(tasks))))]
+    idle = [_Lane() for _ in range(max(1, min(lanes, len(jobs))))]
     every = list(idle)
     try:
         while waiting or running:
             while waiting and idle:
                 lane = idle.pop()
-                task = lane.next_of(waiting, {other.case for other in running.values()})
-                waiting.remove(task)
-                running[lane.submit(task)] = lane
+                job = lane.next_of(waiting, {other.job.case for other in running.values() if other.job})
+                waiting.remove(job)
+                running[lane.submit(job)] = lane
             done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
             for future, lane in list(running.items()):
                 if future in done or lane.overdue:
@@ -68,49 +81,48 @@ def measured(study: Study, tasks: Sequence[Task], lanes: int) -> Iterator[Measur
 
 
 class _Lane:
-    """One process at a time; a new one where the last died, was ended, or each task has its own."""
+    """One process at a time; a new one where the last died, was ended, or a task has its own."""
 
-    def __init__(self, study: Study):
-        self._study = study
+    def __init__(self) -> None:
         self._pool: ProcessPoolExecutor | None = None
-        self._task, self._begin = Task("", ""), 0.0
+        self.job: Job | None = None
+        """The one that it is at, or was at last."""
+        self._begin = 0.0
 
-    def submit(self, task: Task) -> Future:
-        self._task, self._begin = task, time.monotonic()
+    def submit(self, job: Job) -> Future:
+        if job.study.alone:
+            self.end()
+        self.job, self._begin = job, time.monotonic()
         if self._pool is not None:
-            return self._pool.submit(_measure, self._study, task)
+            return self._pool.submit(_measure, job)
         self._pool = ProcessPoolExecutor(
             1, multiprocessing.get_context("spawn"), initializer=_begin, initargs=(added_files(),)
         )
         with without_interrupts():  # the process begins with its first task
-            return self._pool.submit(_measure, self._study, task)
+            return self._pool.submit(_measure, job)
 
-    @property
-    def case(self) -> str:
-        """The one that it is at, or was at last."""
-        return self._task.case
-
-    def next_of(self, waiting: Sequence[Task], elsewhere: Set[str]) -> Task:
+    def next_of(self, waiting: Sequence[Job], elsewhere: Set[tuple[str, str]]) -> Job:
         """The first of its own case, else of one that is not done elsewhere, else of all."""
-        own = (task for task in waiting if task.case == self.case)
-        new = (task for task in waiting if task.case not in elsewhere)
+        own = (job for job in waiting if self.job and job.case == self.job.case)
+        new = (job for job in waiting if job.case not in elsewhere)
         return next(own, None) or next(new, None) or waiting[0]
 
     @property
     def overdue(self) -> bool:
-        return time.monotonic() - self._begin > self._study.limit
+        return self.job is not None and time.monotonic() - self._begin > self.job.study.limit
 
     def result(self, future: Future) -> Measured:
-        seconds = time.monotonic() - self._begin
+        assert self.job is not None
+        seconds, limit = time.monotonic() - self._begin, self.job.study.limit
         if not future.done():
             self.end()
-            return Measured(self._task, "failed", f"ended after {self._study.limit:g} s", seconds=seconds)
+            return Measured(self.job, "failed", f"ended after {limit:g} s", seconds=seconds)
         try:
             found: Measured = future.result()
         except BrokenProcessPool:
             self.end()
-            return Measured(self._task, "failed", "its process died", seconds=seconds)
-        if self._study.alone:
+            return Measured(self.job, "failed", "its process died", seconds=seconds)
+        if self.job.study.alone:
             self.end()
         return found
 
@@ -144,16 +156,16 @@ def _end_with_the_first() -> None:
     os._exit(1)
 
 
-def _measure(study: Study, task: Task) -> Measured:
+def _measure(job: Job) -> Measured:
     forget_peak()
     begin = time.perf_counter()
     try:
         with threadpool_limits(1):
-            values = study.measure(task)
+            values = job.study.measure(job.task)
     except (MissingDependencyError, NotModelledError) as error:
-        return Measured(task, "skipped", str(error))
+        return Measured(job, "skipped", str(error))
     except Exception as error:
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
-        return Measured(task, "failed", " ".join(reason.split()), seconds=time.perf_counter() - begin)
-    memory = peak_megabytes() if study.alone else None
-    return Measured(task, "done", values=values, seconds=time.perf_counter() - begin, memory_mb=memory)
+        return Measured(job, "failed", " ".join(reason.split()), seconds=time.perf_counter() - begin)
+    memory = peak_megabytes() if job.study.alone else None
+    return Measured(job, "done", values=values, seconds=time.perf_counter() - begin, memory_mb=memory)

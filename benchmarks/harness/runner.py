@@ -7,19 +7,21 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from ...lhm.errors import InputError
+from ...lhm.errors import InputError, SoftdecaError
 from ...lhm.files.alone import alone_in
 from ...lhm.files.atomic import write_whole
+from ...lhm.files.resumable import Records
 from ...lhm.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.schedule import processors
 from . import machine
 from .gates import at_most
-from .lanes import Measured, measured
+from .lanes import Job, Measured, measured
 from .study import Study, Task, Values
 
 Only = Literal["missing", "failed", "all"]
@@ -69,6 +71,15 @@ class Results:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class Asked:
+    """A study to run, its folder, and the part of names that its tasks must have."""
+
+    study: Study
+    out: Path
+    match: str = ""
+
+
 def run(
     study: Study,
     out: Path,
@@ -84,25 +95,64 @@ def run(
     `match` chooses tasks by a part of their names. `workers` processes side by side, by default all processors, and
     one where seconds are compared. Raises InputError where nothing matches and where the folder is in use.
     """
-    tasks = [task for task in study.tasks() if match.lower() in str(task).lower()]
-    if not tasks:
-        raise InputError(f"{study.name}: no case and method matches {match!r}")
-    with alone_in(out, f"run of {study.name}"):
-        with_what = machine.describe()
-        rows = _Rows(out / "rows.jsonl", _digest(study))
-        again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
-        left = [task for task in tasks if (row := rows.found.get(task)) is None or row.status in again]
-        lanes = 1 if study.timed else workers or processors()
-        progress(f"{study.name}: {len(tasks) - len(left)} of {len(tasks)}", 1.0 - len(left) / len(tasks))
-        for number, one in enumerate(measured(study, left, lanes), 1):
-            rows.add(one)
+    (found,) = run_together([Asked(study, out, match)], only=only, workers=workers, progress=progress)
+    if isinstance(found, SoftdecaError):
+        raise found
+    return found
+
+
+def run_together(
+    asked: Sequence[Asked], *, only: Only = "missing", workers: int | None = None, progress: OnProgress = silent
+) -> list[Results | SoftdecaError]:
+    """As `run` for several studies, which share their processes, so that none waits for the end of one before the next.
+
+    In place of results, why a study could not be run. Where seconds of one are compared, all run one after another.
+    """
+    found: list[Results | SoftdecaError | None] = [None] * len(asked)
+    runs: dict[int, _Run] = {}
+    with ExitStack() as folders:
+        for number, each in enumerate(asked):
+            try:
+                runs[number] = _Run(each, only, folders)
+            except SoftdecaError as error:
+                found[number] = error
+        jobs = {Job(run.study, task): number for number, run in runs.items() for task in run.left}
+        lanes = 1 if any(run.study.timed for run in runs.values()) else workers or processors()
+        count = max(1, sum(len(run.tasks) for run in runs.values()))
+        named = ", ".join(run.study.name for run in runs.values())
+        progress(f"{named}: {count - len(jobs)} of {count}", 1.0 - len(jobs) / count)
+        for done, one in enumerate(measured(list(jobs), lanes), 1):
+            run = runs[jobs[one.job]]
+            run.rows.add(one)
             ended = "" if one.status == "done" else f", {one.status}"
-            progress(f"{study.name}: {one.task}{ended}", 1.0 - (len(left) - number) / len(tasks))
-        results = _results(study, [rows.found[task] for task in tasks], with_what)
-        write_whole(out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
+            progress(f"{run.study.name}: {one.job.task}{ended}", 1.0 - (len(jobs) - done) / count)
+        for number, run in runs.items():
+            found[number] = run.written()
+    return [each for each in found if each is not None]
+
+
+class _Run:
+    """One study of those that run together, its folder held."""
+
+    def __init__(self, asked: Asked, only: Only, folders: ExitStack):
+        self.study, self._out = asked.study, asked.out
+        self.tasks = [task for task in self.study.tasks() if asked.match.lower() in str(task).lower()]
+        if not self.tasks:
+            raise InputError(f"{self.study.name}: no case and method matches {asked.match!r}")
+        folders.enter_context(alone_in(self._out, f"run of {self.study.name}"))
+        self._with_what = machine.describe()
+        self.rows = _Rows(self._out / "rows.jsonl", _digest(self.study))
+        again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
+        known = self.rows.found
+        self.left = [task for task in self.tasks if (row := known.get(task)) is None or row.status in again]
+
+    def written(self) -> Results:
+        """The results of all rows, with their file and page."""
         from .page import page
 
-        write_whole(out / "index.html", page(study, results, out).encode())
+        results = _results(self.study, [self.rows.found[task] for task in self.tasks], self._with_what)
+        write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
+        write_whole(self._out / "index.html", page(self.study, results, self._out).encode())
         return results
 
 
@@ -120,29 +170,23 @@ class _Rows:
     """The rows of a file, of which those of other options or code are not looked at, and one more at a time."""
 
     def __init__(self, path: Path, of: str):
-        self._path, self._of = path, of
+        self._records, self._of = Records(path), of
         self.found: dict[Task, Row] = {}
-        for line in path.read_text().splitlines() if path.is_file() else ():
-            try:
-                row = Row(**json.loads(line))
-            except (ValueError, TypeError):
-                continue  # torn by a kill; its task is done again
-            if row.of == of:
-                self.found[Task(row.case, row.method)] = row
+        names = {field.name for field in fields(Row)}
+        for record in self._records.read():
+            if record.get("of") == of and record.keys() == names:
+                self.found[Task(record["case"], record["method"])] = Row(**record)
 
     def add(self, one: Measured) -> None:
+        task = one.job.task
         values, wrong = _said(self._drawn(one))
         status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
         row = Row(
-            one.task.case, one.task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
+            task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
             machine.load(), self._of,
         )  # fmt: skip
-        self.found[one.task] = row
-        line = json.dumps(asdict(row), allow_nan=False)
-        torn = self._path.is_file() and not self._path.read_bytes().endswith(b"\n")
-        with self._path.open("a") as file:
-            file.write(("\n" if torn else "") + line + "\n")
-            file.flush()
+        self.found[task] = row
+        self._records.add(asdict(row))
 
     def _drawn(self, one: Measured) -> Values:
         """The values, with the names of files that now hold their pictures and pages."""
@@ -150,8 +194,8 @@ class _Rows:
         for key, value in one.values.items():
             if isinstance(value, bytes):
                 kind = ".png" if value.startswith(PNG) else ".html"
-                name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{one.task}, {key}")[:120].strip("-") + kind
-                write_whole(self._path.parent / name, value)
+                name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{one.job.task}, {key}")[:120].strip("-") + kind
+                write_whole(self._records.path.parent / name, value)
                 found[key] = name
         return found
 

@@ -20,7 +20,7 @@ from ..differences import difference, distances
 from ..harness.gates import above, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Trace, traced, traced_to_itself
 from .person import Person, person
 
@@ -226,8 +226,7 @@ class Agreement(Study):
             (BLENDSHAPES, TO_PD + SKIN): "blendshapes to PD",
         }
         cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))
-        plt = pyplot()
-        figure, axis = plt.subplots(figsize=(10, 0.45 * len(cases) + 1.7))
+        figure, axis = subplots(figsize=(10, 0.45 * len(cases) + 1.7))
         for (method, what), label in marks.items():
             points = [
                 (max(line["mean"], 1e-14), cases.index(row.case))
@@ -242,10 +241,9 @@ class Agreement(Study):
         axis.set(xscale="log", xlabel="mean distance of the vertices [mm]; dotted: 0.01 mm")
         axis.set_yticks(range(len(cases)), cases)
         axis.invert_yaxis()
-        axis.grid(axis="x", alpha=0.25)
-        axis.legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.25), ncol=3)
-        figure.tight_layout()
-        return {"How far apart: solvers of one energy, another law, the surrogate, blendshapes.": svg(plt, figure)}
+        axis.grid(False, axis="y")
+        figure.legend(loc="outside upper center", ncol=3)
+        return {"How far apart: solvers of one energy, another law, the surrogate, blendshapes.": svg(figure)}
 
 
 PICTURED = "target; simulated; and as colours [mm] on the simulated face, how far the others are from it"

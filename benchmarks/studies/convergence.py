@@ -21,7 +21,7 @@ from ..differences import difference
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..richardson import limit_of_three, limit_of_two
 from .person import OfPerson
 
@@ -139,8 +139,7 @@ class Convergence(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """RMS error to the limit against relative size, a line per expression."""
-        plt = pyplot()
-        figure, axes = plt.subplots(1, 2, figsize=(8.6, 3.4), sharey=True)
+        figure, axes = subplots(1, 2, figsize=(8.6, 3.4), sharey=True)
         for row in rows:
             across = sorted((1.0 / int(count), found["rms"]) for count, found in row.values["across"].items())
             along = sorted((0.5 ** int(level), found["rms"]) for level, found in row.values["along"].items())
@@ -149,11 +148,9 @@ class Convergence(OfPerson):
         for axis, what in zip(axes, ("across: 1 / sub-layers", "along: edges / the head's own"), strict=True):
             axis.set_xscale("log", base=2)
             axis.set(yscale="log", xlabel=what)
-            axis.grid(alpha=0.25)
         axes[0].set_ylabel("RMS distance to the limit [mm]")
-        axes[0].legend(frameon=False, fontsize=8)
-        figure.tight_layout()
-        return {"Error against the size of the mesh.": svg(plt, figure)}
+        axes[0].legend()
+        return {"Error against the size of the mesh.": svg(figure)}
 
 
 def _energy(row: Row, surface: int, count: int) -> float:

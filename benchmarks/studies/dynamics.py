@@ -18,7 +18,7 @@ from ...reference.schemes import SCHEMES
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..release import FEWEST, FINE, FRAME, TIGHT, Frames, Release, Swing, swing
 from .person import OfPerson
 
@@ -139,18 +139,15 @@ class Dynamics(OfPerson):
         traces: Mapping = next((row.values["traces"] for row in rows if row.case == RELEASED), {})
         if not traces:
             return {}
-        plt = pyplot()
-        figure, axis = plt.subplots(figsize=(9, 4.5))
+        figure, axis = subplots(figsize=(9, 4.5))
         for name, trace in traces.items():
             if not name.endswith("2 per frame"):
                 style = "-" if name.startswith("FEM") else "--"
                 axis.plot(trace["times"], trace["left"], style, lw=1.3, label=name)
         axis.set(xlabel="time [s]", ylabel="share of the first displacement")
         axis.axhline(0.0, color="#bbbbbb", lw=0.8)
-        axis.grid(alpha=0.25)
-        axis.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        figure.tight_layout()
-        return {"What is left of the first displacement.": svg(plt, figure)}
+        figure.legend(loc="outside right upper")
+        return {"What is left of the first displacement.": svg(figure)}
 
 
 @lru_cache(maxsize=1)

@@ -19,7 +19,7 @@ from ...reference.terms import Hyperelastic, Strain, Term, Volume
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 
 LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
     "neo-Hookean": NeoHookean.from_young,
@@ -112,10 +112,9 @@ class Material(Study):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Stress against stretch: a panel per mode and ratio, PD's energy in black."""
         cases = list(dict.fromkeys(row.case for row in rows))
-        plt = pyplot()
         columns = len(self.modes)
         lines = -(-len(cases) // columns)
-        figure, axes = plt.subplots(lines, columns, figsize=(3.6 * columns, 2.6 * lines), squeeze=False)
+        figure, axes = subplots(lines, columns, figsize=(3.6 * columns, 2.6 * lines), squeeze=False)
         for axis, case in zip(axes.ravel(), cases, strict=False):
             for row in (row for row in rows if row.case == case):
                 axis.plot(row.values["stretch"], row.values["law_kpa"], lw=1.0, label=row.method)
@@ -123,11 +122,9 @@ class Material(Study):
             low, high = np.min(row.values["pd_kpa"]), np.max(row.values["pd_kpa"])
             axis.set_ylim(1.5 * low, 1.5 * high)
             axis.set_title(case, fontsize=9)
-            axis.grid(alpha=0.25)
-        axes[0][0].legend(frameon=False, fontsize=7)
+        axes[0][0].legend(fontsize=7)
         axes[-1][0].set(xlabel="stretch", ylabel="nominal stress [kPa]")
-        figure.tight_layout()
-        return {"Nominal stress against stretch.": svg(plt, figure)}
+        return {"Nominal stress against stretch.": svg(figure)}
 
 
 @lru_cache

@@ -20,7 +20,7 @@ from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..traces import Stopwatch
 from .person import OfPerson
 
@@ -140,8 +140,7 @@ class Minimal(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """The change by each piece against what it costs, a mark per scene."""
-        plt = pyplot()
-        figure, axis = plt.subplots(figsize=(9, 4.6))
+        figure, axis = subplots(figsize=(9, 4.6))
         for method in (*LEFT_OUT, *ADDED):
             points = [
                 (_cost(rows, row.case, method) / whole, row.values["max_mm"])
@@ -152,10 +151,8 @@ class Minimal(OfPerson):
                 axis.plot(*zip(*points, strict=True), "o", label=method)
         axis.axhline(self.within, color="#bbbbbb", lw=0.8, ls=":")
         axis.set(xlabel="processor time over the whole scene's", ylabel="largest change of the skin [mm]", yscale="log")
-        axis.grid(alpha=0.25)
-        axis.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        figure.tight_layout()
-        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": svg(plt, figure)}
+        figure.legend(loc="outside right upper")
+        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": svg(figure)}
 
 
 def _cost(rows: Sequence[Row], case: str, method: str) -> float:

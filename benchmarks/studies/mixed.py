@@ -13,7 +13,7 @@ from ...reference import Parameters, Scene, facial_scene, materials, neo_hookean
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from .person import OfPerson
 
 MEMORY_MB = 8000.0
@@ -80,17 +80,15 @@ class Mixed(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Processor time and factorisations, a pair of bars per solve."""
-        plt = pyplot()
-        figure, axes = plt.subplots(1, 2, figsize=(10, 0.5 * len(rows) + 1.4), sharey=True)
+        figure, axes = subplots(1, 2, figsize=(10, 0.5 * len(rows) + 1.4), sharey=True)
         for axis, key, what in zip(
             axes, ("processor", "factorisations"), ("processor time [s]", "factorisations"), strict=True
         ):
             axis.barh([f"{row.case}, {row.method}" for row in rows], [row.values[key] for row in rows], height=0.6)
             axis.set_xlabel(what)
-            axis.grid(axis="x", alpha=0.25)
+            axis.grid(False, axis="y")
         axes[0].invert_yaxis()
-        figure.tight_layout()
-        return {"What a solve takes.": svg(plt, figure)}
+        return {"What a solve takes.": svg(figure)}
 
 
 def _poisson(law: str) -> float | None:

@@ -7,8 +7,6 @@ largest process' and all together, so that what else runs on the machine spoils 
 
 from __future__ import annotations
 
-import pickle
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -21,14 +19,13 @@ from ...lhm.errors import InputError
 from ...reference import solve, terms
 from ...reference.materials import NeoHookean
 from ..harness.apart import held_megabytes, peak_megabytes
+from ..harness.mpirun import by_mpirun
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from .ranks import agreement, by_mpirun, check_mpirun, counts_of
+from .ranks import agreement, counts_of
 
 STRONG, WEAK = "strong", "weak"
 TOLERANCE = 1e-12
-START = "from softdeca.benchmarks.studies.parts import measure_here; measure_here()"
-WRITE = "from softdeca.benchmarks.studies.parts import write_here; write_here()"
 FEWEST = 3000  # unknowns
 
 
@@ -89,8 +86,8 @@ class Parts(Study):
         for row in rows:
             first, last = row.values["rows"][0], row.values["rows"][-1]
             said.append(
-                f"{row.case}: the largest of {last['processes']} processes holds {last['peak_mb']:.0f} MB and works "
-                f"{last['cpu_s']:.1f} s, one alone {first['peak_mb']:.0f} MB and {first['cpu_s']:.1f} s."
+                f"{row.case.capitalize()}: the largest of {last['processes']} processes holds {last['peak_mb']:.0f} MB "
+                f"and works {last['cpu_s']:.1f} s, one alone {first['peak_mb']:.0f} MB and {first['cpu_s']:.1f} s."
             )
         return " ".join(said)
 
@@ -100,15 +97,14 @@ def compared(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """
-    check_mpirun()
     rows: list[dict] = []
     first = None
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "block.xdmf"
         for count in counts:
             if each or not rows:
-                by_mpirun(1, WRITE, (file, cells_of(unknowns * (count if each else 1))))
-            found = by_mpirun(count, START, file)
+                by_mpirun(1, write, file, cells_of(unknowns * (count if each else 1)))
+            found = by_mpirun(count, measure, file)
             positions, moved = found.pop("positions"), found.pop("moved")
             first = positions if first is None else first
             off = None if each and rows else float(np.abs(positions - first).max()) / moved
@@ -132,23 +128,19 @@ def acts(part) -> list[terms.Term]:
     ]
 
 
-def write_here() -> None:
-    """Write a block of cells to XDMF with HDF5: file and cells along an edge are in the file that is named first."""
+def write(file: Path, cells: int) -> dict:
+    """Write a block of so many cells along an edge to XDMF with HDF5."""
     from ...reference.fenicsx.dolfinx_version import write_block
 
-    given, told = sys.argv[-2:]
-    file, cells = pickle.loads(Path(given).read_bytes())
     write_block(file, cells)
-    Path(told).write_bytes(pickle.dumps({}))
+    return {}
 
 
-def measure_here() -> None:
-    """Read the block, prepare and solve it, and write what it took to the file that is named second."""
+def measure(file: Path) -> dict:
+    """What it takes to read the block, prepare and solve it, and the answer, by all processes of mpirun."""
     from ...reference.fenicsx import read_scene
     from ...reference.fenicsx.dolfinx_version import ALL, write_block
 
-    given, told = sys.argv[-2:]
-    file = pickle.loads(Path(given).read_bytes())
     small = file.with_name("small.xdmf")
     if ALL.rank == 0:
         write_block(small, 3 + ALL.size)
@@ -162,7 +154,7 @@ def measure_here() -> None:
     spent, seconds = time.process_time() - worked, time.perf_counter() - begin
     peaks = ALL.allgather((spent, empty, peak_megabytes()))
     positions, rest = scene.whole(solution.positions), scene.whole(scene.vertices)
-    found = {
+    return {
         "unknowns": 3 * len(positions),
         "seconds": seconds,
         "cpu_s": max(cpu for cpu, _, _ in peaks),
@@ -175,5 +167,3 @@ def measure_here() -> None:
         "moved": float(np.abs(positions - rest).max()),
         "positions": positions,
     }
-    if ALL.rank == 0:
-        Path(told).write_bytes(pickle.dumps(found))

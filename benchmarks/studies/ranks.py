@@ -6,41 +6,27 @@ what else runs on the machine spoils little.
 
 from __future__ import annotations
 
-import os
-import pickle
-import re
-import shutil
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
-from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, ranks
+from ...lhm.errors import InputError, SoftdecaError
+from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene
 from ..costs import NEO_HOOKEAN, PD_ENERGY
 from ..harness.apart import peak_megabytes
 from ..harness.gates import at_most
+from ..harness.mpirun import by_mpirun
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from .person import OfPerson
 
 PHASES = ("prepare", "energy", "gradient", "hessian", "first_solve", "next_solve", "whole")
 RELATIVE = 1e-6  # of a linear system's right-hand side
 TIGHT = 1e-12
 AGREEMENT = 1e-10  # of the largest displacement
-START = "from softdeca.benchmarks.studies.ranks import measure_here; measure_here()"
-SETTINGS = {
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_orte_execute_quiet": "1",
-    "OMPI_MCA_mpi_yield_when_idle": "1",  # while waiting, leave the processor to who has work
-}
 
 
 @dataclass(frozen=True)
@@ -105,8 +91,7 @@ class Ranks(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """The gain of each phase."""
-        plt = pyplot()
-        figure, axes = plt.subplots(1, len(rows), figsize=(5.2 * len(rows), 3.4), sharey=True, squeeze=False)
+        figure, axes = subplots(1, len(rows), figsize=(5.2 * len(rows), 3.4), sharey=True, squeeze=False)
         for axis, row in zip(axes[0], rows, strict=True):
             one, *others = row.values["rows"]
             for line in others:
@@ -115,10 +100,9 @@ class Ranks(OfPerson):
             axis.set_xticks(range(len(PHASES)), [phase.replace("_", " ") for phase in PHASES], rotation=40, fontsize=8)
             axis.axhline(1.0, color="#bbbbbb", lw=0.8)
             axis.set_title(row.case, fontsize=10)
-            axis.legend(frameon=False, fontsize=8)
+            axis.legend()
         axes[0][0].set_ylabel("times as fast as one process")
-        figure.tight_layout()
-        return {"What several processes gain, phase by phase.": svg(plt, figure)}
+        return {"What several processes gain, phase by phase.": svg(figure)}
 
 
 def agreement(rows: Sequence[Row]) -> list[dict]:
@@ -136,11 +120,10 @@ def compared(scene: Scene, study: Ranks) -> list[dict]:
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
     """
-    check_mpirun()
     found: dict[int, dict] = {}
     for _ in range(study.rounds):
         for count in study.counts:
-            found[count] = _best(found.get(count), by_mpirun(count, START, (scene, study.repeats)))
+            found[count] = _best(found.get(count), by_mpirun(count, measure, scene, study.repeats))
     alone = found[1]["positions"]
     largest = float(np.linalg.norm(alone - scene.vertices, axis=1).max())
     rows = []
@@ -157,30 +140,6 @@ def _best(before: dict | None, now: dict) -> dict:
     return {**now, **{phase: min(before[phase], now[phase]) for phase in PHASES}}
 
 
-def by_mpirun(count: int, start: str, given: object) -> dict:
-    """What a command of Python finds by processes of mpirun, which the system may move between processors.
-
-    `start` reads `given` from the file that its first argument names, and writes the answer to that of its second.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        question, told = Path(folder) / "given", Path(folder) / "told"
-        question.write_bytes(pickle.dumps(given))
-        python = [sys.executable, "-c", start, str(question), str(told)]
-        command = ["mpirun", "--bind-to", "none", "--oversubscribe", "-n", str(count), *python]
-        outer = {key: value for key, value in os.environ.items() if not key.startswith(ranks.INHERITED)}
-        done = subprocess.run(command, env={**outer, **SETTINGS}, capture_output=True, text=True)
-        if done.returncode != 0:
-            why = without_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]
-            raise SoftdecaError(f"mpirun -n {count}: {why[-1]}")
-        return pickle.loads(told.read_bytes())
-
-
-def check_mpirun() -> None:
-    """Raise MissingDependencyError where there is no mpirun."""
-    if shutil.which("mpirun") is None:
-        raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
-
-
 def counts_of(texts: Sequence[str]) -> tuple[int, ...]:
     """Counts of processes; InputError for other than 1 and others."""
     wanted = f"processes: expected 1 and others, got {', '.join(texts) or 'none'}"
@@ -192,31 +151,15 @@ def counts_of(texts: Sequence[str]) -> tuple[int, ...]:
     return counts
 
 
-def without_notices(errors: str) -> str:
-    """What processes have written to stderr, without mpirun's own notices: between rules, or of processes it ended."""
-    said = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
-    return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", said, flags=re.MULTILINE)
-
-
-def measure_here() -> None:
-    """Measure the scene of the file that the command names first, into the one that it names second."""
-    given, told = sys.argv[-2:]
-    scene, repeats = pickle.loads(Path(given).read_bytes())
-    found = measure(scene, repeats)
-    from ...reference.fenicsx.dolfinx_version import ALL
-
-    found["peak_mb"] = max(ALL.allgather(peak_megabytes()))
-    if ALL.rank == 0:
-        Path(told).write_bytes(pickle.dumps(found))
-
-
 def measure(scene: Scene, repeats: int) -> dict:
     """Seconds of each phase (the least of some repeats), and the answer, by all processes that mpirun has started.
 
     energy, gradient and hessian are those of a state near rest; first_solve makes multigrid's levels and solves one
-    system, next_solve solves another with new values; whole is a solve to TIGHT of a prepared scene.
+    system, next_solve solves another with new values; whole is a solve to TIGHT of a prepared scene. peak_mb is of the
+    largest process.
     """
     from ...reference.fenicsx import prepare
+    from ...reference.fenicsx.dolfinx_version import ALL
     from ...reference.fenicsx.linear import LINEAR_SOLVERS, hold
     from ...reference.fenicsx.numbering import Numbering
     from ...reference.fenicsx.problem import Problem
@@ -258,6 +201,7 @@ def measure(scene: Scene, repeats: int) -> dict:
         "linear_iterations": solution.detail["linear_iterations"],
         "converged": solution.converged,
         "positions": solution.positions,
+        "peak_mb": max(ALL.allgather(peak_megabytes())),
     }
 
 

@@ -21,7 +21,7 @@ from ..floor import factor_bytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Stopwatch, traced_to_itself
 from .person import OfPerson
 
@@ -155,8 +155,7 @@ class Scaling(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Seconds, iterations and memory over tets."""
-        plt = pyplot()
-        figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
+        figure, axes = subplots(1, 3, figsize=(11, 3.6))
         for solver in (PD, FENICSX, NEO_HOOKEAN):
             of = [row for row in rows if row.case.startswith("level") and row.method == solver]
             sizes = [row.values["size"] for row in of]
@@ -165,10 +164,8 @@ class Scaling(OfPerson):
                     axis.plot(sizes, [float(np.median(row.values[key])) for row in of], "o-", label=solver)
         for axis, what in zip(axes, ("processor time [s]", "iterations", "scene and solver [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="tets", ylabel=what)
-            axis.grid(alpha=0.25)
-        axes[0].legend(frameon=False, fontsize=8)
-        figure.tight_layout()
-        return {"Cost of a cold frame against the tets of the template's levels.": svg(plt, figure)}
+        axes[0].legend()
+        return {"Cost of a cold frame against the tets of the template's levels.": svg(figure)}
 
 
 def _neo_hookean(make: Callable[[], Scene]) -> Scene:

@@ -18,7 +18,7 @@ from ...reference import Parameters, Prepared, facial_scene, prepare
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from .person import OfPerson, Person
 
 ALLOWED = 0.02
@@ -81,16 +81,13 @@ class Shapes(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """How far lids and lips stay from their targets."""
         found = by_shape(_lines(rows))
-        plt = pyplot()
-        figure, axis = plt.subplots(figsize=(11, 3.6))
+        figure, axis = subplots(figsize=(11, 3.6))
         for region in REGIONS:
             axis.plot([row[f"{region}_mean"] for row in found], "o", ms=4, label=region)
         axis.set_xticks(range(len(found)), [row["shape"] for row in found], rotation=90, fontsize=7)
         axis.set_ylabel("distance from targets, mean [mm]")
-        axis.grid(alpha=0.25)
-        axis.legend(frameon=False, fontsize=8)
-        figure.tight_layout()
-        return {"How far face, lids and lips stay from their targets, mean over identities.": svg(plt, figure)}
+        axis.legend()
+        return {"How far face, lids and lips stay from their targets, mean over identities.": svg(figure)}
 
 
 def _lines(rows: Sequence[Row]) -> list[Values]:

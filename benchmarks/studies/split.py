@@ -19,7 +19,7 @@ from ...surrogate.linear import linearised_face
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from .person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {
@@ -114,14 +114,13 @@ class Split(OfPerson):
         """Each part's mean, and which is the largest."""
         means = {key: float(np.mean([row.values[key] for row in rows])) for key in PARTS if key in rows[0].values}
         moved = float(np.mean([row.values["moved"] for row in rows]))
-        parts = ", ".join(f"{PARTS[key]} {mean:.3f} mm ({mean / moved:.1%})" for key, mean in means.items())
+        parts = ", ".join(f"{PARTS[key]} {mean:.3f} mm ({100.0 * mean / moved:.1f} %)" for key, mean in means.items())
         largest = max(means, key=lambda key: means[key])
         return f"Simulation moves the skin by {moved:.2f} mm on average. Of that: {parts}. Most is {PARTS[largest]}."
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """The parts as bars, a group per frame."""
-        plt = pyplot()
-        figure, axis = plt.subplots(figsize=(11, 0.42 * len(rows) + 1.6))
+        figure, axis = subplots(figsize=(11, 0.42 * len(rows) + 1.6))
         places = np.arange(len(rows))
         left = np.zeros(len(rows))
         for key in (key for key in PARTS if key in rows[0].values):
@@ -132,10 +131,9 @@ class Split(OfPerson):
         axis.set_yticks(places, [f"{row.case}, {row.method}" for row in rows], fontsize=8)
         axis.invert_yaxis()
         axis.set_xlabel("mean over the skin's vertices [mm]")
-        axis.legend(fontsize=8)
-        axis.grid(axis="x", alpha=0.25)
-        figure.tight_layout()
-        return {"Mean distances, one after another; | is what simulation moves.": svg(plt, figure)}
+        axis.legend(frameon=True)
+        axis.grid(False, axis="y")
+        return {"Mean distances, one after another; | is what simulation moves.": svg(figure)}
 
 
 @lru_cache(maxsize=1)

@@ -15,7 +15,7 @@ from ...surrogate.modal.faces import Faces
 from ..harness.gates import above
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..plots import costs_figure, pyplot, svg
+from ..plots import costs_figure, svg
 from ..surrogates import GAINED, READY, faces_of, gains, learning
 
 NETWORK_GAIN = 4.0
@@ -111,7 +111,7 @@ class SurrogateOnCorpus(Study):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Mean error against the cost at bind and per frame."""
         known = [score for score in _overall(rows).values() if score.bind_ms is not None and score.frame_ms is not None]
-        return {"Error against cost.": svg(pyplot(), costs_figure(known))} if known else {}
+        return {"Error against cost.": svg(costs_figure(known))} if known else {}
 
 
 @lru_cache(maxsize=1)

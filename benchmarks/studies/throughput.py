@@ -22,7 +22,7 @@ from ..harness.apart import held_megabytes, peak_megabytes
 from ..harness.gates import at_least, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..traces import ACCURACY, Stopwatch, farthest, traced_to_itself
 from .person import OfPerson
 
@@ -245,18 +245,17 @@ class Throughput(OfPerson):
         line = next((row.values["lines"][0] for row in rows if row.case == SEQUENCE), None)
         if line is None:
             return {}
-        plt = pyplot()
-        figure, axis = plt.subplots(figsize=(8, 3))
+        figure, axis = subplots(figsize=(8, 3))
         frames = range(1, len(line["solve_s"]) + 1)
         axis.plot(frames, [1e3 * seconds for seconds in line["solve_s"]], label="wall time")
         axis.plot(frames, [1e3 * seconds for seconds in line["cpu_s"]], label="processor time", ls="--")
         axis.set(xlabel="frame (60 Hz)", ylabel="ms", ylim=(0, None))
         right = axis.twinx()
+        right.grid(False)
         right.plot(frames, line["frame_iterations"], color="#999999", lw=0.9)
         right.set(ylabel="iterations (grey)", ylim=(0, None))
-        axis.legend(frameon=False, fontsize=9, loc="upper right")
-        figure.tight_layout()
-        return {"A sequence of talk.": svg(plt, figure)}
+        axis.legend(loc="upper right")
+        return {"A sequence of talk.": svg(figure)}
 
 
 RATIO = "an iteration over its floor"

@@ -23,7 +23,7 @@ from ..harness.apart import forget_peak, peak_megabytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from .person import OfPerson
 
 TOLERANCE = 1e-8
@@ -148,18 +148,15 @@ class Unknowns(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Processor time per unknown, and memory, against unknowns: a line per energy and element."""
-        plt = pyplot()
-        figure, axes = plt.subplots(1, 2, figsize=(8.6, 3.4))
+        figure, axes = subplots(1, 2, figsize=(8.6, 3.4))
         for (law, element), of in _series(rows).items():
             sizes = [values["unknowns"] for values in of]
             axes[0].plot(sizes, [v["cpu_us_per_unknown"] for v in of], "o-", label=f"{law}, {element}", ms=4)
             axes[1].plot(sizes, [v["peak_mb"] for v in of], "o-", ms=4)
         for axis, what in zip(axes, ("processor time per unknown [µs]", "most memory [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="unknowns", ylabel=what)
-            axis.grid(alpha=0.25)
-        axes[0].legend(frameon=False, fontsize=8)
-        figure.tight_layout()
-        return {"Time and memory against unknowns.": svg(plt, figure)}
+        axes[0].legend()
+        return {"Time and memory against unknowns.": svg(figure)}
 
 
 def measure(law: str, scene: Scene, element: str) -> dict:

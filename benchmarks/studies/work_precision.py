@@ -18,7 +18,7 @@ from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import pyplot, svg
+from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Stopwatch, Trace, farthest, traced
 from .person import OfPerson, Person
 
@@ -220,14 +220,13 @@ class WorkPrecision(OfPerson):
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Largest error against seconds with preparation, and against iterations: a line per solver and expression."""
-        plt = pyplot()
         panels = (
             (FACE, "seconds"),
             (FACE, "steps"),
             (ARAP, "seconds"),
             *((law_energy(law), "seconds") for law in added_laws()),
         )
-        figure, axes = plt.subplots(1, len(panels), figsize=(13 / 3 * len(panels), 4.6), sharey=True)
+        figure, axes = subplots(1, len(panels), figsize=(13 / 3 * len(panels), 4.6), sharey=True)
         for axis, (energy, key) in zip(axes, panels, strict=True):
             named: set[str] = set()
             for row in rows:
@@ -248,13 +247,11 @@ class WorkPrecision(OfPerson):
             what = "time of the solve [s]" if key == "seconds" else "iterations"
             axis.axhline(BELOW, color="#bbbbbb", lw=0.8, ls=":")
             axis.set(xscale="log", yscale="log", title=energy, xlabel=what, ylim=(LEAST_ERROR, None))
-            axis.grid(alpha=0.25, which="major")
         axes[0].set_ylabel("largest error of a vertex [mm]")
         for axis in (axes[0], *axes[2:]):
             if axis.lines:
-                axis.legend(frameon=False, fontsize=8)
-        figure.tight_layout()
-        return {"Error against time and iterations, a line per expression.": svg(plt, figure)}
+                axis.legend()
+        return {"Error against time and iterations, a line per expression.": svg(figure)}
 
 
 def law_energy(law: str) -> str:

@@ -15,7 +15,8 @@ import numpy as np
 
 from ...lhm.errors import InputError
 from ...lhm.files.alone import alone_in
-from ...lhm.files.atomic import replaced
+from ...lhm.files.atomic import write_whole
+from ...lhm.files.resumable import check_same, manifest_of
 from ...lhm.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
@@ -29,6 +30,8 @@ from .template import CorpusTemplate, write_template
 from .velocities import velocities_of
 
 SERIAL = Schedule()
+MANIFEST = "corpus.json"
+"""What the folder's corpus is of, and how it was made."""
 PARTIAL = ".person-*.h5"
 """What a process that was killed while it wrote leaves behind."""
 
@@ -95,12 +98,7 @@ class Corpus:
             "generator": GENERATOR,
             "format": FORMAT,
         }
-        found = _read_manifest(self.folder)
-        for key, value in self.manifest.items():
-            if found is not None and found.get(key) != value:
-                raise InputError(
-                    f"corpus {self.folder}: of another {key} ({found.get(key)}, expected {value}); use another folder"
-                )
+        check_same(self.folder / MANIFEST, "corpus", self.manifest)
 
     @property
     def owner(self) -> str:
@@ -225,8 +223,7 @@ class Corpus:
         }
         person = self.people.person(self.plan.rng(IDENTITY, 0))
         write_template(self.folder, CorpusTemplate(self.people.mean, None if person.personal else person.shapes))
-        with replaced(self.folder / "corpus.json") as temporary:
-            temporary.write_text(json.dumps(content, indent=1))
+        write_whole(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
 
 
 def shard_path(folder: Path, identity: int) -> Path:
@@ -254,23 +251,10 @@ def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]
 
 def read_manifest(folder: str | PathLike[str]) -> dict[str, Any]:
     """What a corpus says it is of; InputError where there is none."""
-    found = _read_manifest(Path(folder))
+    found = manifest_of(Path(folder) / MANIFEST, "corpus", ("plan", "people", "template", "generator", "format"))
     if found is None:
         raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
     return found
-
-
-def _read_manifest(folder: Path) -> dict[str, Any] | None:
-    path = folder / "corpus.json"
-    if not path.exists():
-        return None
-    try:
-        manifest = json.loads(path.read_text())
-        for key in ("plan", "people", "template", "generator", "format"):
-            manifest[key]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"corpus {path}: damaged, or not a corpus of softdeca; use another folder") from None
-    return manifest
 
 
 class _Rate:

@@ -10,7 +10,7 @@ import numpy as np
 from ...lhm.errors import SceneError, SoftdecaError
 from ...lhm.geometry.bvh import TriangleTree
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Surface
+from ...lhm.mesh import Floats, Floats32, Surface
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.face.linearised import DIRECT, Analysed, Linearised, linearised, spring_norm
 from ...reference.face.settling import FOR_TARGETS
@@ -119,15 +119,15 @@ class Group:
         """By how much the neutral skin moved [mm], shape (n, 3)."""
         return self.neutral.displacement
 
-    def expression(self, weights: Floats) -> Floats:
+    def expression(self, weights: Floats | Floats32) -> Floats:
         """S [mm], shape (n, 3), of weights (52,)."""
         return self.person.skin.vertices + np.tensordot(weights, self.person.shapes, axes=1)
 
-    def scene(self, weights: Floats) -> Scene:
+    def scene(self, weights: Floats | Floats32) -> Scene:
         """The scene of an expression."""
         return self.neutral.scene(self.expression(weights))
 
-    def solve(self, weights: Floats) -> Solution:
+    def solve(self, weights: Floats | Floats32) -> Solution:
         """The simulator's answer to an expression; it begins where the derivatives lead.
 
         By the PD matrix, whose factor stays in a core's cache; where that fails, in the tangent's metric.
@@ -147,19 +147,19 @@ class Group:
             start = solution.positions if np.isfinite(solution.positions).all() else start
         return replace(solution, iterations=spent)
 
-    def corrected(self, weights: Floats, positions: Floats) -> Floats:
+    def corrected(self, weights: Floats | Floats32, positions: Floats) -> Floats:
         """T - S [mm], shape (n, 3), of a scene's positions."""
         expression = self.expression(weights)
         return self.neutral.skin_after(expression, positions) - expression
 
-    def static(self, weights: Floats) -> Answer:
+    def static(self, weights: Floats | Floats32) -> Answer:
         """One static frame; a failure is a status."""
         try:
             return self.answer(weights, self.solve(weights))
         except SoftdecaError as error:
             return Answer.failed(f"scene: {error}", self.person.skin)
 
-    def answer(self, weights: Floats, solution: Solution) -> Answer:
+    def answer(self, weights: Floats | Floats32, solution: Solution) -> Answer:
         """What a corpus keeps of a solution."""
         corrected = self.corrected(weights, solution.positions).astype(np.float16)
         inverted = solution.volume_ratio <= 0.0

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...lhm.errors import SoftdecaError
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
+from ...lhm.mesh import Floats, Floats32
 from ...reference.face.velocities import Velocities
 from .group import Answer, Group, settled_neutral
 from .mixture import ParameterSet
@@ -52,7 +52,7 @@ class _Made:
     parameters: ParameterSet
     failure: str = ""
     settled: np.ndarray | None = None
-    frames: list[tuple[Static, Floats]] = field(default_factory=list)
+    frames: list[tuple[Static, Floats32]] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
     sequences: list[tuple[str, int, Rolled]] = field(default_factory=list)
     responses: list[tuple[bool, Floats, Floats]] = field(default_factory=list)
@@ -151,8 +151,8 @@ def _simulate(
     with clock("references"):
         accepted = [row for row, answer in enumerate(one.answers) if answer.status == ACCEPTED]
         for row in accepted[:references_wanted]:
-            weights = one.frames[row][1].astype(np.float64)
-            one.references.append((row, references(group, weights, one.answers[row])))
+            expressed = one.frames[row][1].astype(np.float64)
+            one.references.append((row, references(group, expressed, one.answers[row])))
 
 
 def _sequence(plan, person, identity, k, group, one: _Made, velocities) -> tuple[str, int, Rolled]:

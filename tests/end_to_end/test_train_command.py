@@ -40,7 +40,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert {"network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)"} < methods
     kept = json.loads((scores / "scores.json").read_text())
     assert len(methods) == 12 and rows == kept["scores"] and kept["breakeven"]["training"] > 0
-    assert (scores / "scores.md").read_text().count("\n") == len(rows) + 4
+    assert (scores / "scores.md").read_text().count("\n") == len(rows) + 6
     assert (scores / "cost.png").read_bytes().startswith(b"\x89PNG")
     # The study of the same gives the same figures; so little training beats nothing, which is told.
     study = command(
@@ -70,7 +70,7 @@ def test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares
     people = [point["people"] for point in curve]
     assert people == sorted(people) and people[0] < people[1] <= 11
     assert all(0.0 < point[name] < 10.0 for point in curve for name in ("unseen", "seen"))
-    assert "| of seen ones |" in (tmp_path / "scores" / "scores.md").read_text()
+    assert "of seen ones |" in (tmp_path / "scores" / "scores.md").read_text()
     alone = command(*given, "--curve", few)
     assert alone.status != 0 and "different numbers of people" in alone.errors[0]
 

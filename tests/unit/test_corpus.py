@@ -178,7 +178,7 @@ def test_another_plan_or_template_is_refused(made, tmp_path):
     with pytest.raises(InputError, match="of another people"):
         Corpus(made.folder, PLAN, OfSpace(other, other.mean, other.fit))
     (tmp_path / "corpus.json").write_text(json.dumps([1]))
-    with pytest.raises(InputError, match="not a corpus"):
+    with pytest.raises(InputError, match="of no corpus"):
         Corpus(tmp_path, PLAN, PEOPLE)
 
 

@@ -15,7 +15,8 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.ranks import PHASES, SETTINGS, Ranks, compared, without_notices
+from softdeca.benchmarks.harness.mpirun import SETTINGS, without_notices
+from softdeca.benchmarks.studies.ranks import PHASES, Ranks, compared
 from softdeca.lhm.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean

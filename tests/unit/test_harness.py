@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from softdeca.benchmarks.harness import Task, compared, lanes, run
+from softdeca.benchmarks.harness import Asked, Task, compared, lanes, run, run_together, runner
+from softdeca.benchmarks.harness.lanes import Job
 from softdeca.benchmarks.harness.runner import PNG
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
@@ -191,11 +192,33 @@ def test_under_mpirun_the_first_process_measures_itself(toys, tmp_path, monkeypa
 
 def test_a_process_goes_on_with_its_case(toys, tmp_path):
     """What it has kept of a case serves the rest of it; another begins with a case of its own."""
-    lane = lanes._Lane(toys.Toy())
-    tasks = [Task(case, method) for case in "123" for method in "ab"]
-    assert lane.next_of(tasks, {"1"}) == tasks[2]
-    lane._task = tasks[4]
-    assert lane.next_of(tasks, {"1", "2"}) == tasks[4] and lane.next_of(tasks[:4], {"1", "2"}) == tasks[0]
+    lane = lanes._Lane()
+    jobs = [Job(toys.Toy(), Task(case, method)) for case in "123" for method in "ab"]
+    ones, twos = ("toy", "1"), ("toy", "2")
+    assert lane.next_of(jobs, {ones}) == jobs[2]
+    lane.job = jobs[4]
+    assert lane.next_of(jobs, {ones, twos}) == jobs[4] and lane.next_of(jobs[:4], {ones, twos}) == jobs[0]
+
+
+def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_cannot_be_run_is_told(
+    toys, tmp_path, monkeypatch
+):
+    lanes_used = []
+
+    def seen(jobs, count):
+        lanes_used.append(count)
+        return lanes.measured(jobs, count)
+
+    monkeypatch.setattr(runner, "measured", seen)
+    good, more = (toys.Toy(folder=str(tmp_path), cases=(case,)) for case in "12")
+    asked = [Asked(good, tmp_path / "a"), Asked(good, tmp_path / "b", "no such"), Asked(more, tmp_path / "c")]
+    first, second, third = run_together(asked, workers=2)
+    assert [row.values["twice"] for row in (*first.rows, *third.rows)] == [2.0, 4.0]
+    assert isinstance(second, InputError) and "no such" in str(second) and not (tmp_path / "b").exists()
+    assert all((tmp_path / name / "index.html").is_file() for name in "ac")
+    monkeypatch.setattr(toys.Toy, "timed", True)
+    again = run_together(asked[::2], workers=2)
+    assert [each.rows for each in again] == [first.rows, third.rows] and lanes_used == [2, 1]
 
 
 def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_path, monkeypatch):
