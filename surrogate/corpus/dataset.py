@@ -16,10 +16,11 @@ class CorpusDataset(Dataset):
     """The accepted rows of a table of a corpus as tensors; see `reading.Table` for names, shapes and errors.
 
     Texts are left out; T - S stays float16. For loaders with several workers: nothing is open between two rows.
+    `partial`: of a corpus that is not complete, what is there.
     """
 
-    def __init__(self, folder: str | PathLike[str], split: Split, *, table: str = "statics"):
-        self.table = Table(folder, table, split)
+    def __init__(self, folder: str | PathLike[str], split: Split, *, table: str = "statics", partial: bool = False):
+        self.table = Table(folder, table, split, partial=partial)
 
     def __len__(self) -> int:
         return len(self.table)
