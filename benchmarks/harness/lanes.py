@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -24,9 +24,9 @@ from .apart import forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Job:
-    """A task of a study."""
+    """A task of a study; another object is another job."""
 
     study: Study
     task: Task
@@ -118,7 +118,7 @@ class _Lane:
             self.end()
             return Measured(self.job, "failed", f"ended after {limit:g} s", seconds=seconds)
         try:
-            found: Measured = future.result()
+            found: Measured = replace(future.result(), job=self.job)
         except BrokenProcessPool:
             self.end()
             return Measured(self.job, "failed", "its process died", seconds=seconds)

@@ -118,9 +118,10 @@ def run_together(
                 found[number] = error
         jobs = {Job(run.study, task): number for number, run in runs.items() for task in run.left}
         lanes = 1 if any(run.study.timed for run in runs.values()) else workers or processors()
-        count = max(1, sum(len(run.tasks) for run in runs.values()))
-        named = ", ".join(run.study.name for run in runs.values())
-        progress(f"{named}: {count - len(jobs)} of {count}", 1.0 - len(jobs) / count)
+        count = sum(len(run.tasks) for run in runs.values())
+        if runs:
+            named = ", ".join(run.study.name for run in runs.values())
+            progress(f"{named}: {count - len(jobs)} of {count}", 1.0 - len(jobs) / count)
         for done, one in enumerate(measured(list(jobs), lanes), 1):
             run = runs[jobs[one.job]]
             run.rows.add(one)

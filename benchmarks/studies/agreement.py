@@ -226,15 +226,20 @@ class Agreement(Study):
             (BLENDSHAPES, TO_PD + SKIN): "blendshapes to PD",
         }
         cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))
-        figure, axis = subplots(figsize=(10, 0.45 * len(cases) + 1.7))
-        for (method, what), label in marks.items():
-            points = [
+        shown = {
+            label: [
                 (max(line["mean"], 1e-14), cases.index(row.case))
                 for row in rows
                 if row.method == method
                 for line in row.values["compared"]
                 if line["compared"] == what
             ]
+            for (method, what), label in marks.items()
+        }
+        if not any(shown.values()):
+            return {}
+        figure, axis = subplots(figsize=(10, 0.45 * len(cases) + 1.7))
+        for label, points in shown.items():
             if points:
                 axis.plot(*zip(*points, strict=True), "o", label=label)
         axis.axvline(ACCURACY, color="#bbbbbb", lw=0.8, ls=":")

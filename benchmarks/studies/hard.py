@@ -61,30 +61,39 @@ class Hard(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """How many are right, and how many stopped for a reason that is right to name."""
-        right = sum(row.values["outcome"] == "passed" for row in rows)
-        refused = sum(row.values["passed"] and row.values["outcome"] != "passed" for row in rows)
-        wrong = len(rows) - right - refused
+        kinds = Counter(map(_kind, rows))
+        right, refused, wrong = (kinds[kind] for kind in KINDS)
         return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """Right, refused with a reason, or wrong: seeds and laws of a case together, by solver and element."""
+        """Right, refused with a reason, or wrong, by solver and element; and of each case, seeds and laws together."""
         ways = list(dict.fromkeys(row.method for row in rows))
+        outcomes = Counter((row.method, _kind(row)) for row in rows)
+        counts = [[way, *(outcomes[way, kind] for kind in KINDS)] for way in ways]
         found: dict[str, dict[str, list[Row]]] = {}
         for row in rows:
             kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
             found.setdefault(kind, {}).setdefault(row.method, []).append(row)
         lines = [[kind, *(_told(by.get(way, [])) for way in ways)] for kind, by in found.items()]
         note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
-        return [Table("Right, refused, wrong", ["case", *ways], lines, note)]
+        return [
+            Table("By solver and element", ["solver and element", *KINDS], counts),
+            Table("Right, refused, wrong", ["case", *ways], lines, note),
+        ]
+
+
+KINDS = ("right", "refused", "WRONG")
+
+
+def _kind(row: Row) -> str:
+    return KINDS[0] if row.values["outcome"] == "passed" else KINDS[1] if row.values["passed"] else KINDS[2]
 
 
 def _told(rows: Sequence[Row]) -> str | None:
     """As "20 right, 8 to 31 iterations"."""
     if not rows:
         return None
-    kinds = Counter(
-        "right" if row.values["outcome"] == "passed" else "refused" if row.values["passed"] else "WRONG" for row in rows
-    )
+    kinds = Counter(map(_kind, rows))
     counts = sorted(int(row.values["iterations"]) for row in rows)
     span = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
     outcome = ", ".join(kind if len(rows) == 1 else f"{count} {kind}" for kind, count in kinds.items())

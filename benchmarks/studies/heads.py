@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -22,6 +21,7 @@ from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
 from ..heads_gallery import shown_head
+from ..traces import Stopwatch
 from .person import OfPerson
 
 FAILURES_PER_HEAD = 1e-3
@@ -147,18 +147,16 @@ def sample(space: LinearSpace, seed: int, sigma: float) -> Surface:
 
 def fitted(template: Template, skin: Surface) -> dict:
     """Figures, gates missed and seconds of the head of a skin; or why it has none, which is an outcome of the study."""
-    begin = time.perf_counter(), time.process_time()
+    watch = Stopwatch()
     try:
         head: LayeredHead = fit_head(template, skin)
-        middle = time.perf_counter(), time.process_time()
+        fit = watch.lap()
         report = check_head(head)
     except Exception as error:
         # Also a failure that is no FitError: the reason is told.
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
         return {"error": " ".join(reason.split()), "problems": [], "figures": None}
-    end = time.perf_counter(), time.process_time()
-    spans = (middle[0] - begin[0], middle[1] - begin[1], end[0] - middle[0], end[1] - middle[1])
-    seconds = {name: round(span, 4) for name, span in zip(SECONDS, spans, strict=True)}
+    seconds = {name: round(span, 4) for name, span in zip(SECONDS, (*fit, *watch.lap()), strict=True)}
     return {"error": None, "problems": list(report.problems), "figures": asdict(report), **seconds}
 
 

@@ -65,25 +65,22 @@ class Split(OfPerson):
     refined: bool = field(default=False, metadata={"help": "also quadratic tets: minutes each"})
 
     def tasks(self) -> Sequence[Task]:
-        """Each expression under each effect."""
+        """Each effect with each expression: a process that goes on with an effect has prepared it."""
         self.check(self.expressions)
         for name in self.effects:
             if name not in EFFECTS:
                 raise InputError(f"effect {name!r}: there are {', '.join(EFFECTS)}")
-        return [Task(text, name) for name in self.effects for text in self.expressions]
+        return [Task(name, text) for name in self.effects for text in self.expressions]
 
     def measure(self, task: Task) -> Values:
         """The skins of one frame by every method, and what lies between them."""
         of = self.person()
-        head, code, shape = of.head, of.code, of.shape(task.case)
-        linear = _prepared(self, task.method)
-        weights = expressions.parsed(task.case)
+        head, code, shape = of.head, of.code, of.shape(task.method)
+        linear = _prepared(self, task.case)
+        weights = expressions.parsed(task.method)
         scene = linear.face.scene(shape)
         network = (
-            Surrogate.load()
-            .bind(head.skin, code, EFFECTS[task.method], beyond="clamp")
-            .frame(weights)
-            .astype(np.float64)
+            Surrogate.load().bind(head.skin, code, EFFECTS[task.case], beyond="clamp").frame(weights).astype(np.float64)
         )
         trained, tight = (linear.solve(shape, accuracy=accuracy) for accuracy in (CorpusPlan.tolerance, TIGHT))
         if not (trained.converged and tight.converged):

@@ -74,16 +74,10 @@ class SurrogateOnCorpus(Study):
             training = Faces(Path(self.corpus), "train", partial=self.partial)
             found = evaluate([learning()[task.method]()], test, training)
         return {
-            "scores": [asdict(score) for score in found],
+            "rows": [asdict(score) for score in found],
             "people": len({identity for identity, _ in test.groups.tolist()}),
             "trained_on": asdict(network.weights.note),
         }
-
-    @staticmethod
-    def lines(values: Values) -> Sequence[Values]:
-        """A kind of parameters each."""
-        lines: Sequence[Values] = values["scores"]
-        return lines
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """What the network has to beat: doing nothing, and with exact derivatives these alone."""
@@ -122,5 +116,5 @@ def _tested(study: SurrogateOnCorpus) -> tuple[Surrogate, Faces]:
 
 def _overall(rows: Sequence[Row]) -> dict[str, Score]:
     """The scores over all frames, by method."""
-    scores = [Score(**line) for row in rows for line in row.values["scores"]]
+    scores = [Score(**line) for row in rows for line in row.values["rows"]]
     return {score.method: score for score in scores if score.kind == "all"}

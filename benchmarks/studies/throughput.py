@@ -88,16 +88,10 @@ class Throughput(OfPerson):
         return [*cold, Task(SEQUENCE, "PD"), Task(WORKER, "PD"), Task(ITERATION, "PD")]
 
     def measure(self, task: Task) -> Values:
-        """What is told of a kind: `lines`."""
+        """What is told of a kind."""
         if task.case == COLD:
             return self._cold(task.method)
         return {SEQUENCE: self._sequence, WORKER: self._memory, ITERATION: self._floor}[task.case]()
-
-    @staticmethod
-    def lines(values: Values) -> Sequence[Values]:
-        """A cold frame, a frame of the sequence on average, a figure of an iteration."""
-        lines: Sequence[Values] = values["lines"]
-        return lines
 
     def _frame(self, seed: int, kind: str) -> partial:
         """The scene of a lively frame of talk of a seed's head, with parameters of a kind."""
@@ -121,7 +115,7 @@ class Throughput(OfPerson):
             error = farthest(solution.positions, truth.positions)
             more = {"error_mm": error, "seconds": seconds, "per_hour": 3600.0 / seconds, "tolerance": tolerance}
             rows.append({"what": f"identity {seed}", **row, **more})
-        return {"lines": rows}
+        return {"rows": rows}
 
     def _sequence(self) -> Values:
         """The tolerance is that of `Sequence`, halved until the checked frames are within 0.01 mm."""
@@ -136,7 +130,7 @@ class Throughput(OfPerson):
             found = self._played(skins, truths, TOLERANCE / 2**halvings)
             if found["error_mm"] <= ACCURACY:
                 break
-        return {"lines": [found]}
+        return {"rows": [found]}
 
     def _played(self, skins: Floats, truths: Mapping[int, Floats], tolerance: float) -> dict:
         running = Simulation(self.person().head, Parameters(), time_step=1.0 / RATE, tolerance=tolerance)
@@ -170,7 +164,7 @@ class Throughput(OfPerson):
         fitted = peak_megabytes()
         prepare(frame()).solve(max_iterations=30)
         figures = {"libraries [MB]": loaded, "peak of the fit [MB]": fitted, "peak [MB]": peak_megabytes()}
-        return {"lines": [{"what": what, "value": value} for what, value in figures.items()]}
+        return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
 
     def _floor(self) -> Values:
         """What an iteration must read, at what bandwidth, and how long it takes beside that."""
@@ -194,13 +188,13 @@ class Throughput(OfPerson):
             "the rest: L-BFGS, further evaluations [ms]": split["rest"],
             "evaluations per iteration": solution.detail["evaluations"] / max(solution.iterations, 1),
         }
-        return {"lines": [{"what": what, "value": value} for what, value in figures.items()]}
+        return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Right to 0.01 mm; fast and small enough."""
         found: list[dict] = []
         for row in rows:
-            lines = row.values["lines"]
+            lines = row.values["rows"]
             if row.case == COLD:
                 slowest = float(np.max([line["seconds"] for line in lines]))
                 mean = 3600.0 / float(np.mean([line["seconds"] for line in lines]))
@@ -234,15 +228,15 @@ class Throughput(OfPerson):
         said = []
         for row in rows:
             if row.case == COLD:
-                mean = 3600.0 / float(np.mean([line["seconds"] for line in row.values["lines"]]))
+                mean = 3600.0 / float(np.mean([line["seconds"] for line in row.values["rows"]]))
                 said.append(f"{mean:,.0f} cold frames of {row.method}")
             elif row.case == SEQUENCE:
-                said.append(f"{row.values['lines'][0]['per_hour']:,.0f} frames of a sequence")
+                said.append(f"{row.values['rows'][0]['per_hour']:,.0f} frames of a sequence")
         return f"A core simulates, per hour, {', '.join(said)}." if said else ""
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Milliseconds and iterations of each frame of the sequence."""
-        line = next((row.values["lines"][0] for row in rows if row.case == SEQUENCE), None)
+        line = next((row.values["rows"][0] for row in rows if row.case == SEQUENCE), None)
         if line is None:
             return {}
         figure, axis = subplots(figsize=(8, 3))

@@ -49,9 +49,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     )  # fmt: skip
     assert study.status == 1 and study.errors == []
     results = json.loads(study.out)
-    found = {
-        (line["method"], line["kind"]): line["mean"] for row in results["rows"] for line in row["values"]["scores"]
-    }
+    found = {(line["method"], line["kind"]): line["mean"] for row in results["rows"] for line in row["values"]["rows"]}
     wanted = {(row["method"], row["kind"]): row["mean"] for row in rows}
     assert found == {key: pytest.approx(wanted[key]) for key in found} and len(results["rows"]) == 5
     assert [gate["passed"] for gate in results["gates"]][:2] == [True, False]

@@ -133,11 +133,11 @@ def test_memory_is_seen_in_a_process_of_its_own():
 
 def cold_row(**changes) -> Row:
     line = {"seconds": 0.5, "error_mm": 0.004, "converged": True} | changes
-    return Row(COLD, "default p", "done", "", {"lines": [line]}, 1.0, None, 0.0, "")
+    return Row(COLD, "default p", "done", "", {"rows": [line]}, 1.0, None, 0.0, "")
 
 
 def row(case: str, *lines: dict) -> Row:
-    return Row(case, "PD", "done", "", {"lines": list(lines)}, 1.0, None, 0.0, "")
+    return Row(case, "PD", "done", "", {"rows": list(lines)}, 1.0, None, 0.0, "")
 
 
 @pytest.mark.parametrize(

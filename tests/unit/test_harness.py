@@ -1,14 +1,15 @@
 """The runner of studies: failures are rows, what is done is kept, and two results are compared beside their noise."""
 
+import io
 import json
 import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from softdeca.benchmarks.harness import Asked, Task, compared, lanes, run, run_together, runner
 from softdeca.benchmarks.harness.lanes import Job
-from softdeca.benchmarks.harness.runner import PNG
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
@@ -222,11 +223,13 @@ def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_
 
 
 def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_path, monkeypatch):
-    drawn = {"a picture": PNG + b"...", "turn it": b"<!doctype html><p>round</p>"}
+    picture = io.BytesIO()
+    Image.new("RGB", (40, 30), "white").save(picture, "PNG")
+    drawn = {"a picture": picture.getvalue(), "turn it": b"<!doctype html><p>round</p>"}
     monkeypatch.setattr(lanes, "followers", object)
     monkeypatch.setattr(toys.Toy, "measure", lambda self, task: {"twice": 2.0, **drawn})
     (row,) = run(toys.Toy(folder=str(tmp_path), cases=("1",)), tmp_path / "out").rows
     kept = {key: (tmp_path / "out" / row.values[key]).read_bytes() for key in drawn}
     assert kept == drawn and [Path(row.values[key]).suffix for key in drawn] == [".png", ".html"]
     text = (tmp_path / "out" / "index.html").read_text()
-    assert "&lt;p&gt;round" in text and "data:image/png;base64" in text
+    assert "&lt;p&gt;round" in text and "data:image/webp;base64" in text
