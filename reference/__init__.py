@@ -5,6 +5,7 @@ from . import materials, ranks, terms
 from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
 from .face.facial import facial_scene, hyperelastic_scene, neo_hookean_scene
 from .face.minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
+from .face.nested import nested_start
 from .face.parameters import ParameterInfo, Parameters
 from .face.sequence import Sequence
 from .face.settling import Settled, settled
@@ -41,6 +42,7 @@ __all__ = [
     "march",
     "materials",
     "neo_hookean_scene",
+    "nested_start",
     "prepare",
     "ranks",
     "settled",

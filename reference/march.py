@@ -129,7 +129,7 @@ def march(
     for option in options:
         if option != "element":
             raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has element")
-    return import_module(f".{solver}.dynamics", __package__).march(motion, **options)
+    return import_module(f".{solver}.prepared", __package__).carry_out(motion, **options)
 
 
 def _scheme(given: str | Scheme, spectral_radius: float) -> Scheme:

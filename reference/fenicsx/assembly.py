@@ -138,6 +138,20 @@ def _add_blocks(starts, elements, slots, blocks, values):
                         values[at + r * width + c] += blocks[e, a, b, r, c]
 
 
+def add_forces(nodes: Ints, forces: Floats, into: Floats):
+    """Add forces [mN], shape (m, k, 3), at elements' nodes (m, k) to an array by node (n, 3)."""
+    for c in range(3):
+        into[:, c] += np.bincount(nodes.ravel(), forces[:, :, c].ravel(), minlength=len(into))
+
+
+def skew(v: Floats) -> Floats:
+    """The matrices of w -> v × w, shape (..., 3, 3), of vectors (..., 3)."""
+    matrices = np.zeros((*v.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrices[..., k, j], matrices[..., j, k] = v[..., i], -v[..., i]
+    return matrices
+
+
 def rigid_motions(X: Floats, comm: MPI.Intracomm) -> PETSc.NullSpace:
     """Three translations and three rotations of nodes X (n, 3), orthonormal: what multigrid has to keep."""
     n = len(X)

@@ -19,6 +19,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from ...lhm.mesh import Floats, Ints
 from ..terms import Bending
+from .assembly import add_forces, skew
 
 FLAT = 1e-9  # of the largest singular value: below it a ring does not determine its rotation
 
@@ -82,8 +83,7 @@ class Rings:
         turned = self.a[:, :, None] * (p - b)[:, None, :] - self.w[:, :, None] * np.cross(z[:, None, :], self.E)
         force = (self.stiffness[:, None, None] * turned) @ R.transpose(0, 2, 1)
         force = np.concatenate([-force.sum(axis=1, keepdims=True), force], axis=1)
-        for c in range(3):
-            into[:, c] += np.bincount(self.nodes.ravel(), force[:, :, c].ravel(), minlength=len(into))
+        add_forces(self.nodes, force, into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
         """The Hessian's blocks [mN/mm], shape (m, k+1, k+1, 3, 3): vertex, vertex, component, component.
@@ -94,15 +94,15 @@ class Rings:
         m, k = self.a.shape
         G = _turning(Y)
         z = np.einsum("mik,mk->mi", G, np.cross(b, p))
-        spin = np.einsum("mik,mj,mjkc->mijc", G, self.w, _cross(self.E), optimize=True)  # ω = Σ spin q
+        spin = np.einsum("mik,mj,mjkc->mijc", G, self.w, skew(self.E), optimize=True)  # ω = Σ spin q
         slope = np.einsum("mj,ic->mijc", self.a, np.eye(3))  # Rᵀdl = Σ slope q
         pull = self.w[:, :, None] * self.E
-        dz = _after(_cross(b), slope + _after(_cross(p), spin))
+        dz = _after(skew(b), slope + _after(skew(p), spin))
         dz += np.einsum("mj,ic->mijc", np.einsum("mjc,mc->mj", pull, z), np.eye(3)) - np.einsum("mi,mjc->mijc", z, pull)
-        dz = _after(G, dz + _after(_cross(np.einsum("mik,mk->mi", Y, z)), spin))
-        rows = np.einsum("mh,mijc->mhijc", self.a, slope + _after(_cross(b), spin))
-        rows += np.einsum("mh,mhik,mkjc->mhijc", self.w, _cross(np.cross(z[:, None, :], self.E)), spin, optimize=True)
-        rows += np.einsum("mh,mhik,mkjc->mhijc", self.w, _cross(self.E), dz, optimize=True)
+        dz = _after(G, dz + _after(skew(np.einsum("mik,mk->mi", Y, z)), spin))
+        rows = np.einsum("mh,mijc->mhijc", self.a, slope + _after(skew(b), spin))
+        rows += np.einsum("mh,mhik,mkjc->mhijc", self.w, skew(np.cross(z[:, None, :], self.E)), spin, optimize=True)
+        rows += np.einsum("mh,mhik,mkjc->mhijc", self.w, skew(self.E), dz, optimize=True)
         local = rows.reshape(m, 3 * k, 3 * k)
         if kept < 1.0:
             values, vectors = np.linalg.eigh(0.5 * (local + local.transpose(0, 2, 1)))
@@ -117,14 +117,6 @@ class Rings:
 def _after(A: Floats, maps: Floats) -> Floats:
     """A (m, 3, 3) after maps (m, 3, k, 3) from all q."""
     return np.einsum("mih,mhjc->mijc", A, maps)
-
-
-def _cross(v: Floats) -> Floats:
-    """The matrices [v]ₓ, shape (..., 3, 3), of vectors (..., 3)."""
-    matrix = np.zeros((*v.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        matrix[..., k, j], matrix[..., j, k] = v[..., i], -v[..., i]
-    return matrix
 
 
 def _turning(Y: Floats) -> Floats:

@@ -33,25 +33,30 @@ from ..materials import (
 Density = Callable[[Any, Any], Any]
 
 
-def neo_hookean(F, p, share=1):
-    """mu/2 (I1 - 3) - mu ln J + share lmbda/2 ln²J; not a number where J <= 0."""
+def squared(modulus, g):
+    """The bulk part modulus/2 g² of a law."""
+    return modulus / 2 * g**2
+
+
+def neo_hookean(F, p, bulk=squared):
+    """mu/2 (I1 - 3) - mu ln J + lmbda/2 ln²J; not a number where J <= 0."""
     log_J = ufl.ln(ufl.det(F))
-    return p.mu / 2 * (ufl.inner(F, F) - 3) - p.mu * log_J + share * p.lmbda / 2 * log_J**2
+    return p.mu / 2 * (ufl.inner(F, F) - 3) - p.mu * log_J + bulk(p.lmbda, log_J)
 
 
-def stable_neo_hookean(F, p):
+def stable_neo_hookean(F, p, bulk=squared):
     """The law less its value at rest, where I1 = 3 and J = 1; finite for every F."""
     mu, lmbda = 4 * p.mu / 3, p.lmbda + 5 * p.mu / 6
     I1, away = ufl.inner(F, F), ufl.det(F) - 1
     # lmbda/2 (J - a)² less its value at rest, with lmbda (a - 1) = 3/4 mu
-    volume = lmbda / 2 * away**2 - 3 * mu / 4 * away
+    volume = bulk(lmbda, away) - 3 * mu / 4 * away
     return mu / 2 * (I1 - 3) + volume - mu / 2 * ufl.ln((I1 + 1) / 4)
 
 
-def st_venant_kirchhoff(F, p):
+def st_venant_kirchhoff(F, p, bulk=squared):
     """Linear elasticity's energy mu tr E² + lmbda/2 tr²E; finite for every F."""
     E = (F.T * F - ufl.Identity(3)) / 2
-    return p.mu * ufl.inner(E, E) + p.lmbda / 2 * ufl.tr(E) ** 2
+    return p.mu * ufl.inner(E, E) + bulk(p.lmbda, ufl.tr(E))
 
 
 def volumetric(F, p):
@@ -117,6 +122,11 @@ MixedDensity = Callable[[Any, Any, Any], Any]
 """The density from F, the pressure p and the law's parameters."""
 
 
+def _of_pressure(p):
+    """The bulk part p g - p²/(2 modulus) in place of modulus/2 g²."""
+    return lambda modulus, g: p * g - p**2 / (2 * modulus)
+
+
 def mixed_neo_hookean(F, p, law):
     """lmbda/2 ln²J by p = lmbda ln J, but for a share of it.
 
@@ -124,22 +134,8 @@ def mixed_neo_hookean(F, p, law):
     crush single points.
     """
     share = ufl.conditional(ufl.lt(2 * law.mu, law.lmbda), law.mu / law.lmbda, 0.5)
-    at_points = neo_hookean(F, law, share)
-    return at_points + (1 - share) * (p * ufl.ln(ufl.det(F)) - p**2 / (2 * law.lmbda))
-
-
-def mixed_stable_neo_hookean(F, p, law):
-    """The quadratic part in J by the pressure."""
-    mu, lmbda = 4 * law.mu / 3, law.lmbda + 5 * law.mu / 6
-    I1, away = ufl.inner(F, F), ufl.det(F) - 1
-    elastic = mu / 2 * (I1 - 3) - mu / 2 * ufl.ln((I1 + 1) / 4) - 3 * mu / 4 * away
-    return elastic + p * away - p**2 / (2 * lmbda)
-
-
-def mixed_st_venant_kirchhoff(F, p, law):
-    """lmbda/2 tr²E by the pressure."""
-    E = (F.T * F - ufl.Identity(3)) / 2
-    return law.mu * ufl.inner(E, E) + p * ufl.tr(E) - p**2 / (2 * law.lmbda)
+    by_pressure = _of_pressure(p)
+    return neo_hookean(F, law, lambda modulus, g: share * squared(modulus, g) + (1 - share) * by_pressure(modulus, g))
 
 
 def complementary(p, law):
@@ -176,8 +172,8 @@ SHAPE: dict[type[Material], Density] = {
 }
 MIXED: dict[type[Material], MixedDensity] = {
     NeoHookean: mixed_neo_hookean,
-    StableNeoHookean: mixed_stable_neo_hookean,
-    StVenantKirchhoff: mixed_st_venant_kirchhoff,
+    StableNeoHookean: lambda F, p, law: stable_neo_hookean(F, law, _of_pressure(p)),
+    StVenantKirchhoff: lambda F, p, law: st_venant_kirchhoff(F, law, _of_pressure(p)),
     **{law: _with_pressure(ISOCHORIC[law]) for law in (IsochoricNeoHookean, MooneyRivlin, Guccione)},
 }
 

@@ -62,13 +62,9 @@ if ALL.size > 1:
     atexit.register(leave)  # before PETSc ends, which all processes do at once
 _fem: Any = fem  # names and signatures differ by version
 
-if VERSION < (0, 6):
-    _OPTIONS = {"jit": "jit_params"}
-else:
-    _OPTIONS = {"jit": "jit_options"}
 _LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
 # Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
-_COMPILER = {_OPTIONS["jit"]: {"cffi_extra_compile_args": ["-O2"]}}
+_COMPILER = {"jit_params" if VERSION < (0, 6) else "jit_options": {"cffi_extra_compile_args": ["-O2"]}}
 _DEFAULTS = getattr(dolfinx.jit, f"DOLFINX_DEFAULT_JIT_{'PARAMETERS' if VERSION < (0, 6) else 'OPTIONS'}")
 if not cache.can_be_written(Path(_DEFAULTS["cache_dir"][0])):
     _DEFAULTS["cache_dir"] = (cache.folder() / "fenics", _DEFAULTS["cache_dir"][1])
@@ -188,7 +184,7 @@ def write_xdmf(path: Path, domain, vectors: dict[str, Floats], numbers: dict[str
             found.name = name
             file.write_function(found)
         for name, values in numbers.items():
-            found = cell_numbers(domain, values)
+            found = cell_numbers(domain, np.arange(len(cells)), values)
             found.name = name
             file.write_function(found)
 
@@ -230,54 +226,36 @@ def cell_tets(domain) -> Ints:
     return np.asarray(domain.topology.original_cell_index, dtype=np.int64)
 
 
-def vector_space(domain, degree: int):
-    """Continuous vectors, piecewise of a degree."""
+def _space(domain, family: str, degree: int, *, vectors: bool):
     with _compiling(communicator(domain)):
         if VERSION < (0, 6):
-            return _fem.VectorFunctionSpace(domain, ("Lagrange", degree))
-        return _fem.functionspace(domain, ("Lagrange", degree, (3,)))
+            make = _fem.VectorFunctionSpace if vectors else _fem.FunctionSpace
+            return make(domain, (family, degree))
+        return _fem.functionspace(domain, (family, degree, (3,)) if vectors else (family, degree))
+
+
+def vector_space(domain, degree: int):
+    """Continuous vectors, piecewise of a degree."""
+    return _space(domain, "Lagrange", degree, vectors=True)
 
 
 def pressure_space(domain):
     """Continuous piecewise linear numbers."""
-    with _compiling(communicator(domain)):
-        if VERSION < (0, 6):
-            return _fem.FunctionSpace(domain, ("Lagrange", 1))
-        return _fem.functionspace(domain, ("Lagrange", 1))
+    return _space(domain, "Lagrange", 1, vectors=False)
 
 
 def cell_vectors(domain, cells: Ints, vectors: Floats):
     """A function that is one vector per cell: vectors (3,) or (k, 3) on cells (k,), zero elsewhere."""
-    with _compiling(communicator(domain)):
-        if VERSION < (0, 6):
-            space = _fem.VectorFunctionSpace(domain, ("DG", 0))
-        else:
-            space = _fem.functionspace(domain, ("DG", 0, (3,)))
-    result = function(space)
-    result.x.array.reshape(-1, 3)[cell_dofs(space, 1)[cells, 0]] = vectors
+    result = function(_space(domain, "DG", 0, vectors=True))
+    result.x.array.reshape(-1, 3)[cell_dofs(result.function_space, 1)[cells, 0]] = vectors
     return result
 
 
-def cell_numbers(domain, values: Floats):
-    """A function that is one number per cell, values (m,)."""
-    with _compiling(communicator(domain)):
-        made = _fem.FunctionSpace if VERSION < (0, 6) else _fem.functionspace
-        result = function(made(domain, ("DG", 0)))
-    result.x.array[cell_dofs(result.function_space, 1)[:, 0]] = values
+def cell_numbers(domain, cells: Ints, values: Floats | float):
+    """A function that is one number per cell: one or (k,) values on cells (k,), zero elsewhere."""
+    result = function(_space(domain, "DG", 0, vectors=False))
+    result.x.array[cell_dofs(result.function_space, 1)[cells, 0]] = values
     return result
-
-
-def quadrature_space(domain, degree: int, shape: tuple[int, ...]):
-    """Tensors of a shape at the points of the quadrature rule of a degree."""
-    if VERSION < (0, 6):
-        scalar = ufl.FiniteElement("Quadrature", ufl.tetrahedron, degree, quad_scheme="default")
-        with _compiling(communicator(domain)):
-            return fem.FunctionSpace(domain, ufl.TensorElement(scalar, shape=shape))
-    import basix.ufl
-
-    element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, scheme="default", degree=degree)
-    with _compiling(communicator(domain)):
-        return _fem.functionspace(domain, element)
 
 
 def quadrature_rule(degree: int, cell: str = "tetrahedron") -> tuple[Floats, Floats]:
@@ -286,10 +264,10 @@ def quadrature_rule(degree: int, cell: str = "tetrahedron") -> tuple[Floats, Flo
     return points, weights
 
 
-def shapes(degree: int, points: Floats) -> tuple[Floats, Floats]:
-    """Lagrange's shape functions on the reference tet at points (q, 3): values (q, k) and derivatives (q, k, 3)."""
+def shapes(degree: int, points: Floats, cell: str = "tetrahedron") -> tuple[Floats, Floats]:
+    """Lagrange's shape functions on a reference cell at points (q, d): values (q, k) and derivatives (q, k, d)."""
     family, variant = basix.ElementFamily.P, basix.LagrangeVariant.gll_warped
-    table = basix.create_element(family, basix.CellType.tetrahedron, degree, variant).tabulate(1, points)
+    table = basix.create_element(family, getattr(basix.CellType, cell), degree, variant).tabulate(1, points)
     return table[0, :, :, 0], np.moveaxis(table[1:, :, :, 0], 0, -1)
 
 

@@ -1,6 +1,7 @@
 """A march through time on FEniCSx: mesh, forms and factors once, an incremental minimisation per step.
 
-Of several processes every one calls `march`, and has the whole trajectory.
+Of several processes every one makes the march, and has the whole trajectory. Edge nodes of "P2" begin in the middle of
+their ends.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import numpy as np
 from ...lhm.errors import SceneError
 from ...lhm.mesh import Floats, Ints
 from ..march import Motion
-from ..ranks import Mirrored, followers
 from ..scene import Scene, refuse_unknown
 from ..solution import Reason
 from ..terms import Target
@@ -25,7 +25,7 @@ from .problem import Problem
 from .scope import LAWS, MOVING_TERMS, processes_for
 from .shared import anywhere, check_same, dot, norm
 
-ELEMENTS = {"P1": 1, "P2": 2}
+ELEMENTS = ("P1", "P2")
 MAX_ITERATIONS = 100
 
 
@@ -46,15 +46,6 @@ class Moment:
     potential: float
 
 
-def march(motion: Motion, *, element: str = "P1") -> Trajectory:
-    """See `softdeca.reference.march`. Edge nodes of "P2" begin in the middle of their ends."""
-    check(motion, element)
-    others = followers()
-    if others is None or processes_for(motion.scene).size == 1:
-        return March(motion, ELEMENTS[element]).run()
-    return Mirrored(others, Marching, bare(motion), ELEMENTS[element]).call("run", here={"motion": motion})
-
-
 def check(motion: Motion, element: str):
     """Raise SceneError for what a march cannot model."""
     if element not in ELEMENTS:
@@ -69,32 +60,20 @@ def bare(motion: Motion) -> Motion:
     return replace(motion, targets=None, fixed=None, scenes=None, acceleration=None, on_step=None)
 
 
-class Marching:
-    """A march that several processes make together; those that follow know neither its courses nor its callback."""
-
-    def __init__(self, motion: Motion, degree: int):
-        self._motion, self._degree = motion, degree
-
-    def run(self, motion: Motion | None = None) -> Trajectory:
-        """All of it."""
-        return March(self._motion if motion is None else motion, self._degree).run()
-
-
 class March:
     """One march. Scenes and frames are what the first process has for a step.
 
     `problem`, one of the motion's scene, lends mesh, forms and matrix; what they are set to is changed.
     """
 
-    def __init__(self, motion: Motion, degree: int, problem: Problem | None = None):
+    def __init__(self, motion: Motion, problem: Problem):
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
         self.comm = processes_for(motion.scene)
         check_same(self.comm, motion.scene)
         self._scene = motion.scene
         scene = self._scene_at(0)
-        skin = motion.skin if motion.skin_density.any() else None
-        if problem is None or (skin is not None and self.comm.size > 1):  # of which other processes may have to know
-            problem = Problem(scene, Numbering(scene, degree, comm=self.comm, skin=skin))
+        if motion.skin_density.any() and self.comm.size > 1:  # of which other processes may have to know
+            problem = Problem(scene, Numbering(scene, problem.numbering.degree, comm=self.comm, skin=motion.skin))
         else:
             problem.set(scene)
         self.problem, self.order = problem, problem.numbering

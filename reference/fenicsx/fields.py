@@ -8,7 +8,9 @@ import numpy as np
 
 from ...lhm.mesh import Floats
 from . import dolfinx_version as seam
+from .assembly import add_forces
 from .numbering import Numbering
+from .quadrature import Quadrature
 from .shared import gathered
 
 
@@ -27,37 +29,28 @@ class Fields:
 
 
 class Sampling:
-    """Shape functions of a numbering's nodes at the points of a rule."""
+    """Shape functions of a numbering's nodes at the points of a rule, on all cells of this process."""
 
     def __init__(self, order: Numbering, degree: int):
-        points, weights = seam.quadrature_rule(degree)
-        self._order = order
-        corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
-        x = order.X[order.dof[order.cell_vertices]]
-        self._jacobian = x.transpose(0, 2, 1) @ np.linalg.pinv(corners - corners.mean(axis=0)).T
-        self.X = (seam.shapes(1, points)[0] @ x).reshape(-1, 3)
-        self.weights = np.outer(np.abs(np.linalg.det(self._jacobian)), weights).ravel()
-        self._values, self._derivatives = seam.shapes(order.degree, points)
-        self._linear = seam.shapes(1, points)[0]
+        points, _ = seam.quadrature_rule(degree)
+        self._order, self._quadrature = order, Quadrature(order, np.arange(len(order.cell_dofs)), degree)
+        self._linear, self._values = (seam.shapes(of, points)[0] for of in (1, order.degree))
+        self.X = (self._linear @ order.X[order.dof[order.cell_vertices]]).reshape(-1, 3)
 
     def load(self, density: Floats) -> Floats:
         """Nodal forces, a vector (owned, 3), of a force per volume at the points here, shape (q, 3)."""
-        weighted = (density * self.weights[:, None]).reshape(len(self._jacobian), -1, 3)
-        parts = np.einsum("qk,mqc->mkc", self._values, weighted)
+        nodes = self._order.cell_dofs
+        weighted = (density * self._quadrature.volume[:, None]).reshape(len(nodes), -1, 3)
         result = np.zeros(self._order.X.shape)
-        for c in range(3):
-            result[:, c] = np.bincount(self._order.cell_dofs.ravel(), parts[:, :, c].ravel(), minlength=len(result))
+        add_forces(nodes, np.einsum("qk,mqc->mkc", self._values, weighted), result)
         return self._order.nodes.summed(result)
 
     def fields(self, u: Floats, pressure: Floats | None) -> Fields:
         """Nodal displacements (n, 3) and pressures, shape (cells, 4), at the points of all processes."""
-        nodal = u[self._order.cell_dofs]
-        local = np.einsum("mkc,qkd->mqcd", nodal, self._derivatives)
-        gradient = local @ np.linalg.inv(self._jacobian)[:, None]
-        at_points = (self._values @ nodal).reshape(-1, 3)
+        at_points = (self._values @ u[self._order.cell_dofs]).reshape(-1, 3)
+        gradient = self._quadrature.deformation_gradient(u) - np.eye(3)
         X, weights, displacement, by_place = (
-            gathered(self._order.comm, values)
-            for values in (self.X, self.weights, at_points, gradient.reshape(-1, 3, 3))
+            gathered(self._order.comm, values) for values in (self.X, self._quadrature.volume, at_points, gradient)
         )
         pressures = None if pressure is None else gathered(self._order.comm, (pressure @ self._linear.T).ravel())
         return Fields(X, weights, displacement, by_place, pressures)

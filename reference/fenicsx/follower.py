@@ -14,7 +14,7 @@ import numpy as np
 from ...lhm.mesh import Floats, Ints
 from ..terms import Pressure
 from . import dolfinx_version as seam
-from .membrane import quadratic_shapes
+from .assembly import add_forces, skew
 
 DEGREES = {3: 2, 6: 6}
 """Degree of the rule that is exact, by the nodes of a triangle."""
@@ -35,14 +35,9 @@ class FollowerPressure:
         """The term on its triangles that are `here`, by default all, with nodes (m, 3) or (m, 6), corners first."""
         k = nodes.shape[1]
         points, weights = seam.quadrature_rule(DEGREES[k], "triangle")
-        barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
-        shapes, by_barycentric = barycentric, np.broadcast_to(np.eye(3), (len(points), 3, 3))
-        if k == 6:
-            shapes, by_barycentric = quadratic_shapes(barycentric)
-        derivatives = by_barycentric @ np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
         value = np.broadcast_to(term.value, len(term.triangles))
         value = value if here is None else value[here]
-        return cls(nodes, value, weights, shapes, derivatives)
+        return cls(nodes, value, weights, *seam.shapes(k // 3, points, "triangle"))
 
     def _tangents(self, x: Floats) -> tuple[Floats, Floats]:
         """x_ξ and x_η [mm] at the points, shape (m, q, 3)."""
@@ -53,8 +48,7 @@ class FollowerPressure:
         """Add a share of the pressure's part of the gradient [mN] at nodes x [mm], shape (n, 3), to an array (n, 3)."""
         along, across = self._tangents(x)
         force = np.einsum("m,q,qk,mqc->mkc", share * self.value, self.weights, self.shapes, np.cross(along, across))
-        for c in range(3):
-            into[:, c] += np.bincount(self.nodes.ravel(), force[:, :, c].ravel(), minlength=len(into))
+        add_forces(self.nodes, force, into)
 
     def energy(self, x: Floats) -> float:
         """The pressure times the volume under the triangles, seen from the origin [µJ]: a potential if they close."""
@@ -64,17 +58,8 @@ class FollowerPressure:
 
     def tangent(self, x: Floats) -> Floats:
         """The derivative of the gradient [mN/mm], shape (m, k, k, 3, 3): node, node, component, component."""
-        along, across = (_cross_matrix(t) for t in self._tangents(x))
+        along, across = (skew(t) for t in self._tangents(x))
         by_along, by_across = self.derivatives[:, :, 0], self.derivatives[:, :, 1]
         scaled = np.einsum("m,q,qa->mqa", self.value, self.weights, self.shapes)
         tangent = np.einsum("mqa,qb,mqij->mabij", scaled, by_across, along, optimize=True)
         return tangent - np.einsum("mqa,qb,mqij->mabij", scaled, by_along, across, optimize=True)
-
-
-def _cross_matrix(v: Floats) -> Floats:
-    """The matrices of w -> v × w, shape (..., 3, 3)."""
-    result = np.zeros((*v.shape, 3))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        result[..., i, j], result[..., i, k] = -v[..., k], v[..., j]
-    return result

@@ -56,7 +56,7 @@ def elastic_part(F, growth: Floats | float, domain, cells: Ints):
     """F growth^(-1/3) and growth, of one number or one per cell (k,); without growth F itself: forms stay small."""
     if np.all(growth == 1.0):
         return F, 1
-    ratio = seam.cell_vectors(domain, cells, np.repeat(np.broadcast_to(growth, len(cells))[:, None], 3, axis=1))[0]
+    ratio = seam.cell_numbers(domain, cells, growth)
     return F * ratio ** (-1 / 3), ratio
 
 

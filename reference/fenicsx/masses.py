@@ -15,8 +15,7 @@ from . import dolfinx_version as seam
 from .assembly import Stiffness
 from .dolfinx_version import PETSc
 from .linear import Mumps, hold, product
-from .membrane import quadratic_shapes
-from .numbering import EDGES, Numbering
+from .numbering import Numbering
 from .shared import anywhere
 
 
@@ -27,13 +26,13 @@ def mass_matrix(motion: Motion, order: Numbering, stiffness: Stiffness) -> PETSc
     """
     scene = motion.scene
     volume_mass = (motion.density * scene.volumes)[order.tet]
-    parts = [(order.cell_dofs, volume_mass[:, None, None] * _tet_shares(order.degree))]
+    parts = [(order.cell_dofs, volume_mass[:, None, None] * _shares(order.degree, "tetrahedron"))]
     if motion.skin_density.any():
         here, nodes = order.faces("skin", motion.skin)
         a, b, c = (scene.vertices[motion.skin[here, k]] for k in range(3))
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        shares = _triangle_shares(order.degree)
-        parts.append((nodes, (motion.skin_density[here] * area)[:, None, None] * shares))
+        mass = motion.skin_density[here] * area
+        parts.append((nodes, mass[:, None, None] * _shares(order.degree, "triangle")))
     stiffness.clear()
     for nodes, blocks in parts:
         if motion.mass == "lumped":
@@ -51,26 +50,10 @@ def times(matrix: PETSc.Mat, values: Floats) -> Floats:
     return product(matrix, np.ascontiguousarray(values).ravel()).reshape(values.shape)
 
 
-def _tet_shares(degree: int) -> Floats:
-    """The integrals of N_a N_b over a tet, per volume, shape (k, k)."""
-    points, weights = seam.quadrature_rule(2 * degree)
-    barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
-    return _shares(barycentric if degree == 1 else _quadratic_tet(barycentric), weights)
-
-
-def _quadratic_tet(barycentric: Floats) -> Floats:
-    edges = 4.0 * barycentric[:, EDGES[:, 0]] * barycentric[:, EDGES[:, 1]]
-    return np.column_stack([barycentric * (2.0 * barycentric - 1.0), edges])
-
-
-def _triangle_shares(degree: int) -> Floats:
-    """The integrals of N_a N_b over a triangle, per area, shape (k, k)."""
-    points, weights = seam.quadrature_rule(2 * degree, "triangle")
-    barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
-    return _shares(barycentric if degree == 1 else quadratic_shapes(barycentric)[0], weights)
-
-
-def _shares(shapes: Floats, weights: Floats) -> Floats:
+def _shares(degree: int, cell: str) -> Floats:
+    """The integrals of N_a N_b over a cell, per volume or area, shape (k, k)."""
+    points, weights = seam.quadrature_rule(2 * degree, cell)
+    shapes = seam.shapes(degree, points, cell)[0]
     return np.einsum("q,qa,qb->ab", weights / weights.sum(), shapes, shapes)
 
 

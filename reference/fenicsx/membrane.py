@@ -14,10 +14,12 @@ from numba import njit
 from ...lhm.mesh import Floats, Ints
 from ..terms import SurfaceStrain
 from . import dolfinx_version as seam
+from .assembly import add_forces
 
 FLAT = 1e-8  # stretch below which a triangle's directions are not defined, and its curvature not finite
 TINY = 1e-15  # of the longer stretch: a shorter one has no direction
-SURFACE_DEGREE = 4
+DEGREES = {3: 1, 6: 4}
+"""Degree of the rule by the nodes of a triangle: one point for linear ones, whose F is constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +40,18 @@ class Membrane:
         """
         triangles = term.triangles[here]
         _, area = _plane(vertices, triangles)
-        gradients, _ = _plane(vertices if term.rest is None else term.rest, triangles)
-        shares, shapes = _linear() if nodes.shape[1] == 3 else _quadratic()
-        q = len(shares)
+        inverse, _ = _plane(vertices if term.rest is None else term.rest, triangles)
+        k = nodes.shape[1]
+        points, weights = seam.quadrature_rule(DEGREES[k], "triangle")
+        q, derivatives = len(points), seam.shapes(k // 3, points, "triangle")[1]
 
         def at_points(values) -> Floats:
             return np.repeat(np.broadcast_to(values, len(term.triangles))[here], q)
 
         return cls(
             np.repeat(nodes, q, axis=0),
-            (shapes[None] @ gradients[:, None]).reshape(len(nodes) * q, nodes.shape[1], 2),
-            np.outer(area, shares).ravel(),
+            (derivatives @ inverse[:, None]).reshape(-1, k, 2),
+            np.outer(area, weights / weights.sum()).ravel(),
             at_points(term.stiffness),
             np.sqrt(at_points(term.growth)),
         )
@@ -68,8 +71,7 @@ class Membrane:
         U, s, Vt = self._svd(x)
         P = (U[:, :, :2] * (self.stiffness[:, None] * (s - self.stretch[:, None]))[:, None, :]) @ Vt
         force = self.area[:, None, None] * self.gradients @ P.transpose(0, 2, 1)
-        for c in range(3):
-            into[:, c] += np.bincount(self.nodes.ravel(), force[:, :, c].ravel(), minlength=len(into))
+        add_forces(self.nodes, force, into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
         """The Hessian's blocks [mN/mm], shape (m, k, k, 3, 3): node, node, component, component.
@@ -141,7 +143,7 @@ def _unit_column(U, c, least):
 
 
 def _plane(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
-    """Gradients of the barycentric coordinates in the planes of triangles, shape (t, 3, 2) [1/mm], and areas [mm²]."""
+    """Gradients in the planes of triangles of their two reference coordinates, (t, 2, 2) [1/mm], and areas [mm²]."""
     x0, x1, x2 = (vertices[triangles[:, k]] for k in range(3))
     e1, e2 = x1 - x0, x2 - x0
     normal = np.cross(e1, e2)
@@ -150,31 +152,4 @@ def _plane(vertices: Floats, triangles: Ints) -> tuple[Floats, Floats]:
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     frame = np.stack([along, across], axis=1)
     inverse = np.linalg.inv(frame @ np.stack([e1, e2], axis=2))
-    gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-    return gradients, 0.5 * np.linalg.norm(normal, axis=1)
-
-
-def _linear() -> tuple[Floats, Floats]:
-    return np.ones(1), np.eye(3)[None]
-
-
-def _quadratic() -> tuple[Floats, Floats]:
-    """Shares (q,) of the area, and derivatives of the shape functions by barycentric coordinates, (q, 6, 3)."""
-    points, weights = seam.quadrature_rule(SURFACE_DEGREE, "triangle")
-    barycentric = np.column_stack([1.0 - points.sum(axis=1), points])
-    return weights / weights.sum(), quadratic_shapes(barycentric)[1]
-
-
-def quadratic_shapes(barycentric: Floats) -> tuple[Floats, Floats]:
-    """Shape functions (q, 6) of quadratic triangles at barycentric coordinates (q, 3), and their derivatives by them.
-
-    The first three belong to corners, the others to the middles of the opposite sides; derivatives are (q, 6, 3).
-    """
-    values, derivatives = np.zeros((len(barycentric), 6)), np.zeros((len(barycentric), 6, 3))
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        values[:, a] = barycentric[:, a] * (2.0 * barycentric[:, a] - 1.0)
-        values[:, 3 + a] = 4.0 * barycentric[:, b] * barycentric[:, c]
-        derivatives[:, a, a] = 4.0 * barycentric[:, a] - 1.0
-        derivatives[:, 3 + a, b], derivatives[:, 3 + a, c] = 4.0 * barycentric[:, c], 4.0 * barycentric[:, b]
-    return values, derivatives
+    return inverse, 0.5 * np.linalg.norm(normal, axis=1)

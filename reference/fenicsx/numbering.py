@@ -7,6 +7,8 @@ owns the vertex in its middle, which takes other nodes as ghosts for it.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from ...lhm.errors import SceneError
@@ -37,34 +39,33 @@ class Numbering:
     """
 
     def __init__(self, scene: Scene, degree: int = 1, *, comm: MPI.Intracomm = ALONE, skin: Ints | None = None):
-        self._part = scene.part if isinstance(scene, PartScene) else None
-        domain = seam.tet_mesh(scene.vertices, scene.tets, comm) if self._part is None else self._part.domain
         self.degree, self.comm = degree, comm
-        self.divided = comm.size > 1 and self._part is None
+        if isinstance(scene, PartScene):
+            domain, self.cell_vertices, self.tet = scene.part.domain, scene.part.cells, np.arange(len(scene.tets))
+        else:
+            domain = seam.tet_mesh(scene.vertices, scene.tets, comm)
+            self.cell_vertices, self.tet = seam.cell_vertices(domain), seam.cell_tets(domain)
+        self.divided = comm.size > 1 and not scene.in_parts
         self.space = seam.vector_space(domain, degree)
         local = CORNERS if degree == 1 else np.concatenate([CORNERS, EDGES])
-        self.cell_vertices = seam.cell_vertices(domain) if self._part is None else self._part.cells
         self.cell_dofs = seam.cell_dofs(self.space, len(local))
-        self.tet = seam.cell_tets(domain) if self._part is None else np.arange(len(self.cell_dofs))
         self.cell = np.full(len(scene.tets), -1, dtype=np.int64)
         self.cell[self.tet] = np.arange(len(self.tet))
         self.cell_volumes = scene.volumes[self.tet]
         self._in_tets = np.zeros(len(scene.vertices), dtype=bool)
         self._in_tets[scene.tets] = True
-        self._tets = scene.tets
         owned, ghosts = seam.dof_counts(self.space)
         self.function_nodes = owned + ghosts
         ends = np.full((self.function_nodes, 2), -1, dtype=np.int64)
         ends[self.cell_dofs] = np.sort(self.cell_vertices[:, local], axis=2)
         self._number(ends)
         ids = seam.global_dofs(self.space)
-        self._own_vertices = ends[:owned][ends[:owned, 0] == ends[:owned, 1], 0]
+        self._own_vertices = self.vertex
         if self.divided:
+            self._own_vertices = self.vertex[self.corners < owned]
             ids = self._with_distant(scene, skin, ids, owned)
         self.nodes = Shared(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
-        if self._part is not None:
-            self._own_vertices = self.vertex
         self._all_vertices = gathered(self.asked, self._own_vertices)
         self.own_corners = self.dof[self._own_vertices]
 
@@ -117,7 +118,7 @@ class Numbering:
         dofs = self.dof[triangles]
         known = ((dofs >= 0) & (dofs < self.function_nodes)).all(axis=1)
         if self.degree == 2:
-            known &= (self._slots(triangles)[1]).all(axis=1)
+            known &= self._slots(triangles)[1].all(axis=1)
         first = np.where(known, self.comm.rank, self.comm.size)
         self.comm.Allreduce(MPI.IN_PLACE, first, op=MPI.MIN)
         return first
@@ -184,22 +185,20 @@ class Numbering:
         result = held[self.ends].all(axis=1)
         if self.degree == 1:
             return result
-        if self._part is None:
-            faces = np.sort(self._tets[:, FACES].reshape(-1, 3), axis=1)
-            faces = faces[held[faces].all(axis=1).any(axis=1)]
-            _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
-            boundary = faces[first[count == 1]]
-        else:
-            boundary = self._part.boundary
-        slots, there = self._slots(boundary)
+        boundary, sides = self._boundary
         on_held = np.zeros_like(result)
         for c in range(3):
-            all_held = held[boundary, c].all(axis=1)
-            on_held[self._by_key[slots[all_held][there[all_held]]], c] = True
-            if self._part is not None:  # of a face in another process there may be an edge here
-                on_held[:, c] = self.nodes.marked(on_held[:, c])
+            on_held[sides[held[boundary, c].all(axis=1)], c] = True
+            on_held[:, c] = self.nodes.marked(on_held[:, c])  # of a face in another process there may be an edge here
         on_held[self.corners] = True
         return result & on_held
+
+    @cached_property
+    def _boundary(self) -> tuple[Ints, Ints]:
+        """The scene's vertices of this process' faces of the boundary, shape (k, 3), and the nodes on their sides."""
+        _, beside, local = seam.boundary(self.space.mesh)
+        triangles = self.cell_vertices[beside[:, None], FACES[local]]
+        return triangles, self._by_key[self._slots(triangles)[0]]
 
     def to_scene(self, values: Floats, elsewhere: Floats) -> Floats:
         """Values by node (n, 3) per scene vertex, and `elsewhere`'s (scene vertices, 3) for vertices in no tet.

@@ -175,7 +175,7 @@ class PreparedFenicsx:
         """A motion of the prepared scene; `own` is the same with what only this process has, if there is such."""
         motion = motion if own is None else own
         check(motion, self._element)
-        return March(motion, self._numbering.degree, self._problem).run()
+        return March(motion, self._problem).run()
 
     def _plan(self, scene: Scene) -> Plan:
         if self._condensed is not None:
@@ -278,15 +278,12 @@ class MirroredFenicsx:
         start: Floats | None = None,
         warm: Solution | None = None,
         remember: bool = False,
-        tolerance: float = 1e-6,
-        absolute: float | None = None,
-        max_iterations: int | None = None,
         on_iteration: OnIteration | None = None,
+        **limits: Any,
     ) -> Solution:
         """See PreparedFenicsx; what a solution remembers is not sent to other processes, its positions are."""
         begin = warm.positions if start is None and warm is not None else start
-        given = {"start": begin, "tolerance": tolerance, "absolute": absolute, "max_iterations": max_iterations}
-        return self._everywhere.call("solve", scene, here={"on_iteration": on_iteration}, **given)
+        return self._everywhere.call("solve", scene, here={"on_iteration": on_iteration}, start=begin, **limits)
 
     def march(self, **course: Any) -> Trajectory:
         """See PreparedFenicsx."""
@@ -303,6 +300,12 @@ class MirroredFenicsx:
     def fields(self, degree: int) -> Fields:
         """See PreparedFenicsx."""
         return self._everywhere.call("fields", degree)
+
+
+def carry_out(motion: Motion, *, element: str = "P1") -> Trajectory:
+    """See `softdeca.reference.march`."""
+    check(motion, element)
+    return prepare(motion.scene, element=element).carry_out(motion)
 
 
 def compressible(scene: Scene) -> Scene:

@@ -143,13 +143,9 @@ def signed_svd(F: Floats):
     return U, s, V
 
 
-def stress(U: Floats, V: Floats, p: Floats) -> Floats:
-    """P = U diag(p) Vᵀ [kPa], shape (m, 3, 3)."""
-    return _stress(U, V, p)
-
-
 @njit(cache=True)
-def _stress(U, V, p):
+def stress(U: Floats, V: Floats, p: Floats):
+    """P = U diag(p) Vᵀ [kPa], shape (m, 3, 3)."""
     P = np.empty(U.shape)
     for e in range(len(U)):
         for i in range(3):
@@ -160,34 +156,3 @@ def _stress(U, V, p):
                     + p[e, 2] * U[e, i, 2] * V[e, j, 2]
                 )
     return P
-
-
-def tangent(U: Floats, V: Floats, at: Modes) -> Floats:
-    """dP/dF [kPa], shape (m, 9, 9), rows and columns in the order of F's entries row by row."""
-    return _tangent(U, V, at.block, 0.5 * (at.flip + at.twist), 0.5 * (at.flip - at.twist))
-
-
-@njit(cache=True)
-def _tangent(U, V, block, same, crossed):
-    C = np.empty((len(U), 9, 9))
-    M, KM = np.empty((9, 9)), np.empty((9, 9))  # row 3 i + j of M is u_i ⊗ v_j
-    for e in range(len(U)):
-        for i in range(3):
-            for j in range(3):
-                for a in range(3):
-                    for b in range(3):
-                        M[3 * i + j, 3 * a + b] = U[e, a, i] * V[e, b, j]
-        for c in range(9):
-            for i in range(3):
-                KM[4 * i, c] = block[e, i, 0] * M[0, c] + block[e, i, 1] * M[4, c] + block[e, i, 2] * M[8, c]
-            for k, (ij, ji) in enumerate(((1, 3), (2, 6), (5, 7))):
-                KM[ij, c] = same[e, k] * M[ij, c] + crossed[e, k] * M[ji, c]
-                KM[ji, c] = same[e, k] * M[ji, c] + crossed[e, k] * M[ij, c]
-        for a in range(9):
-            for b in range(a, 9):
-                value = 0.0
-                for k in range(9):
-                    value += M[k, a] * KM[k, b]
-                C[e, a, b] = value
-                C[e, b, a] = value
-    return C

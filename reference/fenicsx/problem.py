@@ -122,8 +122,7 @@ class Problem:
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         owned = numbering.nodes.owned
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
-        springs = [numbering.own_dofs(term.name, term.vertices)[1] for term in scene.of(Target)]
-        springs.append(numbering.own_dofs("Inertia", np.flatnonzero(scene.inertia()[0]))[1])
+        springs = [spring.dofs for spring in self._springs_of(scene)]
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
@@ -168,15 +167,7 @@ class Problem:
             FollowerPressure.of(term, nodes, here)
             for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
         ]
-        self._springs = []
-        for term in scene.of(Target):
-            mine, dofs = order.own_dofs(term.name, term.vertices)
-            stiffness = np.broadcast_to(term.stiffness, len(term.vertices))
-            self._springs.append(Spring(dofs, term.positions[mine], stiffness[mine]))
-        stiffness, places = scene.inertia()
-        moving = np.flatnonzero(stiffness)
-        mine, dofs = order.own_dofs("Inertia", moving)
-        self._springs.append(Spring(dofs, places[moving[mine]], stiffness[moving[mine]]))
+        self._springs = self._springs_of(scene)
         solids = self._solids(scene)
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
@@ -209,6 +200,17 @@ class Problem:
             self.numbering.dofs_of(term.name, term.triangles)
             surfaces += Rings.of(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
         return surfaces
+
+    def _springs_of(self, scene: Scene) -> list[Spring]:
+        """Those of targets, and of inertia."""
+        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
+        stiffness, places = scene.inertia()
+        moving = np.flatnonzero(stiffness)
+        found = []
+        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
+            mine, dofs = self.numbering.own_dofs(name, vertices)
+            found.append(Spring(dofs, positions[mine], np.broadcast_to(values, len(vertices))[mine]))
+        return found
 
     def _law(self, solid: Solid) -> Law:
         term, points = solid.term, self._points(solid.cells)

@@ -63,11 +63,9 @@ class SaddleMatrix:
         self.idle = problem.idle_pressures()
         space = problem.pressure.function_space
         p, q, v = ufl.TrialFunction(space), ufl.TestFunction(space), ufl.TestFunction(problem.numbering.space)
-        softness = seam.cell_vectors(
-            space.mesh, np.arange(len(problem.softness)), np.repeat(problem.softness[:, None], 3, axis=1)
-        )
+        softness = seam.cell_numbers(space.mesh, np.arange(len(problem.softness)), problem.softness)
         self.B = _assembled(ufl.div(v) * p * ufl.dx)
-        self.mass = _assembled(softness[0] * p * q * ufl.dx)
+        self.mass = _assembled(softness * p * q * ufl.dx)
         self.D, self.springs = self.mass.copy(), 1.0 / PENALTY
         self._transposed = self.B.transpose(PETSc.Mat())
         self._whole = PETSc.Mat()

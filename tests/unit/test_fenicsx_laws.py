@@ -21,6 +21,8 @@ from softdeca.reference.fenicsx.laws import (
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.problems import meshes
 
+from .tangents import tangent
+
 STEP = 1e-5
 ROOM = 64
 FIBRE = np.array([2.0, -1.0, 2.0]) / 3.0
@@ -45,11 +47,11 @@ class Principal:
 
     def tangent(self, F):
         U, s, V, _, p, h = self._at(F)
-        return principal.tangent(U, V, principal.modes(s, p, h))
+        return tangent(U, V, principal.modes(s, p, h))
 
     def projected(self, F):
         U, s, V, _, p, h = self._at(F)
-        return principal.tangent(U, V, principal.modes(s, p, h).softened(0.0))
+        return tangent(U, V, principal.modes(s, p, h).softened(0.0))
 
 
 class ByUfl:
