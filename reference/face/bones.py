@@ -51,22 +51,24 @@ def scaled_skull(head: LayeredHead, parameters: Parameters) -> Floats:
     return skull
 
 
-def jaw_motion(head: LayeredHead, wrap_targets: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) [mm] of the skin over the mandible from rest to an expression, if rigid."""
+def jaw_motion(head: LayeredHead, neutral: Floats, wrap_targets: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and translation (3,) [mm] of the skin wrap over the mandible from neutral to an expression."""
     jaw = np.flatnonzero(head.bone == MANDIBLE)
     if jaw.size < 3:
         return np.eye(3), np.zeros(3)
-    return rigid_motion(head.skin_wrap.vertices[jaw], wrap_targets[jaw])
+    return rigid_motion(neutral[jaw], wrap_targets[jaw])
 
 
-def carried(head: LayeredHead, parameters: Parameters, wrap_targets: Floats) -> tuple[Floats, Floats, Floats]:
+def carried(
+    head: LayeredHead, parameters: Parameters, neutral: Floats, wrap_targets: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Skin, muscle and skull wrap [mm], each of shape (n, 3), carried along by an expression without physics.
 
-    The skin wrap is at its targets, the mandible moved with the skin over it, skull-wrap vertices that are no bone go
-    with the skin, and the muscle wrap lies between as it does at rest.
+    The skin wrap is at its targets, the scaled mandible moved as the skin over it from `neutral`, the skin wrap under p
+    alone; skull-wrap vertices that are no bone go with the skin, and the muscle wrap lies between as it does at rest.
     """
     skin, muscle, rest = (wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap))
-    rotation, translation = jaw_motion(head, wrap_targets)
+    rotation, translation = jaw_motion(head, neutral, wrap_targets)
     moved = wrap_targets - skin
     skull = scaled_skull(head, parameters)
     skull[head.bone == MANDIBLE] = skull[head.bone == MANDIBLE] @ rotation.T + translation

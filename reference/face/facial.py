@@ -79,17 +79,17 @@ def facial_scene(
     targets = checked_targets(head, targets)
     neutral = head.skin.vertices if neutral is None else checked_targets(head, neutral, "neutral")
     _check_choices(bones, without, attached)
-    wrap_targets = head.wrap_targets(targets)
+    wrap_targets, rest = head.wrap_targets(targets), head.wrap_targets(neutral)
     stack = Stack.of(head, layers, without)
-    start = carried(head, parameters, wrap_targets)
+    start = carried(head, parameters, rest, wrap_targets)
     inside = _mask(head, region)
     tissue = _tissue(head, parameters, stack, inside, rule)
-    vertices, bodies = _attach(head, parameters, attached, wrap_targets, stack, tissue, bones)
+    vertices, bodies = _attach(head, parameters, attached, (rest, wrap_targets), stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
         parts += _skin(head, parameters, inside)
     springs = Springs.of(head, parameters)
-    drawn_to = springs.positions(wrap_targets, head.wrap_targets(neutral))
+    drawn_to = springs.positions(wrap_targets, rest)
     parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness))
     elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
     if bones == "soft":
@@ -186,12 +186,15 @@ def _attach(
     head: LayeredHead,
     p: Parameters,
     attached: Sequence[Attached],
-    wrap_targets: Floats,
+    motion: tuple[Floats, Floats],
     stack: Stack,
     tissue: _Tissue,
     bones: Bones,
 ) -> tuple[Floats, list[terms.Term]]:
-    """All vertices, and what holds the attached points; their connecting tets go to `tissue`."""
+    """All vertices, and what holds the attached points; their connecting tets go to `tissue`.
+
+    motion: the skin wrap [mm], each (n, 3), at rest under p and where the expression takes it.
+    """
     vertices, n = stack.vertices, len(head.bone)
     bodies = []
     for thing in attached:
@@ -202,12 +205,12 @@ def _attach(
         strain = p.connector_ratio * float(np.mean(p.soft_stiffness))
         volume = strain * float(np.mean(p.volume_ratio))
         tissue.add(tets, np.ones(len(tets), dtype=bool), strain, 1.0, volume, 1.0)
-        bodies.append(_body(head, p, thing, ids, wrap_targets, bones))
+        bodies.append(_body(head, p, thing, ids, motion, bones))
     return vertices, bodies
 
 
 def _body(
-    head: LayeredHead, p: Parameters, thing: Attached, ids: Ints, wrap_targets: Floats, bones: Bones
+    head: LayeredHead, p: Parameters, thing: Attached, ids: Ints, motion: tuple[Floats, Floats], bones: Bones
 ) -> terms.Term:
     if thing.bone == FREE:
         return terms.RigidBody(ids)
@@ -216,7 +219,7 @@ def _body(
         return terms.Fixed(ids, rest)
     if bones == "rigid":
         return terms.RigidBody(ids, rest)
-    rotation, translation = jaw_motion(head, wrap_targets)
+    rotation, translation = jaw_motion(head, *motion)
     return terms.Fixed(ids, rest @ rotation.T + translation)
 
 

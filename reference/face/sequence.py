@@ -206,7 +206,8 @@ class Sequence:
 
     def _carried(self, wrap_targets: Floats) -> Floats:
         """The scene's vertices of the wraps [mm] where an expression takes them without physics."""
-        return self._stack.between(*carried(self.head, self.parameters, wrap_targets))
+        rest = self.head.wrap_targets(self._neutral.skin)
+        return self._stack.between(*carried(self.head, self.parameters, rest, wrap_targets))
 
 
 def _target(scene: Scene) -> Target:

@@ -133,8 +133,8 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
     A palsy takes no part: it is of what draws a face to an expression.
     """
     parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
-    moved = head.skin_from_wrap @ bones_displacement(head, parameters)
-    scene = facial_scene(head, parameters, head.skin.vertices + moved, **choices | {"bones": "prescribed"})
+    skin = head.skin.vertices + head.skin_from_wrap @ bones_displacement(head, parameters)
+    scene = facial_scene(head, parameters, skin, **choices | {"bones": "prescribed", "neutral": skin})
     kept = 1.0 - (fleshy(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
     return replace(
         scene,

@@ -15,8 +15,9 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.effects import STARTS, Effects
 from softdeca.lhm.errors import InputError
 from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
-from softdeca.reference import Parameters, Reason, facial_scene, settled, solve
+from softdeca.reference import Parameters, Reason, facial_scene, settled, solve, terms
 from softdeca.reference.face import settling
+from softdeca.reference.face.bones import scaled_skull
 from softdeca.reference.face.settling import carried_by_bones, neutral_scene
 
 OTHERS = ("lids", "mouth", "eyes", "teeth", "ears")
@@ -107,6 +108,19 @@ def test_wraps_are_carried_by_a_scaled_mandible(head):
     for vertex in np.flatnonzero(head.bone == 0):
         np.testing.assert_allclose(moved[0][vertex], moved[0][list(rings[vertex])].mean(axis=0), atol=1e-9)
     np.testing.assert_array_equal(carried_by_bones(head, Parameters()), head.vertices)
+
+
+def test_a_face_settles_about_bones_at_their_scaled_rest(head):
+    parameters = Parameters(mandible_scale_y=1.15)
+    fixed = neutral_scene(head, parameters).of(terms.Fixed)[0]
+    bone = head.bone > 0
+    np.testing.assert_allclose(fixed.values, scaled_skull(head, parameters)[bone], atol=1e-12)
+    # A mandible that is prescribed stays there as long as the settled skin over it does.
+    face = settled(head, parameters)
+    still = face.scene(head.skin.vertices).of(terms.Fixed) + face.scene(head.skin.vertices, bones="prescribed").of(
+        terms.Fixed
+    )
+    np.testing.assert_allclose(still[-1].values, scaled_skull(head, parameters)[bone], atol=1e-9)
 
 
 def test_a_neutral_face_without_an_effect_is_at_rest(head):

@@ -50,7 +50,7 @@ def test_mandible_follows_the_skin_over_it_and_the_cranium_stays(sphere_head):
     rotation = Rotation.from_euler("x", 0.2).as_matrix()
     targets[jaw] = targets[jaw] @ rotation.T
     n = len(head.bone)
-    placed = carried(head, Parameters(), targets)[2]
+    placed = carried(head, Parameters(), head.skin_wrap.vertices, targets)[2]
     skull = head.skull_wrap.vertices
     expected = np.where(jaw[:, None], skull @ rotation.T, skull)
     assert placed[head.bone > 0] == pytest.approx(expected[head.bone > 0], abs=1e-10)
