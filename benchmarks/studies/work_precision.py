@@ -249,7 +249,7 @@ class WorkPrecision(OfPerson):
             axis.set(xscale="log", yscale="log", title=energy, xlabel=what, ylim=(LEAST_ERROR, None))
         axes[0].set_ylabel("largest error of a vertex [mm]")
         for axis in (axes[0], *axes[2:]):
-            if axis.lines:
+            if axis.get_legend_handles_labels()[0]:
                 axis.legend()
         return {"Error against time and iterations, a line per expression.": svg(figure)}
 
