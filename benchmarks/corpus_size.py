@@ -14,7 +14,6 @@ from ..surrogate import Surrogate
 from ..surrogate.evaluate import evaluate
 from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals.modal import ModalMethod
-from ..surrogate.surface_hash import surface_hash
 from . import plots
 from .harness.study import Table
 
@@ -33,7 +32,7 @@ class Grown:
     seen: float
 
 
-def errors_over_size(corpus: Path, weights: Sequence[Path], test: Faces, progress: OnProgress) -> list[Grown]:
+def errors_over_size(training: Faces, weights: Sequence[Path], test: Faces, progress: OnProgress) -> list[Grown]:
     """One of each weights file of `softdeca train --share`, fewest people first.
 
     Where the share of seen people stays far below that of unseen ones, more people help; where both are level, another
@@ -42,11 +41,12 @@ def errors_over_size(corpus: Path, weights: Sequence[Path], test: Faces, progres
     networks = sorted((Surrogate.load(path).weights for path in weights), key=lambda one: one.note.people)
     if len(networks) < 2 or networks[0].note.people == networks[-1].note.people:
         raise InputError("curve: two weights at least, trained on different numbers of people")
-    if any(one.template != surface_hash(test.mean) for one in networks):
-        raise InputError("curve: weights of another mean skin than the corpus'")
-    training = Faces(corpus, "train", partial=True)
-    known = training.groups[:, 0]
-    rows = np.flatnonzero(np.isin(known, np.unique(known)[: networks[0].note.people]))
+    for one in networks:
+        training.check_mesh(one)
+    fewest = networks[0].note
+    people = np.unique(training.groups[:, 0])[: fewest.people + len(fewest.held)]
+    learned = np.setdiff1d(people, [number for one in networks for number in one.note.held])
+    rows = np.flatnonzero(np.isin(training.groups[:, 0], learned))
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
     found = []
     for number, one in enumerate(networks):

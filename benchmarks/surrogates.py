@@ -29,7 +29,6 @@ from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
-from ..surrogate.surface_hash import surface_hash
 from . import corpus_size, plots
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
@@ -75,14 +74,15 @@ def compare(
     """
     network = Surrogate.load(surrogate)
     test = faces_of(corpus, "test", partial, network)
-    grown = errors_over_size(corpus, curve, test, progress) if curve else []
+    training = Faces(corpus, "train", partial=partial) if rivals or curve else None
+    grown = errors_over_size(training, curve, test, progress) if training is not None and curve else []
     elsewhere = None if external is None else faces_of(external, None, partial, network)
     ready = [make(network.weights) for make in READY.values()]
     content = read_manifest(corpus)["content"]
     scores = evaluate(ready, test, on_progress=progress)
-    if rivals:
+    if training is not None and rivals:
         fitted = [make() for make in learning().values()]
-        scores += evaluate(fitted, test, Faces(corpus, "train", partial=partial), on_progress=progress)
+        scores += evaluate(fitted, test, training, on_progress=progress)
         if content["sequences"]:
             from ..surrogate.rivals.snp import SubspacePhysics
 
@@ -154,10 +154,7 @@ def gains(means: Mapping[str, float]) -> dict[str, float]:
 def faces_of(corpus: Path, split: Split | None, partial: bool, network: Surrogate) -> Faces:
     """The faces of a part of a corpus; InputError where the network is of another mesh."""
     faces = Faces(corpus, split, partial=partial)
-    if surface_hash(faces.mean) != network.weights.template:
-        raise InputError(
-            f"weights: of a mean skin of {len(network.weights.mean.vertices)} vertices, not of the corpus'"
-        )
+    faces.check_mesh(network.weights)
     return faces
 
 

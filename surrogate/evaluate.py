@@ -61,10 +61,12 @@ def evaluate(
     """
     scores = []
     for number, method in enumerate(methods):
-        begin = time.perf_counter()
+        fit_seconds = 0.0
         if training is not None:
+            begin = time.perf_counter()
             method.fit(training)
-        scores += _scores(method, test, range(len(test)) if chosen is None else chosen, time.perf_counter() - begin)
+            fit_seconds = time.perf_counter() - begin
+        scores += _scores(method, test, range(len(test)) if chosen is None else chosen, fit_seconds)
         on_progress(f"evaluate: {method.name}", (number + 1) / len(methods))
     return scores
 

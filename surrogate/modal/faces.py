@@ -7,10 +7,12 @@ from os import PathLike
 
 import numpy as np
 
+from ...lhm.errors import InputError
 from ...lhm.mesh import Floats, Floats32, Ints, Surface
 from ..corpus.mixture import NAMES
 from ..corpus.plan import Split
 from ..corpus.reading import Table
+from ..surface_hash import surface_hash
 from .features import STATIC, Features, normalised_code
 from .weights import ModalWeights
 
@@ -90,6 +92,18 @@ class Faces:
         """The name of the people's space."""
         return self._responses.people
 
+    @property
+    def mesh(self) -> str:
+        """The hash of the mean skin."""
+        return surface_hash(self.mean)
+
+    def check_mesh(self, weights: ModalWeights) -> None:
+        """Raise InputError for weights of another mean skin."""
+        if weights.template != self.mesh:
+            raise InputError(
+                f"weights: of a mean skin of {len(weights.mean.vertices)} vertices, not of the corpus' space and level"
+            )
+
     def code(self, index: int) -> Floats:
         """The code (c,) of a face's person."""
         return np.asarray(self._responses.described(index)["code"], dtype=np.float64)
@@ -160,6 +174,11 @@ class Neutrals:
     def mean(self) -> Surface:
         """The mean skin of the space [mm]."""
         return self._table.template.mean
+
+    @property
+    def mesh(self) -> str:
+        """The hash of the mean skin."""
+        return surface_hash(self.mean)
 
     def face(self, index: int) -> Neutral:
         """One of them."""

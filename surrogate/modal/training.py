@@ -16,7 +16,6 @@ from ...lhm.mesh import Floats, Floats32
 from ...lhm.progress import OnProgress, silent
 from ..learning import keep_state, kept_state, torch
 from ..processes import ALONE, Processes, processes
-from ..surface_hash import surface_hash
 from .faces import Face, Faces, Inputs, Neutral, Neutrals
 from .features import EFFECTS, STATIC, Features
 from .network import NEUTRAL, WEIGHTS, ModalConfig, ModalNetwork, start_positions
@@ -126,7 +125,7 @@ class _Loop:
         self.faces, self.config, self.neutrals, self.group, self.start = faces, config, neutrals, group, start
         if neutrals is not None and start is not None:
             raise InputError("training: from weights it learns no neutral faces; leave out one of start and neutrals")
-        if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
+        if neutrals is not None and neutrals.mesh != faces.mesh:
             raise InputError("training: the neutral faces are of another space or level than the corpus")
         if faces.personal:
             raise InputError("training: the corpus' people have shapes of their own, which the network does not see")
@@ -140,6 +139,7 @@ class _Loop:
         held = rng.permutation(people)[: max(1, round(config.validation * len(people)))]
         enough = np.array([len(rows) >= config.frames for rows in faces.frames_of])
         is_held = np.isin(faces.groups[:, 0], held)
+        self.held = tuple(sorted(held.tolist()))
         self.training, self.validation = np.flatnonzero(~is_held & enough), np.flatnonzero(is_held & enough)
         self.inputs = Inputs.of(faces) if start is None else Inputs.as_of(start)
         self.features = self.inputs.features
@@ -277,6 +277,7 @@ class _Loop:
             config=asdict(config),
             curve=tuple(asdict(point) for point in self.curve),
             seen=self.seen,
+            held=self.held,
             neutrals=len(self.neutrals or ()),
             before=None if self.start is None else asdict(self.start.note),
         )
@@ -363,8 +364,7 @@ def _hull(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, 
 
 def _again(start: ModalWeights, faces: Faces, inputs: Inputs, config: ModalTraining) -> ModalNetwork:
     """The network of earlier weights; InputError where they do not fit."""
-    if start.template != surface_hash(faces.mean):
-        raise InputError("training: the weights to begin with are of another space or level than the corpus")
+    faces.check_mesh(start)
     n3 = 3 * len(faces.mean.vertices)
     network = ModalNetwork(
         config.network,

@@ -30,8 +30,9 @@ NEUTRAL = PARTS[:2]
 class TrainingNote:
     """What weights say of their training: people, faces (each under one p), frames, neutrals, steps, options, curve.
 
-    seen: lowest and highest value of each parameter that it saw, mapped to [-1, 1]. before: the same of the weights
-    that the training began with, if it did.
+    seen: lowest and highest value of each parameter that it saw, mapped to [-1, 1]. held: numbers of the people that
+    were held out for the curve, besides `people`. before: the same of the weights that the training began with, if it
+    did.
     """
 
     people: int
@@ -42,6 +43,7 @@ class TrainingNote:
     config: Mapping[str, Any]
     curve: tuple[Mapping[str, float], ...]
     seen: Mapping[str, tuple[float, float]]
+    held: tuple[int, ...] = ()
     before: Mapping[str, Any] | None = None
 
 
@@ -125,6 +127,7 @@ class ModalWeights:
                     **{
                         **note,
                         "curve": tuple(note["curve"]),
+                        "held": tuple(note.get("held", ())),
                         "seen": {name: (low, high) for name, (low, high) in note["seen"].items()},
                     }
                 ),

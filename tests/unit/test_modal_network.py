@@ -63,6 +63,11 @@ def weights(faces):
     return train_modal(faces["train"], CONFIG)
 
 
+def test_the_note_names_the_people_held_out(faces, weights):
+    held, training = set(weights.note.held), set(faces["train"].groups[:, 0].tolist())
+    assert held < training and len(training - held) == weights.note.people
+
+
 @pytest.fixture(scope="module")
 def surrogate(weights, tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "modal.safetensors"
@@ -186,7 +191,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     with pytest.raises(InputError, match="other sizes"):
         train_modal(faces["train"], replace(CONFIG, network=replace(NETWORK, local=8)), start=start)
     other = replace(start, mean=Surface(start.mean.vertices * 2.0, start.mean.triangles))
-    with pytest.raises(InputError, match="another space or level"):
+    with pytest.raises(InputError, match="space and level"):
         train_modal(faces["train"], CONFIG, start=other)
 
 
