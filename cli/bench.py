@@ -1,13 +1,11 @@
 """softdeca bench: one study by name."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from ..lhm.files.surface_file import MILLIMETRES
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters
 from .progress import shown
@@ -77,31 +75,6 @@ def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
 
 
 @bench.command()
-@click.option("--skin", required=True, type=AFile, help="a neutral skin of any topology (OBJ, PLY, STL, NPZ)")
-@click.option("--skull", "skulls", required=True, multiple=True, type=AFile, help="its skull; repeat for several bones")
-@click.option("--regressor", type=AFile, help="depths by `head train-regressor`; default: a prior")
-@click.option("--identities", default="anny", help="whose topology: anny, ict:FILE, flame:FILE or folder:DIR")
-@click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of all meshes")
-@click.option("--out", default="out/depth", type=FOLDER, help="folder of the report")
-@click.option("--json", "as_json", is_flag=True, help="print the results file to stdout")
-def depth(
-    skin: Path, skulls: tuple[Path, ...], regressor: Path | None, identities: str, unit: str, out: Path, as_json: bool
-) -> int:
-    """Compare predicted depths and the fitted skull wrap with a head's own skull: OUT/index.html, OUT/results.json.
-
-    Skin and skull are in one frame; a skin of another topology than the identities' looks along +z with +y up.
-    """
-    from ..benchmarks.depth import DepthConfig, run_depth
-
-    with shown() as progress:
-        results = run_depth(DepthConfig(skin, skulls, regressor, identities, unit, out), progress)
-    click.echo((out / "results.json").read_text() if as_json else _depth_lines(results))
-    if not as_json:
-        _say_written(out)
-    return 0
-
-
-@bench.command()
 @click.argument("take", default="conversation:3")
 @click.option("--frames", "chosen", metavar="A:B", help="only these frames of TAKE, B left out")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p")
@@ -135,25 +108,3 @@ def closures(
     for path in written:
         click.echo(f"wrote {path}")
     return 0
-
-
-def _say_written(out: Path, *more: str) -> None:
-    for name in ("index.html", "results.json", *more):
-        click.echo(f"wrote {out / name}")
-
-
-def _depth_lines(results: Mapping) -> str:
-    trained = results["regressor"]
-    lines = [f"one head (n = 1); regressor trained on: {trained['trained_on']}, {trained['pairs']} pairs"]
-    for region, row in results["regions_mm"].items():
-        for what, errors in (("predicted depth", row["depth"]), ("fitted skull wrap", row["skull_wrap"])):
-            figures = f"mean {errors['mean']:5.2f}  median {errors['median']:5.2f}  95 % {errors['quantile_95']:5.2f}"
-            bias = f"  bias {errors['bias']:+5.2f}" if "bias" in errors else ""
-            lines.append(f"{f'{what}, {region}':<46} {figures}{bias} mm")
-    for mark in results["landmarks_mm"]:
-        measured = f"{mark['measured']:5.2f} measured" + ("" if mark["met"] else " (closest bone)")
-        where = f"{mark['landmark']}, {mark['side']}"
-        lines.append(f"{where:<46} {mark['predicted']:5.2f} predicted, {measured}, error {mark['error']:+5.2f} mm")
-    for row in results["published"]:
-        lines.append(f"{row['model']:<46} mean {row['mean_mm']:5.2f} mm  (place of the skull wrap; {row['data']})")
-    return "\n".join(lines)

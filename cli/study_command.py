@@ -122,11 +122,13 @@ def _option(field: Field) -> click.Option:
     several = isinstance(field.default, tuple)
     plain = "--" + field.name.replace("_", "-")
     name = words.pop("option", plain.removesuffix("s") if several else plain)
+    if not words.get("required"):
+        words["default"] = field.default
     if field.default is False:
         return click.Option([name, field.name], is_flag=True, **words)
     if several:
-        return click.Option([name, field.name], multiple=True, default=field.default, **words)
-    return click.Option([name, field.name], default=field.default, type=type(field.default), **words)
+        return click.Option([name, field.name], multiple=True, **words)
+    return click.Option([name, field.name], type=type(field.default), **words)
 
 
 def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:

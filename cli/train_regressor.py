@@ -54,7 +54,7 @@ def train_regressor(
         trained = regressor.DepthRegressor.fit(pairs, template.skin_wrap)
     trained.save(out)
     if picture is not None:
-        from ..benchmarks.depth_error import depth_error
+        from ..benchmarks.depth_pictures import depth_error
 
         write_whole(picture, depth_error(template.skin_wrap, tested.per_vertex, "mean error with each pair left out"))
     report = {

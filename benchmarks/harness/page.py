@@ -17,7 +17,6 @@ from .study import Study, Table
 
 QUALITY = 92
 """Of pictures in pages."""
-FOLDERS = (Path(__file__).parent, Path(__file__).parents[1])
 
 
 def page(study: Study, results: Results, folder: Path) -> str:
@@ -86,7 +85,7 @@ def _webp(png: bytes) -> str:
 def rendered(template: str, results: Mapping, **more) -> str:
     """A page from a template of these folders, which sees the results and `more`; an unknown name is an error."""
     environment = Environment(
-        loader=FileSystemLoader(FOLDERS), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters["cell"] = _cell
     return environment.get_template(template).render(**results, **more)

@@ -21,7 +21,7 @@ QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "How far is the surrogate from a reference, and why?": ("split", "surrogate"),
     "What does it cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
     "What may be left out?": ("minimal",),
-    "On whose heads?": ("heads",),
+    "On whose heads?": ("heads", "depth"),
 }
 """What a reader comes for, and the studies that answer it, in the report's order."""
 FIRST = "split"

@@ -30,6 +30,7 @@ STUDIES = {
     "material": "material:Material",
     "shapes": "shapes:Shapes",
     "heads": "heads:Heads",
+    "depth": "depth:Depth",
 }
 """Module and class, so that none is loaded before it is asked for."""
 

@@ -48,15 +48,15 @@ def test_a_skull_deeper_than_predicted_by_so_much_gives_that_error(command, spac
     assert ended.status == 0 and ended.errors == []
     results = json.loads(ended.out)
     assert results == json.loads((out / "results.json").read_text())
-    scalp = results["regions_mm"]["scalp"]
+    values = results["rows"][0]["values"]
+    scalp = next(row for row in values["rows"] if row["region"] == "scalp")
     # Rays start at the vertices, whose own bone is the first met: the difference is exact there.
     assert scalp["measured_share"] > 0.99
-    assert scalp["depth"]["median"] == pytest.approx(DEEPER, abs=1e-6)
-    assert scalp["depth"]["bias"] == pytest.approx(-DEEPER, abs=0.05)
-    error = {(row["landmark"], row["side"]): row["error"] for row in results["landmarks_mm"]}
+    assert scalp["median"] == pytest.approx(DEEPER, abs=1e-6)
+    assert scalp["bias"] == pytest.approx(-DEEPER, abs=0.05)
+    error = {(row["landmark"], row["side"]): row["error"] for row in values["landmarks"]}
     assert error["supraorbital", "left"] == pytest.approx(-DEEPER, abs=0.05)
-    assert results["heads"] == 1 and results["registered_off_mm"] == 0
-    assert [row["mean_mm"] for row in results["published"]] == [3.83, 1.98]
+    assert len(results["rows"]) == 1 and values["registered_off"] == 0
 
 
 def test_the_fitted_skull_wrap_is_no_distance_from_itself(command, space, person, skin, tmp_path):
@@ -70,13 +70,12 @@ def test_the_fitted_skull_wrap_is_no_distance_from_itself(command, space, person
     arguments = ("--regressor", tmp_path / "regressor.npz", "--unit", "cm", "--out", tmp_path / "out")
     ended = command("bench", "depth", "--skin", skin_cm, "--skull", skull, *arguments)
     assert ended.status == 0 and ended.errors == []
-    results = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert results["regressor"] == {"trained_on": pairs.label, "pairs": 4}
-    for row in results["regions_mm"].values():
-        assert row["skull_wrap"]["max"] < 1e-6 < row["depth"]["mean"]
+    (row,) = json.loads((tmp_path / "out" / "results.json").read_text())["rows"]
+    assert (row["values"]["trained_on"], row["values"]["pairs"]) == (pairs.label, 4)
+    for of in row["values"]["rows"]:
+        assert of["skull_wrap"]["max"] < 1e-6 < of["mean"]
     assert "n = 1" in ended.out and "3.83 mm" in ended.out and "1.98 mm" in ended.out
-    wrote = [f"wrote {tmp_path / 'out' / name}" for name in ("index.html", "results.json")]
-    assert ended.out.splitlines()[-2:] == wrote
+    assert pairs.label in ended.out
 
 
 def _skull(folder, name, change):
@@ -88,18 +87,30 @@ def _skull(folder, name, change):
     ("change", "message"),
     [
         (lambda x: 1e-3 * x, "skull.npz: its extent is .* units off"),
-        (lambda x: x + [0.0, 80.0, 0.0], "skull: .* lie outside the skin"),
-        (lambda x: 0.5 * x, "skull: met from [0-9] % of the face, at least 10 % are needed"),
         (lambda x: np.full_like(x, np.nan), "skull.npz: .*finite"),
     ],
 )
-def test_a_skull_that_is_not_this_skins_is_named_in_one_line(command, skin, tmp_path, change, message):
+def test_a_skull_that_cannot_be_one_is_named_before_anything_is_written(command, skin, tmp_path, change, message):
     skull = _skull(tmp_path, "skull.npz", change)
     ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
     assert ended.status == 1 and len(ended.errors) == 1, ended
     assert ended.errors[0].startswith("softdeca: error: ")
     assert re.search(message, ended.errors[0]), ended.errors[0]
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda x: x + [0.0, 80.0, 0.0], "skull: .* lie outside the skin"),
+        (lambda x: 0.5 * x, "skull: met from [0-9] % of the face, at least 10 % are needed"),
+    ],
+)
+def test_a_skull_that_is_not_this_skins_is_a_failure_with_its_reason(command, skin, tmp_path, change, message):
+    skull = _skull(tmp_path, "skull.npz", change)
+    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--out", tmp_path / "out")
+    assert ended.status == 1 and re.search(f"FAILED skin.npz, default: {message}", ended.out), ended
+    assert "Nothing could be measured." in ended.out
 
 
 def test_teeth_in_the_mouths_pocket_are_not_outside(space):
@@ -113,12 +124,13 @@ def test_teeth_in_the_mouths_pocket_are_not_outside(space):
     check_inside("skull", template, wrap, Surface(*map(np.vstack, both)))
 
 
-def test_a_skin_without_a_face_is_named_in_one_line(command, tmp_path):
+def test_a_skin_without_a_face_is_a_failure_with_its_reason(command, tmp_path):
     ball = trimesh.creation.icosphere(3, radius=100.0)
     sphere = write(tmp_path / "sphere.npz", ball.vertices, ball.faces)
     skull = _skull(tmp_path, "skull.npz", lambda x: x)
     ended = command("bench", "depth", "--skin", sphere, "--skull", skull, "--out", tmp_path / "out")
-    assert ended.status == 1 and len(ended.errors) == 1 and "sphere.npz: skin: no face found" in ended.errors[0]
+    assert ended.status == 1 and "FAILED sphere.npz, default: " in ended.out
+    assert "sphere.npz: skin: no face found" in ended.out
 
 
 def test_missing_files_and_options_are_named_in_one_line(command, skin, tmp_path):
@@ -131,6 +143,6 @@ def test_missing_files_and_options_are_named_in_one_line(command, skin, tmp_path
         left = [a for pair in files.items() if pair[0] != option for a in pair]
         ended = command("bench", "depth", *left, "--out", out)
         assert ended.status == 2 and len(ended.errors) == 1 and f"'{option}'" in ended.errors[0]
-    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--regressor", skull, "--out", out)
-    assert ended.status == 1 and len(ended.errors) == 1 and "skull.npz" in ended.errors[0]
     assert not out.exists()
+    ended = command("bench", "depth", "--skin", skin, "--skull", skull, "--regressor", skull, "--out", out)
+    assert ended.status == 1 and "FAILED skin.npz, skull.npz: " in ended.out
