@@ -33,10 +33,11 @@ OURS, PLAIN, ANDERSON = "PD, L-BFGS", "PD, plain", "PD, Anderson"
 PROJECTIVE = {OURS: "lbfgs", PLAIN: "plain", ANDERSON: "anderson"}
 NEWTON, QUADRATIC, SKFEM, IGL = "FEniCSx Newton, P1", "FEniCSx Newton, P2", "scikit-fem Newton, P1", "libigl ARAP"
 SURROGATE, EXACT, BLENDSHAPES = "surrogate", "surrogate, simulator at bind", "blendshapes"
+LINEARISED = "linearised simulator"
 METHODS = {
     FACE: (*PROJECTIVE, NEWTON, QUADRATIC, SKFEM),
     ARAP: (*PROJECTIVE, NEWTON, IGL),
-    LEARNED: (SURROGATE, EXACT, BLENDSHAPES),
+    LEARNED: (SURROGATE, EXACT, LINEARISED, BLENDSHAPES),
 }
 SLOW = (QUADRATIC, SKFEM)
 """Left out unless they are asked for: a minute a solve."""
@@ -50,7 +51,7 @@ BUDGET = 30.0
 """Seconds of a method's solves after which it is repeated no more."""
 COLOURS = {OURS: "#1f77b4", ANDERSON: "#9467bd", PLAIN: "#999999", NEWTON: "#d62728", IGL: "#2ca02c",
            QUADRATIC: "#8c564b", SKFEM: "#e377c2", SURROGATE: "#17becf", EXACT: "#bcbd22",
-           BLENDSHAPES: "#ff7f0e"}  # fmt: skip
+           LINEARISED: "#006d5b", BLENDSHAPES: "#ff7f0e"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class WorkPrecision(OfPerson):
         "after one that is not counted. The error is the largest distance of a vertex to a tight run: of PD, which "
         "FEniCSx' linear tets share; quadratic tets have one of their own, and a law that a file adds has FEniCSx'. "
         "One iteration of PD is one solve with its factor; one of Newton a linear system. Learned methods, with "
-        "blendshapes beside them, are judged on the skin. "
+        "the simulator's first order and blendshapes beside them, are judged on the skin. "
         "libigl (one thread) fits its rotations in float32, hence its own floor; its handles are what the facial scene "
         "holds and every 16th vertex of the skin wrap. Plain PD is stopped near 0.003 mm. Quadratic tets with a "
         "pressure solve another, incompressible law: see the study `mixed`."
@@ -134,14 +135,18 @@ class WorkPrecision(OfPerson):
         return _row(runs[1:], problem.truth)
 
     def _learned(self, text: str, label: str) -> dict:
-        from ...surrogate import Surrogate
+        from ...surrogate import Surrogate, linearised_rig
 
         of, problem = self.person(), _problem(self, text, FACE)
         weights, shape = expressions.parsed(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
         how: dict = {"exact": True, "head": of.head} if label == EXACT else {}
+        network, shapes = Surrogate.load(), of.space.expression_deltas(of.code)
         watch = Stopwatch()
-        bound = Surrogate.load().bind(of.head.skin, of.code, Parameters(), **how)
+        if label == LINEARISED:
+            bound = linearised_rig(of.head, shapes)
+        else:
+            bound = network.bind(of.head.skin, of.code, Parameters(), expressions=shapes, **how)
         bind = watch.lap()[0]
         step: Callable = bound.blend if label == BLENDSHAPES else bound.frame
         skin, times = step(weights), []
@@ -193,7 +198,7 @@ class WorkPrecision(OfPerson):
             for label in METHODS[LEARNED]
             if (of := [row.values for row in rows if row.values["label"] == label])
         }
-        beside = [f"{label} {1e3 * time:.2f} ms and {mean:.3f} mm" for label, (time, mean) in learned.items()]
+        beside = [f"{label} {1e3 * time:.3f} ms and {mean:.3f} mm" for label, (time, mean) in learned.items()]
         return (f"To 0.01 mm from prepared scenes: {', '.join(said)}. " if said else "") + (
             f"A frame and its mean error: {', '.join(beside)}." if beside else ""
         )
