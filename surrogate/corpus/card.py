@@ -89,6 +89,8 @@ def _quantiles(values: Floats) -> list[float]:
 def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], licence: str) -> str:
     """The card, in the form of the Hugging Face hub: YAML, then Markdown."""
     plan = corpus.plan
+    there = [k for k in range(plan.identities) if corpus.shard_path(k).exists()]
+    tested = sum(plan.split(k) == "test" for k in there)
     head = "\n".join(
         " | ".join(["", key, str(figures["frames"][key]), *(f"{q:.2f}" for q in quantiles), ""]).strip()
         for key, quantiles in figures["p95_mm"].items()
@@ -112,7 +114,7 @@ Simulated faces after SoftDECA (Wagner, Schwanecke and Botsch, MIG '23): what pr
 blendshapes (S) of random people under random materials and effects. Made by softdeca {version("softdeca")} from a plan
 of seed {plan.seed}; the same plan gives the same bytes on one kind of machine.
 
-{status.identities_done} of {status.identities} people of `{corpus.people.name}`, {plan.tested} of them in test. Test
+{status.identities_done} of {status.identities} people of `{corpus.people.name}`, {tested} of them in test. Test
 shares no person, no parameter set and no recording with training. Speech and conversations are synthetic.
 
 | table | frames or rows made | accepted |

@@ -231,6 +231,7 @@ def test_the_card_says_what_is_there(made):
     figures = write_card(made)
     text = (made.folder / "README.md").read_text()
     assert text.startswith("---\nlicense: cc0-1.0\n") and "| statics | 6 | " in text
+    assert "3 of 3 people of `sphere1`, 1 of them in test." in text
     assert figures["frames"]["all"] == made.status().accepted["statics"]
     moved = np.concatenate([made.shard(k).statics.moved[:, 1] for k in range(3)])
     assert figures["p95_mm"]["all"][2] == pytest.approx(np.median(moved))
