@@ -45,7 +45,7 @@ class Modal:
         lag = seen.local[:, [GIVE]] * (1.0 + _linear(network, "lag", hidden))
         amplitudes = _response_amplitudes(network, summary)
         moved = (amplitudes @ responses.reshape(len(responses), -1)).reshape(-1, *skin.shape)
-        _subtract_lag(moved, lag[:, 0], shapes)
+        _subtract_lag(moved, lag[:, 0], shapes.astype(np.float32, copy=False))
         return BoundModes(
             offset=self._neutral(0, rested, effects) + self._neutral(1, seen, effects),
             responses=moved,

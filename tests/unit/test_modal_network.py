@@ -63,6 +63,14 @@ def weights(faces):
     return train_modal(faces["train"], CONFIG)
 
 
+def test_people_with_shapes_of_their_own_are_bound(faces, weights):
+    """A corpus keeps such shapes as it keeps what it simulates: in half precision."""
+    face, method = faces["test"].face(0), ModalMethod(weights)
+    own = replace(face, shapes=face.shapes.astype(np.float16))
+    expressions = np.linspace(0.0, 1.0, 104).reshape(2, 52)
+    np.testing.assert_allclose(method.bind(own)(expressions), method.bind(face)(expressions), atol=0.02)
+
+
 def test_the_note_names_the_people_held_out(faces, weights):
     held, training = set(weights.note.held), set(faces["train"].groups[:, 0].tolist())
     assert held < training and len(training - held) == weights.note.people
