@@ -16,7 +16,7 @@ from ...lhm.mesh import Floats
 from ...lhm.template import LEVELS
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, prepare, projective
 from ...reference.face.sequence import Sequence as Simulation
-from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, repeated, slope, timed, unfinished
+from ..costs import COUNTS, ENDED, MEMORY, TIMES, again, counts, megabytes, repeated, slope, timed, unfinished
 from ..floor import factor_bytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
@@ -50,8 +50,9 @@ class Scaling(OfPerson):
     note = (
         "Size: tets of a level, frames of a sequence at 60 Hz that is prepared once, or processes, each of which "
         "solves the same frame again and again. PD of a level: from rest until no vertex is farther than 0.01 mm from "
-        "a tight run; FEniCSx' Newton to a gradient norm of 1e-8 of its start. Each in a process of its own; memory "
-        "beside head and libraries."
+        "a tight run; FEniCSx' Newton to a gradient norm of 1e-8 of its start. Times are medians of repeats after one "
+        "that is not counted, fewer than five where they would take more than half a minute. Each in a process of its "
+        "own; memory beside head and libraries."
     )
     timed = True
     alone = True
@@ -99,20 +100,20 @@ class Scaling(OfPerson):
             prepared = projective.prepare(make())
             _, trace = traced_to_itself(prepared)
             tolerance = trace.tolerance_for(ACCURACY) or TIGHT
-            runs = [timed(make, tolerance) for _ in range(1 + self.repeats)][1:]
+            runs = again(lambda: timed(make, tolerance), self.repeats)
             found |= {"factor_mb": factor_bytes(prepared) / 1e6, "iteration_ms": 1e3 * _per_iteration(trace.seconds)}
         else:
             scene = partial(_neo_hookean, make) if solver == NEO_HOOKEAN else make
             held = megabytes(scene, solver="fenicsx")
-            runs = [timed(scene, FEM_TOLERANCE, solver="fenicsx") for _ in range(1 + self.repeats)][1:]
+            runs = again(lambda: timed(scene, FEM_TOLERANCE, solver="fenicsx"), self.repeats)
             found["iteration_ms"] = 1e3 * float(np.median([_per_iteration(run.history.time) for run, _ in runs]))
         return found | repeated([row for _, row in runs]) | {"scene_mb": held}
 
     def _sequence(self, frames: int) -> Values:
         of = self.person()
         skins = of.blend(expressions.conversation(np.random.default_rng(3), frames + 1, rate=RATE))
-        rows = []
-        for _ in range(1 + self.repeats):
+
+        def played() -> Values:
             watch = Stopwatch()
             running = Simulation(of.head, Parameters(), time_step=1.0 / RATE)
             running.frame(skins[0])
@@ -121,8 +122,9 @@ class Scaling(OfPerson):
             wall, cpu = watch.lap()
             ended = next((s for s in solutions if not s.converged), solutions[-1])
             iterations = sum(s.iterations for s in solutions)
-            rows.append({"prepare_s": first, "solve_s": wall, "cpu_s": cpu, **counts(ended), "iterations": iterations})
-        return {"size": frames} | repeated(rows[1:])
+            return {"prepare_s": first, "solve_s": wall, "cpu_s": cpu, **counts(ended), "iterations": iterations}
+
+        return {"size": frames} | repeated(again(played, self.repeats))
 
     def _side_by_side(self, processes: int) -> Values:
         with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:

@@ -14,6 +14,7 @@ from ...lhm.mesh import Floats
 from ...reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
 from ...reference.added import added_laws, added_solvers
 from .. import arap
+from ..costs import again
 from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
@@ -47,8 +48,6 @@ PLAIN_ENOUGH, PLAIN_LIMIT = 0.003, 1500
 """Plain projective dynamics is stopped here [mm], after so many iterations: it needs thousands for more."""
 POINTS = 80
 """Of a curve that are kept at most, evenly in the logarithm of the iteration."""
-BUDGET = 30.0
-"""Seconds of a method's solves after which it is repeated no more."""
 COLOURS = {OURS: "#1f77b4", ANDERSON: "#9467bd", PLAIN: "#999999", NEWTON: "#d62728", IGL: "#2ca02c",
            QUADRATIC: "#8c564b", SKFEM: "#e377c2", SURROGATE: "#17becf", EXACT: "#bcbd22",
            LINEARISED: "#006d5b", BLENDSHAPES: "#ff7f0e"}  # fmt: skip
@@ -126,13 +125,8 @@ class WorkPrecision(OfPerson):
         truth = problem.truth
         if label == QUADRATIC:
             truth = prepare(problem.scene, **how).solve(tolerance=TIGHT).positions
-        # The first is the warm-up: forms are compiled once per kind of scene and machine, kernels once per process.
-        runs: list[_Run] = []
-        spent = 0.0
-        while len(runs) < 1 + self.repeats and (len(runs) < 2 or spent < BUDGET):
-            runs.append(_run(problem.scene, truth, how, limits))
-            spent += runs[-1].prepare_s + runs[-1].trace.seconds[-1]
-        return _row(runs[1:], problem.truth)
+        # The first, not counted: forms are compiled once per kind of scene and machine, kernels once per process.
+        return _row(again(lambda: _run(problem.scene, truth, how, limits), self.repeats), problem.truth)
 
     def _learned(self, text: str, label: str) -> dict:
         from ...surrogate import Surrogate, linearised_rig
