@@ -86,8 +86,6 @@ class Depth(Study):
         """The one head; InputError for a file that is missing, and a skull that is damaged or in other units."""
         if not self.skulls:
             raise InputError("skull: at least one file is needed")
-        if self.unit not in MILLIMETRES:
-            raise InputError(f"unit {self.unit!r}: there are {', '.join(MILLIMETRES)}")
         for path in (self.skin, *([self.regressor] if self.regressor else [])):
             if not Path(path).is_file():
                 raise InputError(f"{path}: no such file")

@@ -45,10 +45,8 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
     """Distributions of |T - S| in the face by kind of parameters and by source, iterations, reasons of rejection."""
     moved: dict[str, list[Floats]] = {}
     iterations: list[Floats] = []
-    for identity in range(corpus.plan.identities):
+    for identity in corpus.people_there():
         path = corpus.shard_path(identity)
-        if not path.exists():
-            continue
         names = [f"statics/{name}" for name in ("group", "moved", "status", "recording", "iterations")]
         found = read_arrays_of(path, corpus.owner, "groups/kind", *names)
         good = found["statics/status"] == ACCEPTED.encode()
@@ -89,8 +87,7 @@ def _quantiles(values: Floats) -> list[float]:
 def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], licence: str) -> str:
     """The card, in the form of the Hugging Face hub: YAML, then Markdown."""
     plan = corpus.plan
-    there = [k for k in range(plan.identities) if corpus.shard_path(k).exists()]
-    tested = sum(plan.split(k) == "test" for k in there)
+    tested = sum(plan.split(k) == "test" for k in corpus.people_there())
     head = "\n".join(
         " | ".join(["", key, str(figures["frames"][key]), *(f"{q:.2f}" for q in quantiles), ""]).strip()
         for key, quantiles in figures["p95_mm"].items()
@@ -160,7 +157,7 @@ def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
     """Croissant 1.0 metadata: every file with its checksum, and what the tables' columns are."""
     names = ("corpus.json", "template.npz", "velocities.npz")
     files = [path for name in names if (path := corpus.folder / name).exists()]
-    files += [path for k in range(corpus.plan.identities) if (path := corpus.shard_path(k)).exists()]
+    files += [corpus.shard_path(k) for k in corpus.people_there()]
     forms = {".json": "application/json", ".npz": "application/zip", ".h5": "application/x-hdf5"}
     return {
         "@context": {

@@ -109,6 +109,10 @@ class Corpus:
         """Where a person's shard is, or will be."""
         return shard_path(self.folder, identity)
 
+    def people_there(self) -> list[int]:
+        """The numbers of the people whose shards are there, usable or not."""
+        return [k for k in range(self.plan.identities) if self.shard_path(k).exists()]
+
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
         """Simulate what is missing or damaged; the content depends on plan and people only, not on workers or order.
 
@@ -186,10 +190,8 @@ class Corpus:
         versions: dict[str, int] = {}
         seconds: dict[str, float] = {}
         names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
-        for identity in range(self.plan.identities):
+        for identity in self.people_there():
             path = self.shard_path(identity)
-            if not path.exists():
-                continue
             try:
                 arrays, label = read_arrays_of(path, self.owner, *names), read_label(path)
             except InputError as error:

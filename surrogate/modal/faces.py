@@ -92,14 +92,9 @@ class Faces:
         """The name of the people's space."""
         return self._responses.people
 
-    @property
-    def mesh(self) -> str:
-        """The hash of the mean skin."""
-        return surface_hash(self.mean)
-
     def check_mesh(self, weights: ModalWeights) -> None:
         """Raise InputError for weights of another mean skin."""
-        if weights.template != self.mesh:
+        if weights.template != surface_hash(self.mean):
             raise InputError(
                 f"weights: of a mean skin of {len(weights.mean.vertices)} vertices, not of the corpus' space and level"
             )
@@ -174,11 +169,6 @@ class Neutrals:
     def mean(self) -> Surface:
         """The mean skin of the space [mm]."""
         return self._table.template.mean
-
-    @property
-    def mesh(self) -> str:
-        """The hash of the mean skin."""
-        return surface_hash(self.mean)
 
     def face(self, index: int) -> Neutral:
         """One of them."""

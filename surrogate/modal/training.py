@@ -16,6 +16,7 @@ from ...lhm.mesh import Floats, Floats32
 from ...lhm.progress import OnProgress, silent
 from ..learning import keep_state, kept_state, torch
 from ..processes import ALONE, Processes, processes
+from ..surface_hash import surface_hash
 from .faces import Face, Faces, Inputs, Neutral, Neutrals
 from .features import EFFECTS, STATIC, Features
 from .network import NEUTRAL, WEIGHTS, ModalConfig, ModalNetwork, start_positions
@@ -125,7 +126,7 @@ class _Loop:
         self.faces, self.config, self.neutrals, self.group, self.start = faces, config, neutrals, group, start
         if neutrals is not None and start is not None:
             raise InputError("training: from weights it learns no neutral faces; leave out one of start and neutrals")
-        if neutrals is not None and neutrals.mesh != faces.mesh:
+        if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
             raise InputError("training: the neutral faces are of another space or level than the corpus")
         if faces.personal:
             raise InputError("training: the corpus' people have shapes of their own, which the network does not see")
