@@ -164,16 +164,16 @@ class Prepared:
 
 
 def line_search(energy, x, step, value, gradient, held):
-    """The first of halved steps that lowers the energy enough, or the gradient where rounding hides that; or None."""
-    downhill, rounding = np.sum(gradient * step), 1e-15 * energy.scale
+    """The first of halved steps that lowers the energy enough, or, where rounding hides that, flattens it; or None."""
+    downhill, rounding = np.sum(gradient * step), 1e-14 * energy.scale
     for share in 0.5 ** np.arange(40):
         ahead = x + share * step
         found, slope = energy.at(ahead)
         slope[held] = 0
         hidden = -0.1 * share * downhill < rounding
-        smaller = np.linalg.norm(slope) < 0.9 * np.linalg.norm(gradient)
+        flatter = abs(np.sum(slope * step)) < -0.9 * downhill
         if found <= value + (rounding if hidden else 0.1 * share * downhill) and (
-            smaller or not hidden
+            flatter or not hidden
         ):
             return ahead, found, slope
     return None
