@@ -13,13 +13,14 @@ from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced
 from ..lhm.progress import OnProgress
 from ..surrogate import Surrogate
-from ..surrogate.corpus.folder import read_manifest
+from ..surrogate.corpus.folder import known_plan, read_manifest
 from ..surrogate.corpus.people import people_of
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import Split
 from ..surrogate.evaluate import Score, evaluate
 from ..surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ..surrogate.evaluate_references import evaluate_references
+from ..surrogate.generalisation import evaluate_generalisation
 from ..surrogate.modal.faces import Faces
 from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals import Method
@@ -29,6 +30,7 @@ from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
+from ..surrogate.schedule import schedule
 from . import corpus_size, plots
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
@@ -62,6 +64,8 @@ def compare(
     progress: OnProgress,
     external: Path | None = None,
     simulated: int = 0,
+    generalisation: int | None = None,
+    workers: int = 1,
     curve: Sequence[Path] = (),
 ) -> tuple[list[Score], list[Path]]:
     """Scores of all methods, and the files written.
@@ -69,7 +73,8 @@ def compare(
     On the test people of a corpus: static frames, and by what needs no fit, sequences where there are some and what
     FEniCSx says of frames; on all people of an `external` one static frames, of kind EXTERNAL, and sequences. On so
     many of the test faces as `simulated` says, rivals that simulate are scored too, of kind "N faces", which needs
-    people whose heads can be fitted, and the default people's network on parameters that it has not seen. `curve`:
+    people whose heads can be fitted, and the default people's network on parameters that it has not seen. On so many
+    pairs of people as `generalisation` says they are scored by what is unseen, simulated by so many `workers`. `curve`:
     weights by `train --share`, see `corpus_size`.
     """
     network = Surrogate.load(surrogate)
@@ -101,6 +106,13 @@ def compare(
     if simulated:
         scores += _beside_simulation(ready, test, simulated, progress)
         scores += beyond(network, progress) if network.space == "anny" else []
+    if generalisation is not None:
+        plan, made_with = known_plan(corpus)
+        people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
+        scores += evaluate_generalisation(
+            ready, network.weights, plan, people, out / "generalisation", count=generalisation, on=schedule(workers),
+            on_progress=progress,
+        )  # fmt: skip
     paid = breakeven(corpus, network.weights.note, scores[0])
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:

@@ -124,6 +124,13 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     help="faces on which rivals that simulate run, too, and unseen parameters: minutes",
 )
 @click.option(
+    "--generalisation",
+    type=click.IntRange(1),
+    metavar="N",
+    help="pairs of people, known and unseen, simulated under both's parameters and recordings: a minute of a core each",
+)
+@click.option("--workers", type=click.IntRange(1), default=1, help="processes of --generalisation")
+@click.option(
     "--curve",
     multiple=True,
     type=click.Path(path_type=Path),
@@ -138,6 +145,8 @@ def evaluate(
     external: Path | None,
     rivals: bool,
     simulated: int,
+    generalisation: int | None,
+    workers: int,
     curve: tuple[Path, ...],
     partial: bool,
     out: Path,
@@ -146,7 +155,8 @@ def evaluate(
     """Compare the surrogate and its rivals on the test people of CORPUS against the simulator.
 
     On static frames, by kind of parameters; on sequences with inertia (Eq. 21 over each method's static answers); and
-    against FEniCSx, both laws, where CORPUS has its answers.
+    against FEniCSx, both laws, where CORPUS has its answers. With --generalisation by what is unseen, too: people,
+    parameters, recordings, in every combination; what it simulates is kept in OUT/generalisation.
 
     Writes OUT/scores.json, scores.md with the frames and faces after which training has paid, error against the cost
     at bind and per frame as cost.png, and six frames with their errors as frames.png; with --curve, errors over the
@@ -164,6 +174,8 @@ def evaluate(
             partial=partial,
             external=external,
             simulated=simulated,
+            generalisation=generalisation,
+            workers=workers,
             curve=curve,
             progress=progress,
         )
@@ -173,7 +185,7 @@ def evaluate(
     for score in scores:
         if (
             score.kind in ("all", "dynamic", "external", "external, dynamic")
-            or score.kind.startswith("against")
+            or score.kind.startswith(("against", "unseen"))
             or score.kind.endswith(("faces", "clamped"))
         ):
             figures = f"mean {score.mean:.4f} mm  95 % {score.p95:.3f}  share {100 * score.share:.1f} %"

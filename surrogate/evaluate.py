@@ -11,7 +11,7 @@ import numpy as np
 
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress, silent
-from .modal.faces import Faces
+from .modal.faces import Face, Faces, Frames
 from .rivals import Method
 
 Times = tuple[float | None, float | None, float | None]
@@ -44,9 +44,23 @@ class Score:
     frame_ms: float | None
 
 
+class Tests(Protocol):
+    """Faces with static frames, such as `Faces`."""
+
+    def __len__(self) -> int: ...
+
+    def face(self, index: int) -> Face:
+        """One of them."""
+        ...
+
+    def frames(self, index: int) -> Frames:
+        """Its frames, which may be none."""
+        ...
+
+
 def evaluate(
     methods: Sequence[Method],
-    test: Faces,
+    test: Tests,
     training: Faces | None = None,
     *,
     chosen: Sequence[int] | None = None,
@@ -71,7 +85,7 @@ def evaluate(
     return scores
 
 
-def _scores(method: Method, test: Faces, chosen: Sequence[int], fit_seconds: float) -> list[Score]:
+def _scores(method: Method, test: Tests, chosen: Sequence[int], fit_seconds: float) -> list[Score]:
     kinds, varying, errors, motions, binding, framing = [], [], [], [], [], []
     for index in chosen:
         face, frames = test.face(index), test.frames(index)

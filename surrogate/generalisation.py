@@ -1,0 +1,213 @@
+"""Generalisation by people, parameters and recordings apart: faces under every combination of known and unseen.
+
+A corpus' test shares none of the three with training, so that its errors do not tell which of them is hard. Here those
+of a pair, somebody whom the network knows and somebody of test, each take the other's parameter set too, and all four
+faces make frames of recordings of training and of test: eight combinations, which differ in one thing at a time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.files.alone import alone_in
+from ..lhm.files.atomic import write_whole
+from ..lhm.files.npz import read_arrays, write_arrays
+from ..lhm.files.resumable import check_same
+from ..lhm.progress import OnProgress, silent
+from .corpus.group import Group
+from .corpus.person import People, Person
+from .corpus.plan import IDENTITY, SPLITS, CorpusPlan, Split
+from .corpus.shard import ACCEPTED
+from .corpus.simulate import GENERATOR
+from .evaluate import Score, evaluate
+from .modal.faces import Face, Frames, static_of
+from .modal.weights import ModalWeights
+from .rivals import Method
+from .schedule import Schedule, results_of
+
+COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, repeat=3))
+"""From which split people, parameters and recordings are."""
+ALIKE = 0.05
+"""By how much the mean code of a plan's people may be off the one that weights were trained on, over its spread."""
+
+
+def kind_of(combination: Sequence[Split]) -> str:
+    """What of a combination is unseen, as scores call it."""
+    aspects = zip(("people", "parameters", "recordings"), combination, strict=True)
+    return f"unseen: {', '.join(name for name, split in aspects if split == 'test') or 'nothing'}"
+
+
+KINDS = tuple(map(kind_of, COMBINATIONS))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Somebody known and somebody of test by their numbers, and each one's parameter set."""
+
+    number: int
+    people: Mapping[Split, int]
+    parameters: Mapping[Split, int]
+    group: int
+
+
+def pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
+    """The first `count` pairs; the k-th takes the (k mod groups)-th parameter set of both.
+
+    InputError where training or test has fewer people.
+    """
+    held = set(weights.note.held)
+    known = [k for k in range(weights.note.people + len(held)) if k not in held]
+    if not 1 <= count <= min(len(known), plan.tested):
+        raise InputError(f"generalisation: expected 1 to {min(len(known), plan.tested)} pairs of people, got {count}")
+    made = []
+    for number in range(count):
+        people: dict[Split, int] = {"train": known[number], "test": plan.identities - plan.tested + number}
+        group = number % plan.groups
+        sets: dict[Split, int] = {split: plan.parameter_numbers(one)[group] for split, one in people.items()}
+        made.append(Pair(number, people, sets, group))
+    return made
+
+
+def check_learned(plan: CorpusPlan, people: People, weights: ModalWeights) -> None:
+    """Raise InputError for weights that have not learned from the plan's first people, as their mean code tells."""
+    first = weights.note.people + len(weights.note.held)
+    if first <= plan.identities - plan.tested:
+        codes = np.stack([people.person(plan.rng(IDENTITY, k)).code for k in range(first)])
+        if codes.shape[1:] == weights.code_mean.shape:
+            off = np.abs(codes.mean(axis=0) - weights.code_mean) / weights.code_scale
+            if off.max() <= ALIKE:
+                return
+    raise InputError("generalisation: the weights did not learn from this corpus' people, so which are known is unsaid")
+
+
+def evaluate_generalisation(
+    methods: Sequence[Method],
+    weights: ModalWeights,
+    plan: CorpusPlan,
+    people: People,
+    folder: Path,
+    *,
+    count: int,
+    on: Schedule,
+    on_progress: OnProgress = silent,
+) -> list[Score]:
+    """Scores by kind (KINDS) of methods, which are fitted, on `count` pairs of people; a minute of a core each.
+
+    What is simulated is kept in the folder, where it goes on if it was stopped. Raises InputError where the weights did
+    not learn from the plan's people, for more pairs than there are, and for a folder of something else; SoftdecaError
+    where no frame of some combination is accepted.
+    """
+    check_learned(plan, people, weights)
+    wanted = pairs(plan, weights, count)
+    work = _Work(folder, plan, people)
+    with alone_in(folder, "generalisation"):
+        manifest = {"plan": plan.digest, "people": people.name, "template": people.digest, "generator": GENERATOR}
+        if not check_same(folder / "generalisation.json", "generalisation", manifest):
+            write_whole(folder / "generalisation.json", json.dumps(manifest, indent=1).encode())
+        pending = [pair for pair in wanted if not work.is_whole(pair)]
+        for done, _ in enumerate(results_of(work, pending, on=on, name="generalisation")):
+            on_progress("generalisation: pairs of people simulated", (done + 1) / len(pending))
+    scores: list[Score] = []
+    for combination, kind in zip(COMBINATIONS, KINDS, strict=True):
+        found = evaluate(methods, _Combination(work, wanted, combination))
+        scores += [replace(score, kind=kind) for score in found if score.kind == "all"]
+        on_progress(f"generalisation, {kind}", len(scores) / len(methods) / len(COMBINATIONS))
+    return scores
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Simulates a pair's four faces, with frames of recordings of both splits, into a file."""
+
+    folder: Path
+    plan: CorpusPlan
+    people: People
+
+    def path(self, pair: Pair) -> Path:
+        return self.folder / f"pair-{pair.number:03d}.npz"
+
+    def is_whole(self, pair: Pair) -> bool:
+        try:
+            read_arrays(self.path(pair))
+        except InputError:
+            return False
+        return True
+
+    def __call__(self, pair: Pair) -> None:
+        arrays: dict[str, np.ndarray] = {}
+        for whose, by in product(SPLITS, repeat=2):
+            made = self._face(pair, whose, by)
+            arrays |= {f"{whose}/{by}/{name}": values for name, values in made.items()}
+        write_arrays(self.path(pair), arrays)
+
+    def _face(self, pair: Pair, whose: Split, by: Split) -> dict[str, np.ndarray]:
+        """Nothing where the face has no head, or does not come to rest."""
+        plan, number = self.plan, pair.parameters[by]
+        person = self.person(pair, whose)
+        try:
+            group = Group.of(plan, self.people, person, self.people.head(person), number)
+        except SoftdecaError:
+            return {}
+        found = {"settled": group.settled, "offset": group.offset, "responses": group.responses}
+        found = {name: values.astype(np.float16) for name, values in found.items()}
+        for split in SPLITS:
+            rows = [
+                plan.weights(plan.static(pair.people[split], pair.group * plan.frames + k)) for k in range(plan.frames)
+            ]
+            answers = [group.static(weights) for weights in rows]
+            accepted = [k for k, answer in enumerate(answers) if answer.status == ACCEPTED]
+            found[f"{split}/weights"] = np.array([rows[k] for k in accepted], dtype=np.float32).reshape(-1, 52)
+            corrected = [answers[k].corrected for k in accepted]
+            found[f"{split}/corrected"] = np.array(corrected, dtype=np.float16).reshape(-1, *person.skin.vertices.shape)
+        return found
+
+    def person(self, pair: Pair, whose: Split) -> Person:
+        return self.people.person(self.plan.rng(IDENTITY, pair.people[whose]))
+
+
+class _Combination:
+    """The faces of one combination that there are, as `evaluate` asks for them."""
+
+    def __init__(self, work: _Work, wanted: Sequence[Pair], combination: tuple[Split, Split, Split]):
+        self._work, (self._whose, self._by, self._of) = work, combination
+        self._pairs = [pair for pair in wanted if f"{self._prefix}offset" in read_arrays(work.path(pair))]
+        if not any(len(self.frames(index).weights) for index in range(len(self))):
+            raise SoftdecaError(f"generalisation: of {kind_of(combination)} no frame was accepted")
+
+    @property
+    def _prefix(self) -> str:
+        return f"{self._whose}/{self._by}/"
+
+    def _read(self, index: int, *names: str) -> list[np.ndarray]:
+        keys = [f"{self._prefix}{name}" for name in names]
+        found = read_arrays(self._work.path(self._pairs[index]), *keys)
+        return [found[key] for key in keys]
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def face(self, index: int) -> Face:
+        pair = self._pairs[index]
+        person, drawn = self._work.person(pair, self._whose), self._work.plan.parameter_set(pair.parameters[self._by])
+        settled, offset, responses = self._read(index, "settled", "offset", "responses")
+        return Face(
+            identity=pair.people[self._whose],
+            kind=drawn.kind,
+            code=person.code,
+            coefficients=static_of(drawn.coefficients),
+            settled=settled,
+            offset=offset,
+            responses=responses,
+            shapes=person.shapes,
+            skin=person.skin.vertices,
+        )
+
+    def frames(self, index: int) -> Frames:
+        return Frames(*self._read(index, f"{self._of}/weights", f"{self._of}/corrected"))
