@@ -73,6 +73,13 @@ def test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares
     assert alone.status != 0 and "different numbers of people" in alone.errors[0]
 
 
+def test_generalisation_needs_people_that_a_command_knows(command, corpus, tmp_path):
+    assert command("train", corpus, "--out", tmp_path, "--steps", "2").status == 0
+    given = ("--surrogate", tmp_path / "modal.safetensors", "--generalisation", "1", "--out", tmp_path / "scores")
+    ended = command("evaluate", corpus, *given)
+    assert ended.status != 0 and "it was made from Python" in ended.errors[0]
+
+
 def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):
     ended = command("train", corpus, "--network", "paper", "--out", tmp_path, "--steps", "4")
     assert ended.status == 0 and (tmp_path / "paper.npz").is_file()
