@@ -32,7 +32,7 @@ from .modal.weights import ModalWeights
 from .rivals import Method
 from .schedule import Schedule, results_of
 
-COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, repeat=3))
+COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, SPLITS, SPLITS))
 """From which split people, parameters and recordings are."""
 ALIKE = 0.05
 """By how much the mean code of a plan's people may be off the one that weights were trained on, over its spread."""
@@ -142,7 +142,7 @@ class _Work:
 
     def __call__(self, pair: Pair) -> None:
         arrays: dict[str, np.ndarray] = {}
-        for whose, by in product(SPLITS, repeat=2):
+        for whose, by in product(SPLITS, SPLITS):
             made = self._face(pair, whose, by)
             arrays |= {f"{whose}/{by}/{name}": values for name, values in made.items()}
         write_arrays(self.path(pair), arrays)
@@ -155,8 +155,8 @@ class _Work:
             group = Group.of(plan, self.people, person, self.people.head(person), number)
         except SoftdecaError:
             return {}
-        found = {"settled": group.settled, "offset": group.offset, "responses": group.responses}
-        found = {name: values.astype(np.float16) for name, values in found.items()}
+        derived = {"settled": group.settled, "offset": group.offset, "responses": group.responses}
+        found: dict[str, np.ndarray] = {name: values.astype(np.float16) for name, values in derived.items()}
         for split in SPLITS:
             rows = [
                 plan.weights(plan.static(pair.people[split], pair.group * plan.frames + k)) for k in range(plan.frames)
