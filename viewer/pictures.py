@@ -164,7 +164,7 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     vertices = head.vertices if positions is None else positions
     plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(3 * size, size), border=False)
     skin = head.skin_wrap.vertices
-    centre, height = (skin.max(0) + skin.min(0)) / 2, 1.28 * np.ptp(skin[:, 1])
+    centre, height = (skin.max(0) + skin.min(0)) / 2, 1.4 * np.ptp(skin[:, 1])
     middle = vertices[head.tets].mean(axis=1)[:, 0] < centre[0]
     layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
     plotter.subplot(0, 0)
@@ -189,6 +189,7 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
             cmap=palette,
             show_edges=True,
             edge_color="#776655",
+            edge_opacity=0.25,
             line_width=0.4,
             show_scalar_bar=False,
             interpolate_before_map=False,
