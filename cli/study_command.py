@@ -52,23 +52,27 @@ def listed() -> int:
 @click.argument("before", type=click.Path(path_type=Path))
 @click.argument("after", type=click.Path(path_type=Path))
 def changes(before: Path, after: Path) -> int:
-    """Compare two results of one study: costs that changed by more than noise, and what one has not done.
+    """Compare two results of one study: costs and answers that changed by more than noise, and what one has not done.
 
-    BEFORE and AFTER are folders of a study, or their results.json. Exit status 1 if a cost rose.
+    BEFORE and AFTER are folders of a study, or their results.json. Exit status 1 if a cost rose, a task is not done any
+    more, or a statement not reached.
     """
     from ..benchmarks.harness.compare import compared, study_in
 
     name = study_in(before)
     if name not in names():
         raise InputError(f"{before}: of a study {name!r}, which there is not")
-    found, only = compared(before, after, study_of(name))
-    told = [change for change in found if change.told]
+    found = compared(before, after, study_of(name))
+    told = [change for change in found.changes if change.told]
     for change in told:
         click.echo(f"{change.share:+8.1%}  {change.task}, {change.what}: {change.before:.4g} -> {change.after:.4g}")
-    for line in only:
+    for line in [*found.broken, *found.other]:
         click.echo(line)
-    click.echo(f"{len(found) - len(told)} of {len(found)} costs are the same within noise")
-    return 1 if any(change.share > 0 for change in told) else 0
+    for what, cost in (("answers", False), ("costs", True)):
+        count = sum(change.cost is cost for change in found.changes)
+        changed = sum(change.cost is cost for change in told)
+        click.echo(f"{count - changed} of {count} {what} are the same within noise")
+    return 1 if found.broken or any(change.cost and change.share > 0 for change in told) else 0
 
 
 @click.command("report")

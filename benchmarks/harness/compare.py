@@ -1,31 +1,34 @@
-"""Two results of one study side by side: what changed by more than its noise."""
+"""Two results of one study side by side: costs and answers that changed by more than their noise."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...lhm.errors import InputError
-from .study import Study
+from .study import Column, Study
 
 LEAST = 0.02
-"""Share below which no change of a cost is told, however quiet the machine."""
+"""Share below which no change is told, however quiet the machine."""
+ROUNDING = 1e-3
+"""Of the largest value of an answer's column over all tasks: errors far below that differ by rounding alone."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A cost of one task before and after, the share that is noise, and whether it got worse or better by more."""
+    """A value of one task before and after, by how much it may differ by noise, and whether it is a cost."""
 
     task: str
     what: str
     before: float
     after: float
     noise: float
+    cost: bool
 
     @property
     def share(self) -> float:
@@ -35,7 +38,17 @@ class Change:
     @property
     def told(self) -> bool:
         """Whether it is more than noise."""
-        return abs(self.share) > max(LEAST, 3.0 * self.noise)
+        same = self.before == self.after or (np.isnan(self.before) and np.isnan(self.after))
+        return not same and not abs(self.after - self.before) <= self.noise
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All values that both results have; and in words what else differs: for the worse (`broken`), or not."""
+
+    changes: list[Change]
+    broken: list[str]
+    other: list[str]
 
 
 def read(path: Path) -> Mapping[str, Any]:
@@ -43,7 +56,12 @@ def read(path: Path) -> Mapping[str, Any]:
     file = path / "results.json" if path.is_dir() else path
     try:
         found = json.loads(file.read_text())
-        return {"study": found["study"], "rows": {f"{r['case']}, {r['method']}": r for r in found["rows"]}}
+        rows = {f"{r['case']}, {r['method']}": r for r in found["rows"]}
+        return {
+            "study": found["study"],
+            "rows": rows,
+            "gates": {g["what"]: g["passed"] for g in found.get("gates", ())},
+        }
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{file}: no results of a study ({type(error).__name__})") from None
 
@@ -54,36 +72,58 @@ def study_in(path: Path) -> str:
     return name
 
 
-def compared(before: Path, after: Path, kind: type[Study]) -> tuple[list[Change], list[str]]:
-    """Costs of the tasks that both have done, and in words what only one has done.
+def compared(before: Path, after: Path, kind: type[Study]) -> Comparison:
+    """Costs and answers of the tasks that both have done, and what only one has done, said or reached.
 
-    A cost that is a list of repeated values counts by its median, and its noise is their median distance from that.
+    A cost that is a list of repeated values counts by its median, and its noise is three times their median distance
+    from that. Answers may differ by rounding. Raises InputError for what are no results of one study.
     """
     old, new = read(before), read(after)
     if old["study"] != new["study"]:
         raise InputError(f"{before} is of {old['study']!r}, {after} of {new['study']!r}: they cannot be compared")
-    changes, only = [], []
+    found = Comparison([], [], [])
+    pairs: list[tuple[str, Column, Any, Any]] = []
     for task in [*old["rows"], *(task for task in new["rows"] if task not in old["rows"])]:
         was, now = old["rows"].get(task), new["rows"].get(task)
         states = tuple("missing" if row is None else row["status"] for row in (was, now))
-        if states != ("done", "done"):
-            if states[0] != states[1]:
-                only.append(f"{task}: {states[0]} before, {states[1]} after")
-            continue
-        costs = [column for column in kind.columns if column.cost]
-        for a, b in zip(kind.lines(was["values"]), kind.lines(now["values"]), strict=False):
-            for column in costs:
-                if a.get(column.key) is not None and b.get(column.key) is not None:
-                    changes.append(_change(task, column.title, a[column.key], b[column.key]))
-    return changes, only
+        if states == ("done", "done"):
+            for a, b in zip(kind.lines(was["values"]), kind.lines(now["values"]), strict=False):
+                pairs += [(task, column, a.get(column.key), b.get(column.key)) for column in kind.columns]
+        elif states[0] != states[1]:
+            words = found.broken if states[0] == "done" else found.other
+            words.append(f"{task}: {states[0]} before, {states[1]} after")
+    for what, passed in old["gates"].items():
+        if new["gates"].get(what, passed) != passed:
+            words = found.broken if passed else found.other
+            words.append(f"{what}: {'reached before, not after' if passed else 'not reached before, but after'}")
+    scale: dict[str, float] = {}
+    for task, column, a, b in pairs:
+        if _is_number(a) and _is_number(b):
+            found.changes.append(_change(task, column, a, b))
+            scale[column.title] = np.nanmax(np.abs([scale.get(column.title, 0.0), _middle(a)[0], _middle(b)[0]]))
+        elif isinstance(a, str) and isinstance(b, str) and a != b:
+            found.other.append(f"{task}, {column.title}: {a} before, {b} after")
+    for k, change in enumerate(found.changes):
+        if not change.cost:
+            noise = max(change.noise, ROUNDING * scale[change.what])
+            found.changes[k] = replace(change, noise=noise)
+    return found
 
 
-def _change(task: str, what: str, before: float | Sequence[float], after: float | Sequence[float]) -> Change:
+def _is_number(value: Any) -> bool:
+    """Of a number, or of repeated ones."""
+    several = value if isinstance(value, list) else [value]
+    return bool(several) and all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in several)
+
+
+def _change(task: str, column: Column, before: Any, after: Any) -> Change:
     (a, a_noise), (b, b_noise) = _middle(before), _middle(after)
-    return Change(task, what, a, b, max(a_noise, b_noise))
+    noise = max(LEAST * abs(a), 3.0 * max(a_noise, b_noise))
+    return Change(task, column.title, a, b, noise, column.cost)
 
 
 def _middle(value: float | Sequence[float]) -> tuple[float, float]:
+    """The median, and the median distance from it."""
     values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     middle = float(np.median(values))
-    return middle, float(np.median(np.abs(values - middle)) / middle) if middle else 0.0
+    return middle, float(np.median(np.abs(values - middle)))

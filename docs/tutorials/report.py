@@ -98,4 +98,4 @@ print((out / "report" / "report.md").read_text()[:900])
 
 # %% [markdown]
 # Two results of one study, from before and after a change, are compared by `softdeca bench compare before after`,
-# which tells what changed beyond the noise of the repeats.
+# which tells what costs changed beyond the noise of the repeats, and what answers beyond rounding.

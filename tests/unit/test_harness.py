@@ -155,13 +155,34 @@ def test_changes_are_told_beyond_noise(toys, tmp_path):
     slower = results_file(
         tmp_path / "b.json", {"quiet": [1.1, 1.101, 1.1], "noisy": [1.1, 1.5, 0.9], "gone": None, "late": quiet}
     )
-    found, only = compared(before, slower, toys.Toy)
-    assert {change.task: change.told for change in found} == {"quiet, m": True, "noisy, m": False}
-    assert found[0].share == pytest.approx(0.1)
-    assert only == ["gone, m: done before, failed after", "late, m: failed before, done after"]
+    found = compared(before, slower, toys.Toy)
+    assert {change.task: change.told for change in found.changes} == {"quiet, m": True, "noisy, m": False}
+    assert found.changes[0].share == pytest.approx(0.1) and found.changes[0].cost
+    assert found.broken == ["gone, m: done before, failed after"]
+    assert found.other == ["late, m: failed before, done after"]
     (tmp_path / "c.json").write_text("{}")
     with pytest.raises(InputError, match="c.json: no results of a study"):
         compared(before, tmp_path / "c.json", toys.Toy)
+
+
+def test_answers_are_compared_but_for_rounding(toys, tmp_path):
+    def written(name, values, reached):
+        rows = [
+            {"case": str(k), "method": "m", "status": "done", "values": {"twice": value, "times": [1.0]}}
+            for k, value in enumerate(values)
+        ]
+        gates = [{"what": "small", "passed": reached}, {"what": "quick", "passed": not reached}]
+        (tmp_path / name).write_text(json.dumps({"study": "toy", "rows": rows, "gates": gates}))
+        return tmp_path / name
+
+    before = written("a.json", [100.0, 1e-9, 50.0, "right", None, True, float("nan")], True)
+    after = written("b.json", [101.0, 2e-2, 55.0, "wrong", 1.0, False, 3.0], False)
+    found = compared(before, after, toys.Toy)
+    told = {change.task: change.share for change in found.changes if change.told}
+    assert set(told) == {"2, m", "6, m"} and told["2, m"] == pytest.approx(0.1)
+    assert found.broken == ["small: reached before, not after"]
+    assert found.other == ["quick: not reached before, but after", "3, m, twice: right before, wrong after"]
+    assert not any(change.told for change in compared(before, before, toys.Toy).changes)
 
 
 def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
@@ -172,7 +193,8 @@ def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
     said = json.loads(command(*words, "--json").out)
     assert said["options"] == {"solvers": ["skfem"], "fine": False} and len(said["rows"]) == 4
     same = command("bench", "compare", tmp_path, tmp_path / "results.json")
-    assert same.status == 0 and same.out == "4 of 4 costs are the same within noise\n"
+    assert same.status == 0
+    assert same.out == "16 of 16 answers are the same within noise\n4 of 4 costs are the same within noise\n"
     assert "verification" in command("bench", "list").out
 
 
