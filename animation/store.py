@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import write_whole
 from ..lhm.files.npz import read_arrays, write_arrays
-from ..lhm.files.resumable import Records, check_same
+from ..lhm.files.resumable import Records, begin
 from ..reference.face.sequence import State
 
 STATE = ("positions", "sought", "before", "drift", "turns")
@@ -41,8 +40,7 @@ class TakeStore:
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]):
         self.folder, self._log = folder, Records(folder / "log.jsonl")
-        if not check_same(folder / "take.json", "take", manifest):
-            write_whole(folder / "take.json", json.dumps(dict(manifest), indent=1).encode())
+        begin(folder / "take.json", "take", manifest)
 
     def done(self) -> tuple[int, State | None]:
         """How many frames are done, and the state after them; the log is cut to these.

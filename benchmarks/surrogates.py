@@ -107,12 +107,7 @@ def compare(
         scores += _beside_simulation(ready, test, simulated, progress)
         scores += beyond(network, progress) if network.space == "anny" else []
     if generalisation is not None:
-        plan, made_with = known_plan(corpus)
-        people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
-        scores += evaluate_generalisation(
-            ready, network.weights, plan, people, out / "generalisation", count=generalisation, on=schedule(workers),
-            on_progress=progress,
-        )  # fmt: skip
+        scores += _by_what_is_unseen(ready, network, corpus, out, generalisation, workers, progress)
     paid = breakeven(corpus, network.weights.note, scores[0])
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:
@@ -142,6 +137,18 @@ def _beside_simulation(ready: Sequence[Method], test: Faces, count: int, progres
     rivals: list[Method] = [CoarsePD(people, iterations) for iterations in ITERATIONS]
     found = evaluate([*ready, BakedShapes(people), *rivals], test, chosen=chosen, on_progress=progress)
     return [replace(score, kind=f"{len(chosen)} faces") for score in found if score.kind == "all"]
+
+
+def _by_what_is_unseen(
+    ready: Sequence[Method], network: Surrogate, corpus: Path, out: Path, count: int, workers: int, progress: OnProgress
+) -> list[Score]:
+    """All methods on pairs of people that are simulated for it, in OUT/generalisation."""
+    plan, made_with = known_plan(corpus)
+    people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
+    return evaluate_generalisation(
+        ready, network.weights, plan, people, out / "generalisation", count=count, on=schedule(workers),
+        on_progress=progress,
+    )  # fmt: skip
 
 
 def learning() -> Mapping[str, Callable[[], Method]]:

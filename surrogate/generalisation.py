@@ -7,7 +7,6 @@ faces make frames of recordings of training and of test: eight combinations, whi
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -17,15 +16,14 @@ import numpy as np
 
 from ..lhm.errors import InputError, SoftdecaError
 from ..lhm.files.alone import alone_in
-from ..lhm.files.atomic import write_whole
 from ..lhm.files.npz import read_arrays, write_arrays
-from ..lhm.files.resumable import check_same
+from ..lhm.files.resumable import begin
 from ..lhm.progress import OnProgress, silent
+from .corpus.folder import simulated_of
 from .corpus.group import Group
 from .corpus.person import People, Person
 from .corpus.plan import IDENTITY, SPLITS, CorpusPlan, Split
 from .corpus.shard import ACCEPTED
-from .corpus.simulate import GENERATOR
 from .evaluate import Score, evaluate
 from .modal.faces import Face, Frames, static_of
 from .modal.weights import ModalWeights
@@ -64,11 +62,12 @@ def pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
     """
     held = set(weights.note.held)
     known = [k for k in range(weights.note.people + len(held)) if k not in held]
-    if not 1 <= count <= min(len(known), plan.tested):
-        raise InputError(f"generalisation: expected 1 to {min(len(known), plan.tested)} pairs of people, got {count}")
+    most = min(len(known), plan.tested)
+    if not 1 <= count <= most:
+        raise InputError(f"generalisation: expected 1 to {most} pairs of people, got {count}")
     made = []
     for number in range(count):
-        people: dict[Split, int] = {"train": known[number], "test": plan.identities - plan.tested + number}
+        people: dict[Split, int] = {"train": known[number], "test": plan.trained + number}
         group = number % plan.groups
         sets: dict[Split, int] = {split: plan.parameter_numbers(one)[group] for split, one in people.items()}
         made.append(Pair(number, people, sets, group))
@@ -78,7 +77,7 @@ def pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
 def check_learned(plan: CorpusPlan, people: People, weights: ModalWeights) -> None:
     """Raise InputError for weights that have not learned from the plan's first people, as their mean code tells."""
     first = weights.note.people + len(weights.note.held)
-    if first <= plan.identities - plan.tested:
+    if first <= plan.trained:
         codes = np.stack([people.person(plan.rng(IDENTITY, k)).code for k in range(first)])
         if codes.shape[1:] == weights.code_mean.shape:
             off = np.abs(codes.mean(axis=0) - weights.code_mean) / weights.code_scale
@@ -108,15 +107,13 @@ def evaluate_generalisation(
     wanted = pairs(plan, weights, count)
     work = _Work(folder, plan, people)
     with alone_in(folder, "generalisation"):
-        manifest = {"plan": plan.digest, "people": people.name, "template": people.digest, "generator": GENERATOR}
-        if not check_same(folder / "generalisation.json", "generalisation", manifest):
-            write_whole(folder / "generalisation.json", json.dumps(manifest, indent=1).encode())
+        begin(folder / "generalisation.json", "generalisation", simulated_of(plan, people))
         pending = [pair for pair in wanted if not work.is_whole(pair)]
         for done, _ in enumerate(results_of(work, pending, on=on, name="generalisation")):
             on_progress("generalisation: pairs of people simulated", (done + 1) / len(pending))
     scores: list[Score] = []
     for combination, kind in zip(COMBINATIONS, KINDS, strict=True):
-        found = evaluate(methods, _Combination(work, wanted, combination))
+        found = evaluate(methods, _Combination.of(work, wanted, combination))
         scores += [replace(score, kind=kind) for score in found if score.kind == "all"]
         on_progress(f"generalisation, {kind}", len(scores) / len(methods) / len(COMBINATIONS))
     return scores
@@ -158,9 +155,7 @@ class _Work:
         derived = {"settled": group.settled, "offset": group.offset, "responses": group.responses}
         found: dict[str, np.ndarray] = {name: values.astype(np.float16) for name, values in derived.items()}
         for split in SPLITS:
-            rows = [
-                plan.weights(plan.static(pair.people[split], pair.group * plan.frames + k)) for k in range(plan.frames)
-            ]
+            rows = [plan.weights(static) for static in plan.statics(pair.people[split], pair.group)]
             answers = [group.static(weights) for weights in rows]
             accepted = [k for k, answer in enumerate(answers) if answer.status == ACCEPTED]
             found[f"{split}/weights"] = np.array([rows[k] for k in accepted], dtype=np.float32).reshape(-1, 52)
@@ -168,37 +163,17 @@ class _Work:
             found[f"{split}/corrected"] = np.array(corrected, dtype=np.float16).reshape(-1, *person.skin.vertices.shape)
         return found
 
-    def person(self, pair: Pair, whose: Split) -> Person:
-        return self.people.person(self.plan.rng(IDENTITY, pair.people[whose]))
-
-
-class _Combination:
-    """The faces of one combination that there are, as `evaluate` asks for them."""
-
-    def __init__(self, work: _Work, wanted: Sequence[Pair], combination: tuple[Split, Split, Split]):
-        self._work, (self._whose, self._by, self._of) = work, combination
-        self._pairs = [pair for pair in wanted if f"{self._prefix}offset" in read_arrays(work.path(pair))]
-        if not any(len(self.frames(index).weights) for index in range(len(self))):
-            raise SoftdecaError(f"generalisation: of {kind_of(combination)} no frame was accepted")
-
-    @property
-    def _prefix(self) -> str:
-        return f"{self._whose}/{self._by}/"
-
-    def _read(self, index: int, *names: str) -> list[np.ndarray]:
-        keys = [f"{self._prefix}{name}" for name in names]
-        found = read_arrays(self._work.path(self._pairs[index]), *keys)
-        return [found[key] for key in keys]
-
-    def __len__(self) -> int:
-        return len(self._pairs)
-
-    def face(self, index: int) -> Face:
-        pair = self._pairs[index]
-        person, drawn = self._work.person(pair, self._whose), self._work.plan.parameter_set(pair.parameters[self._by])
-        settled, offset, responses = self._read(index, "settled", "offset", "responses")
-        return Face(
-            identity=pair.people[self._whose],
+    def read(self, pair: Pair, combination: tuple[Split, Split, Split]) -> tuple[Face, Frames] | None:
+        """A face of a pair with its frames; None where there is none."""
+        whose, by, of = combination
+        arrays = read_arrays(self.path(pair))
+        if f"{whose}/{by}/offset" not in arrays:
+            return None
+        names = ("settled", "offset", "responses", f"{of}/weights", f"{of}/corrected")
+        settled, offset, responses, weights, corrected = (arrays[f"{whose}/{by}/{name}"] for name in names)
+        person, drawn = self.person(pair, whose), self.plan.parameter_set(pair.parameters[by])
+        face = Face(
+            identity=pair.people[whose],
             kind=drawn.kind,
             code=person.code,
             coefficients=static_of(drawn.coefficients),
@@ -208,6 +183,33 @@ class _Combination:
             shapes=person.shapes,
             skin=person.skin.vertices,
         )
+        return face, Frames(weights, corrected)
+
+    def person(self, pair: Pair, whose: Split) -> Person:
+        return self.people.person(self.plan.rng(IDENTITY, pair.people[whose]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Combination:
+    """The faces of one combination that there are, with their frames, as `evaluate` asks for them."""
+
+    made: Sequence[tuple[Face, Frames]]
+
+    @classmethod
+    def of(cls, work: _Work, wanted: Sequence[Pair], combination: tuple[Split, Split, Split]) -> _Combination:
+        """Read them; SoftdecaError where they have no frame."""
+        made = [one for pair in wanted if (one := work.read(pair, combination)) is not None]
+        if not any(len(frames.weights) for _, frames in made):
+            raise SoftdecaError(f"generalisation: of {kind_of(combination)} no frame was accepted")
+        return cls(made)
+
+    def __len__(self) -> int:
+        return len(self.made)
+
+    def face(self, index: int) -> Face:
+        """One of them."""
+        return self.made[index][0]
 
     def frames(self, index: int) -> Frames:
-        return Frames(*self._read(index, f"{self._of}/weights", f"{self._of}/corrected"))
+        """Its frames."""
+        return self.made[index][1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -96,17 +96,14 @@ def compared(before: Path, after: Path, kind: type[Study]) -> Comparison:
         if new["gates"].get(what, passed) != passed:
             words = found.broken if passed else found.other
             words.append(f"{what}: {'reached before, not after' if passed else 'not reached before, but after'}")
+    numbers = [pair for pair in pairs if _is_number(pair[2]) and _is_number(pair[3])]
     scale: dict[str, float] = {}
+    for _, column, a, b in numbers:
+        scale[column.title] = np.nanmax(np.abs([scale.get(column.title, 0.0), _middle(a)[0], _middle(b)[0]]))
+    found.changes.extend(_change(task, column, a, b, scale[column.title]) for task, column, a, b in numbers)
     for task, column, a, b in pairs:
-        if _is_number(a) and _is_number(b):
-            found.changes.append(_change(task, column, a, b))
-            scale[column.title] = np.nanmax(np.abs([scale.get(column.title, 0.0), _middle(a)[0], _middle(b)[0]]))
-        elif isinstance(a, str) and isinstance(b, str) and a != b:
+        if isinstance(a, str) and isinstance(b, str) and a != b:
             found.other.append(f"{task}, {column.title}: {a} before, {b} after")
-    for k, change in enumerate(found.changes):
-        if not change.cost:
-            noise = max(change.noise, ROUNDING * scale[change.what])
-            found.changes[k] = replace(change, noise=noise)
     return found
 
 
@@ -116,9 +113,10 @@ def _is_number(value: Any) -> bool:
     return bool(several) and all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in several)
 
 
-def _change(task: str, column: Column, before: Any, after: Any) -> Change:
+def _change(task: str, column: Column, before: Any, after: Any, scale: float) -> Change:
     (a, a_noise), (b, b_noise) = _middle(before), _middle(after)
-    noise = max(LEAST * abs(a), 3.0 * max(a_noise, b_noise))
+    rounding = 0.0 if column.cost else ROUNDING * scale
+    noise = max(LEAST * abs(a), 3.0 * max(a_noise, b_noise), rounding)
     return Change(task, column.title, a, b, noise, column.cost)
 
 

@@ -81,3 +81,9 @@ def check_same(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
                 "use another folder or remove it"
             )
     return found is not None
+
+
+def begin(path: Path, what: str, manifest: Mapping[str, Any]) -> None:
+    """Note what a folder's work is of, where it has not begun; raises what `check_same` raises."""
+    if not check_same(path, what, manifest):
+        write_whole(path, json.dumps(dict(manifest), indent=1).encode())

@@ -91,13 +91,7 @@ class Corpus:
     ):
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
-        self.manifest = {
-            "plan": plan.digest,
-            "people": people.name,
-            "template": f"{surface_hash(people.mean)}{people.digest}",
-            "generator": GENERATOR,
-            "format": FORMAT,
-        }
+        self.manifest = simulated_of(plan, people) | {"format": FORMAT}
         check_same(self.folder / MANIFEST, "corpus", self.manifest)
 
     @property
@@ -133,7 +127,7 @@ class Corpus:
 
     def _order(self) -> list[int]:
         """All people, those in test spread among the others, so that a part of a corpus is one to learn from, too."""
-        count = {"train": self.plan.identities - self.plan.tested, "test": self.plan.tested}
+        count = {"train": self.plan.trained, "test": self.plan.tested}
         begins = {"train": 0, "test": count["train"]}
 
         def place(identity: int) -> float:
@@ -231,6 +225,12 @@ class Corpus:
 def shard_path(folder: Path, identity: int) -> Path:
     """Where a person's shard lies in a corpus' folder."""
     return folder / f"person-{identity:05d}.h5"
+
+
+def simulated_of(plan: CorpusPlan, people: People) -> dict[str, Any]:
+    """What frames are simulated of, by name: where it differs they are others."""
+    template = f"{surface_hash(people.mean)}{people.digest}"
+    return {"plan": plan.digest, "people": people.name, "template": template, "generator": GENERATOR}
 
 
 def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:

@@ -104,13 +104,18 @@ class CorpusPlan:
         return max(1, round(TEST_SHARE * self.identities))
 
     @property
+    def trained(self) -> int:
+        """How many of them are in training: the first ones."""
+        return self.identities - self.tested
+
+    @property
     def static_frames(self) -> int:
         """All static frames."""
         return self.identities * self.groups * self.frames
 
     def split(self, identity: int) -> Split:
         """Which split a person belongs to."""
-        return "train" if identity < self.identities - self.tested else "test"
+        return "train" if identity < self.trained else "test"
 
     def rng(self, *key: int) -> np.random.Generator:
         """Random numbers of one purpose."""
@@ -147,8 +152,8 @@ class CorpusPlan:
 
     def parameter_numbers(self, identity: int) -> list[int]:
         """The numbers of a person's parameter sets, one per group: a random pairing within the split."""
-        first = 0 if self.split(identity) == "train" else self.identities - self.tested
-        people = self.tested if first else self.identities - self.tested
+        first = 0 if self.split(identity) == "train" else self.trained
+        people = self.tested if first else self.trained
         order = self.rng(PAIRING, int(bool(first))).permutation(people * self.groups)
         mine = (identity - first) * self.groups + np.arange(self.groups)
         return [int(first * self.groups + order[k]) for k in mine]
@@ -174,6 +179,10 @@ class CorpusPlan:
         rng = self.rng(STATIC, identity, index)
         name = self._recording(rng, identity)
         return Static(name, int(rng.integers(self.recordings[name].frames)))
+
+    def statics(self, identity: int, group: int) -> list[Static]:
+        """All static frames of a person's group."""
+        return [self.static(identity, group * self.frames + frame) for frame in range(self.frames)]
 
     def sequence(self, identity: int, index: int) -> tuple[str, int]:
         """A person's sequence: the recording's name, and the number of its first frame; no gap of a take is in it."""

@@ -132,8 +132,7 @@ def _simulate(
     clock: _Clock,
 ):
     """Fill in what the plan asks of a person's k-th group."""
-    statics = [plan.static(identity, k * plan.frames + frame) for frame in range(plan.frames)]
-    one.frames = [(static, plan.weights(static)) for static in statics]
+    one.frames = [(static, plan.weights(static)) for static in plan.statics(identity, k)]
     with clock("statics"):
         for _, weights in one.frames:
             one.answers.append(Answer.failed(one.failure, person.skin) if group is None else group.static(weights))

@@ -108,7 +108,7 @@ def test_what_is_there_is_not_simulated_again_and_what_is_damaged_is(folder):
         scored([Blendshapes()], folder, plan=replace(PLAN, tolerance=1e-3))
 
 
-def test_faces_that_do_not_settle_are_left_out(tmp_path, monkeypatch):
+def test_faces_that_do_not_settle_are_left_out(tmp_path):
     def refused(skin):
         raise SoftdecaError("no head")
 
