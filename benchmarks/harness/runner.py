@@ -26,7 +26,6 @@ from .study import Study, Task, Values
 
 Only = Literal["missing", "failed", "all"]
 PNG = b"\x89PNG"
-PACKAGE = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def run(
 ) -> Results:
     """Do the tasks of a study that are not done yet; write OUT/rows.jsonl, results.json and index.html.
 
-    Rows of the same options, code and versions are kept: `only` "failed" does those that failed again, "all" every one.
+    Rows of the same options, study version and package versions are kept: `only` "failed" does those that failed again, "all" every one.
     `match` chooses tasks by a part of their names. `workers` processes side by side, by default all processors, and
     one where seconds are compared. Raises InputError where nothing matches and where the folder is in use.
     """
@@ -229,11 +228,9 @@ def _files(study: Study) -> list[Path]:
 
 
 def _digest(study: Study) -> str:
-    """A name for what is measured, and by what: rows of two versions must not be mixed."""
-    digest = hashlib.sha256(repr(study).encode() + json.dumps(machine.describe()["versions"]).encode())
+    """Name what is measured, so that rows of two meanings never mix: options, study version, package versions, files."""
+    about = [repr(study), study.version, machine.describe()["versions"]]
+    digest = hashlib.sha256(json.dumps(about).encode())
     for path in (*_files(study), *added_files()):
         digest.update(path.read_bytes())
-    for folder in ("lhm", "reference", "surrogate", "benchmarks"):
-        for path in sorted((PACKAGE / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -61,6 +61,8 @@ class Study(ABC):
     timed: ClassVar[bool] = False
     alone: ClassVar[bool] = False
     limit: ClassVar[float] = 3600.0
+    version: ClassVar[int] = 1
+    """Raise it when the same options would mean other figures; rows of other versions are measured anew."""
 
     @abstractmethod
     def tasks(self) -> Sequence[Task]:

@@ -133,7 +133,7 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
     A palsy takes no part: it is of what draws a face to an expression.
     """
     parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
-    skin = head.skin.vertices + head.skin_from_wrap @ bones_displacement(head, parameters)
+    skin = head.skin.vertices + carry_skin(head, parameters)
     scene = facial_scene(head, parameters, skin, **choices | {"bones": "prescribed", "neutral": skin})
     kept = 1.0 - (fleshy(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
     return replace(
@@ -148,6 +148,11 @@ def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
     """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
     moved = scaled_skull(head, parameters) - head.skull_wrap.vertices
     return harmonic(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
+
+
+def carry_skin(head: LayeredHead, parameters: Parameters) -> Floats:
+    """Displace the neutral skin with the bones that p scales, without physics [mm], shape (skin vertices, 3)."""
+    return head.skin_from_wrap @ bones_displacement(head, parameters)
 
 
 def carried_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:

@@ -88,7 +88,7 @@ def calls(folder):
     return (folder / "calls").read_text().split()
 
 
-def test_rows_come_in_the_order_of_tasks_and_are_kept(toys, tmp_path):
+def test_rows_come_in_the_order_of_tasks_and_are_kept(toys, tmp_path, monkeypatch):
     study = toys.Toy(folder=str(tmp_path))
     results = run(study, tmp_path / "out", workers=2)
     assert [(row.case, row.values["twice"]) for row in results.rows] == [("1", 2.0), ("2", 4.0)]
@@ -102,9 +102,13 @@ def test_rows_come_in_the_order_of_tasks_and_are_kept(toys, tmp_path):
     rows.write_text(lines[0] + "\n" + lines[1][:40])
     assert run(study, tmp_path / "out").passed and len(calls(tmp_path)) == 3
     assert run(study, tmp_path / "out", only="all").passed and len(calls(tmp_path)) == 5
+    # Rows of another version of the study are measured anew.
+    monkeypatch.setattr(toys.Toy, "version", 2)
+    assert run(study, tmp_path / "out").passed and len(calls(tmp_path)) == 7
+    monkeypatch.setattr(toys.Toy, "version", 1)
     # Another question is not answered by these rows.
     other = toys.Toy(folder=str(tmp_path), cases=("1", "2", "2.0"))
-    assert len(run(other, tmp_path / "out").rows) == 3 and len(calls(tmp_path)) == 8
+    assert len(run(other, tmp_path / "out").rows) == 3 and len(calls(tmp_path)) == 10
 
 
 def test_what_fails_is_a_row_with_its_reason_and_the_rest_is_complete(toys, tmp_path):
