@@ -228,7 +228,7 @@ def _files(study: Study) -> list[Path]:
 
 
 def _digest(study: Study) -> str:
-    """Name what is measured, so that rows of two meanings never mix: options, study version, package versions, files."""
+    """Name what is measured, so that rows of two meanings never mix: options, version, package versions, files."""
     about = [repr(study), study.version, machine.describe()["versions"]]
     digest = hashlib.sha256(json.dumps(about).encode())
     for path in (*_files(study), *added_files()):
