@@ -14,8 +14,8 @@ from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
 from ..scene import Scene
 from ..solve import prepare
-from .facial import facial_scene
 from .parameters import Parameters
+from .settling import Settled, settled
 
 WITHIN = 0.1
 """[mm], below what one sees on a face."""
@@ -89,11 +89,11 @@ def smallest_scene(
     }
     pieces = {name: lambda s, t=term: replace(s, terms=tuple(x for x in s.terms if x is not t))
               for name, term in names.items()}  # fmt: skip
-    return smallest(scene, pieces, lambda s: solved(s, solver, tolerance), within=within)
+    return smallest(scene, pieces, lambda s: solve_positions(s, solver, tolerance), within=within)
 
 
-def solved(scene: Scene, solver: str = "projective", tolerance: float = TOLERANCE) -> Floats:
-    """Positions [mm], shape (n, 3); SoftdecaError where it does not converge."""
+def solve_positions(scene: Scene, solver: str = "projective", tolerance: float = TOLERANCE) -> Floats:
+    """Solve a scene for positions [mm], shape (n, 3); raise SoftdecaError where it does not converge."""
     solution = prepare(scene, solver=solver).solve(tolerance=tolerance)
     if not solution.converged:
         raise SoftdecaError(str(solution.reason))
@@ -102,27 +102,39 @@ def solved(scene: Scene, solver: str = "projective", tolerance: float = TOLERANC
 
 @dataclass(frozen=True, eq=False)
 class FacialModel:
-    """The facial scene of an expression `targets` [mm], shape (skin vertices, 3), by the choices of `facial_scene`."""
+    """An expression `targets` [mm], shape (skin vertices, 3), of a face that first settles under p.
+
+    Both the settled neutral face and the expression take the choices of `facial_scene`, so a piece that is left out is
+    left out of both. `targets` are those of the head without p.
+    """
 
     head: LayeredHead
     parameters: Parameters
     targets: Floats
     choices: Mapping[str, Any] = field(default_factory=dict)
 
+    def settle(self) -> Settled:
+        """Settle the neutral face; raise SoftdecaError where it does not come to rest."""
+        face = settled(self.head, self.parameters, tolerance=TOLERANCE, **self.choices)
+        if not face.converged:
+            raise SoftdecaError(f"the neutral face: {face.reason}")
+        return face
+
     def scene(self) -> Scene:
-        """It."""
-        return facial_scene(self.head, self.parameters, self.targets, **self.choices)
+        """Build the expression's scene of the settled face."""
+        return self.settle().scene(self.targets)
 
     def skin(self) -> Floats:
-        """Where it puts the skin [mm], shape (skin vertices, 3)."""
-        return self.head.skin_after(self.targets, solved(self.scene())[: len(self.head.bone)])
+        """Solve for the skin [mm], shape (skin vertices, 3)."""
+        face = self.settle()
+        return face.skin_after(self.targets, solve_positions(face.scene(self.targets)))
 
     def choosing(self, **choices: Any) -> FacialModel:
-        """The same by other choices."""
+        """Copy the model with other choices."""
         return replace(self, choices={**self.choices, **choices})
 
     def with_parameters(self, **values: Any) -> FacialModel:
-        """The same under other parameters."""
+        """Copy the model with other parameters."""
         return replace(self, parameters=replace(self.parameters, **values))
 
 

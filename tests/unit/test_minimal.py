@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, SoftdecaError
+from softdeca.lhm import InputError, SoftdecaError, fit_head, identities, load_template
 from softdeca.reference import (
     FacialModel,
     Parameters,
@@ -53,3 +53,16 @@ def test_a_face_keeps_what_moves_it(sphere_head):
     assert "gravity beyond the scan's" not in found.without
     assert found.changes["gravity beyond the scan's"] > 1e-2
     assert "tissue outside the face" not in found.changes
+
+
+def test_an_effect_is_judged_on_the_face_that_settled_under_it():
+    # Targets hold the expression's skin, so that gravity moves it by hundredths; the neutral face sags by tenths.
+    space = identities.Anny()
+    skin = space.skin(np.zeros(space.code_size))
+    head = fit_head(load_template(space, level=1), skin)
+    model = FacialModel(head, Parameters(gravity=3.0), head.skin.vertices)
+    light = model.with_parameters(gravity=1.0)
+    change = np.linalg.norm(model.skin() - light.skin(), axis=1).max()
+    held = [solve(facial_scene(head, m.parameters, head.skin.vertices)).positions for m in (model, light)]
+    assert change > 0.3 > 0.1 > np.linalg.norm(held[0] - held[1], axis=1)[: len(head.bone)].max()
+    assert "gravity beyond the scan's" not in smallest_facial_scene(model, within=0.1).without
