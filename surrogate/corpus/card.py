@@ -68,7 +68,7 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
         "p95_mm": {key: _quantiles(values[:, 1]) for key, values in gathered.items()},
         "iterations": _quantiles(np.concatenate([np.zeros(0), *iterations])),
         "rejected": dict(sorted(reasons.items(), key=lambda item: -item[1])),
-        "core_hours": sum(status.seconds.values()) / 3600.0,
+        "core_hours": sum(status.seconds.values()) / 3600.0 if status.seconds else None,
         "frames_per_core_hour": _rate(status, ("shapes", "fit", "settling", "derivatives", "statics"), "statics"),
         "sequence_frames_per_core_hour": _rate(status, ("sequences",), "sequences"),
         "bytes": status.bytes,
@@ -98,6 +98,8 @@ def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], lic
     fields_ = "\n".join(f"- **{table}**: {' '.join((kind.__doc__ or '').split())}" for table, kind in TABLES.items())
     rate = figures["frames_per_core_hour"]
     speed = "not measured" if rate is None else f"{rate:.0f}"
+    hours = figures["core_hours"]
+    cost = "Core-hours not measured" if hours is None else f"{hours:.2f} core-hours"
     return f"""---
 license: {licence}
 pretty_name: softdeca corpus {plan.digest}
@@ -134,13 +136,14 @@ shares no person, no parameter set and no recording with training. Speech and co
 
 ## Cost
 
-{figures["core_hours"]:.2f} core-hours, {status.bytes / 1e9:.2f} GB; {speed} static frames a core-hour with fit, shapes,
+{cost}, {status.bytes / 1e9:.2f} GB; {speed} static frames a core-hour with fit, shapes,
 settling and simulation.
 
 ## Files
 
 `corpus.json`: plan and splits. `template.npz`: mean skin, triangles, shapes. `person-NNNNN.h5`: one person each, arrays
-in seven tables, uncompressed; T - S in float16 (rounds by less than 0.008 mm below 16 mm).
+in seven tables, uncompressed; T - S in float16 (rounds by less than 0.008 mm below 16 mm). `person-NNNNN.json`: the
+processor seconds that it took, which differ between runs.
 
 {fields_}
 """
