@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from datetime import date
 from importlib.metadata import version
@@ -25,9 +26,10 @@ LICENCE = "cc0-1.0"
 CROISSANT = "http://mlcommons.org/croissant/1.0"
 
 
-def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
+def write_card(corpus: Corpus, *, licence: str = LICENCE, machine: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Write README.md, figures.json and croissant.json into the corpus' folder; return the figures of the card.
 
+    `machine`, where and with what it was made, is kept in figures.json.
     Raises InputError for shards that are damaged, and where a file cannot be written.
     """
     status = corpus.status()
@@ -35,7 +37,10 @@ def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
     with replaced(corpus.folder / "README.md") as temporary:
         temporary.write_text(card_text(corpus, status, figures, licence), encoding="utf-8")
     with replaced(corpus.folder / "figures.json") as temporary:
-        temporary.write_text(json.dumps(card_json(corpus, status, figures), indent=1), encoding="utf-8")
+        temporary.write_text(
+            json.dumps(card_json(corpus, status, figures) | ({"machine": machine} if machine else {}), indent=1),
+            encoding="utf-8",
+        )
     with replaced(corpus.folder / "croissant.json") as temporary:
         temporary.write_text(json.dumps(croissant(corpus, licence), indent=1), encoding="utf-8")
     return figures
