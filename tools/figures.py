@@ -56,6 +56,12 @@ class Figure:
         whole = "^{}$" if self.text.startswith("|") else "{}"  # a row of a table
         return re.compile(whole.format(f"({NUMBER})".join(parts)), re.MULTILINE)
 
+    @property
+    def misses(self) -> bool:
+        """Whether a gate whose value is told is not reached; the text then has the word "missed"."""
+        asked = (found for value in self.values for found in re.findall(r'gate\("([^"]+)", "([^"]+)"\)', value))
+        return any(not _gate(file, what)["passed"] for file, what in asked)
+
     def numbers(self) -> list[str]:
         """Compute the numbers as the text has to show them."""
         formats = FIELD.findall(self.text)
@@ -76,6 +82,9 @@ def lines(file: str) -> tuple[Line, ...]:
 
 
 def _lines(row: Mapping[str, Any]) -> Iterator[Line]:
+    if "values" not in row:
+        yield row
+        return
     outer = {key: value for key, value in row.items() if key != "values"}
     values = row["values"]
     yield outer | values
@@ -125,8 +134,14 @@ def of(file: str, key: str, /) -> Any:
 
 def gate(file: str, what: str, /) -> float:
     """Return the measured value of a study's one gate whose words match."""
-    (value,) = (each["value"] for each in of(file, "gates") if fnmatchcase(each["what"], what))
-    return float(value)
+    return float(_gate(file, what)["value"])
+
+
+def _gate(file: str, what: str) -> Mapping[str, Any]:
+    matching = [each for each in of(file, "gates") if fnmatchcase(each["what"], what)]
+    if len(matching) != 1:
+        raise SystemExit(f"{file}.json: {len(matching)} gates {what!r}, expected one")
+    return matching[0]
 
 
 def evaluated(expression: str) -> float:
@@ -146,8 +161,9 @@ def mapped() -> tuple[list[Figure], dict[str, list[str]], list[str]]:
 
 
 def pages(excluded: list[str]) -> list[str]:
-    """Name README and every Markdown page of docs that is not left out."""
-    written = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    """Name README and every page of docs that is not left out; those that are programs print their own figures."""
+    programs = [path for path in (ROOT / "docs").rglob("*.py") if path.name != "conf.py"]
+    written = [ROOT / "README.md", *sorted([*(ROOT / "docs").rglob("*.md"), *programs])]
     return [name for name in (str(path.relative_to(ROOT)) for path in written) if name not in excluded]
 
 
@@ -172,6 +188,8 @@ def wrong(text: str, figures: list[Figure]) -> list[str]:
         for there, number in zip(match.groups(), figure.numbers(), strict=True):
             if there != as_written(number, there):
                 told.append(f"{figure.page}: {there} should be {number} in {figure.text!r}")
+        if ("missed" in figure.text) != figure.misses:
+            told.append(f"{figure.page}: {figure.text!r} {'misses' if figure.misses else 'keeps'} its gate: say so")
     return told
 
 

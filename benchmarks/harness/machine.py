@@ -6,7 +6,7 @@ import os
 import platform
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -72,9 +72,14 @@ def commit() -> str:
         return "not known: no git checkout"
 
 
-def is_dirty(machine: Mapping[str, Any]) -> bool:
-    """Whether figures of a machine's description cannot be made again: their code is in no commit."""
-    commit = str(machine.get("commit", ""))
+def commits_of(machine: Mapping[str, Any], rows: Iterable[Mapping[str, Any]] = ()) -> list[str]:
+    """Name the commit of a machine's description, and those of rows that an earlier run measured."""
+    earlier = {str(row["commit"]) for row in rows if row.get("commit")}
+    return list(dict.fromkeys([str(machine.get("commit", "")), *sorted(earlier)]))
+
+
+def is_dirty(commit: str) -> bool:
+    """Whether figures of a commit cannot be made again: it is unknown, or does not hold all code."""
     return commit.endswith(DIRTY) or not commit or " " in commit
 
 
@@ -89,8 +94,8 @@ def lacks(results: Any) -> list[str]:
         return sorted({missing for each in results.values() for missing in lacks(each)})  # a report of studies
     machine = results.get("machine") or {}
     missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
-    commits = {str(machine.get("commit", "")), *(row["commit"] for row in results.get("rows", ()) if row.get("commit"))}
-    if any(is_dirty({"commit": commit}) for commit in commits):
+    commits = commits_of(machine, results.get("rows", ()))
+    if any(map(is_dirty, commits)):
         missing.append("clean tree" if any(commit.endswith(DIRTY) for commit in commits) else "commit")
     missing += [] if machine.get("versions") else ["versions"]
     return missing + ([] if "options" in results or "plan" in results else ["options"])

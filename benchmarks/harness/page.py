@@ -32,7 +32,7 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
     return {
         "name": study.name,
         "question": study.question,
-        "words": f"{results.words} {CHANGED}".strip() if is_dirty(results.machine) else results.words,
+        "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
         "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
         "figures": study.pictures(done) if done else {},
         "pictures": {caption: _webp(png) for row in done for caption, png in _drawn(row, folder, ".png")},
@@ -41,7 +41,7 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
         "rows": rows_table(study, done),
         "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
         "options": list(results.options.items()),
-        "machine": machine_rows(results.machine),
+        "machine": [*machine_rows(results.machine), ("commits of the rows", ", ".join(results.commits))],
     }
 
 

@@ -77,8 +77,8 @@ def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple
         if not gate["passed"]
     ]
     machines = [
-        (name, made.results.machine["commit"], not is_dirty(made.results.machine), made.results.machine["load"])
-        for name, made in named.items()
+        (name, ", ".join(each.commits), not any(map(is_dirty, each.commits)), each.machine["load"])
+        for name, each in ((name, made.results) for name, made in named.items())
     ]
     first = next(iter(named.values())).results.machine
     files = {

@@ -69,6 +69,11 @@ class Results:
         """Whether every gate holds that asks for a right answer; those of speed hang on the machine."""
         return all(gate["passed"] for gate in self.gates if gate["answer"])
 
+    @property
+    def commits(self) -> list[str]:
+        """Of the last run, and of runs before it whose rows were kept."""
+        return machine.commits_of(self.machine, [{"commit": row.commit} for row in self.rows])
+
     def json(self) -> dict[str, Any]:
         """For a results file."""
         return asdict(self)

@@ -14,6 +14,7 @@ from softdeca.benchmarks.harness.report import Made, write
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm.files.toml_file import read_toml
 
+pytest.importorskip("tomllib")  # from Python 3.11 on
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 FILES = sorted(RESULTS.rglob("*.json"))
 AT_MOST = 6
@@ -78,18 +79,22 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
         assert commit() == clean + machine.DIRTY
         new.unlink()
         source.write_text("first = 2\n")
-        assert machine.is_dirty({"commit": commit()})
+        assert machine.is_dirty(commit())
     finally:
         machine.commit.cache_clear()
 
 
-@pytest.mark.parametrize("commit", ["0123456789ab", "0123456789ab-dirty"])
-def test_pages_say_where_no_commit_holds_the_code(tmp_path, commit):
+@pytest.mark.parametrize(
+    ("commit", "earlier"), [("a" * 12, "b" * 12), ("a" * 12 + "-dirty", "b" * 12), ("a" * 12, "b-dirty")]
+)
+def test_pages_say_where_no_commit_holds_the_code(tmp_path, commit, earlier):
     study = Verification(solvers=("skfem",))
     results = run(study, tmp_path, match="two layers", workers=1)
-    results = replace(results, machine={**results.machine, "commit": commit})
+    rows = tuple(replace(row, commit=earlier) for row in results.rows)
+    results = replace(results, machine={**results.machine, "commit": commit}, rows=rows)
     write([Made(study, results, tmp_path)], tmp_path / "report", "mine")
     shown = [page(study, results, tmp_path)] + [
         (tmp_path / "report" / name).read_text() for name in ("index.html", "report.md")
     ]
-    assert [CHANGED in text for text in shown] == 3 * [commit.endswith("dirty")]
+    assert [CHANGED in text for text in shown] == 3 * ["dirty" in commit + earlier]
+    assert f"{commit}, {earlier}" in shown[0] and f"{commit}, {earlier}" in shown[1]
