@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import read_manifest, shard_path
-from ..surrogate.corpus.shard import read_label
+from ..surrogate.corpus.folder import read_manifest, shard_path, summed
+from ..surrogate.corpus.shard import read_seconds
 from ..surrogate.evaluate import Score
 from ..surrogate.modal.weights import TrainingNote
 
@@ -43,20 +43,23 @@ class Breakeven:
 
 
 def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
-    """Of a network with its note and scores, and of the corpus' training people; None if none of them has frames."""
+    """Of a network with its note and scores, and of the corpus' training people.
+
+    None if none of them has frames, or if the seconds of one are not known.
+    """
     manifest = read_manifest(corpus)
     people = range(int(manifest["content"]["identities"]) - int(manifest["tested"]))
-    labels = [read_label(path) for path in (shard_path(corpus, k) for k in people) if path.exists()]
-    spent = {phase: sum(label.seconds.get(phase, 0.0) for label in labels) for phase in PAID}
-    groups = len(labels) * int(manifest["content"]["groups"])
+    timed = [read_seconds(path) for path in (shard_path(corpus, k) for k in people) if path.exists()]
+    spent = {phase: summed(timed).get(phase, 0.0) for phase in PAID}
+    groups = len(timed) * int(manifest["content"]["groups"])
     frames = groups * int(manifest["content"]["frames"])
-    if not frames:
+    if not frames or not spent["statics"]:
         return None
     return Breakeven(
         corpus=sum(spent.values()),
         training=float(note.curve[-1]["seconds"]),
         simulated_frame=spent["statics"] / frames,
-        linearised_face=(spent["shapes"] + spent["fit"]) / len(labels)
+        linearised_face=(spent["shapes"] + spent["fit"]) / len(timed)
         + (spent["settling"] + spent["derivatives"]) / groups,
         own_frame=1e-3 * (network.frame_ms or 0.0),
         own_face=1e-3 * (network.bind_ms or 0.0),

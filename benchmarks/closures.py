@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..reference import Parameters, settled
 from ..reference import Sequence as Simulation
 from ..surrogate import Surrogate
 from . import plots
+from .harness.machine import describe
 
 TRUTH = "PD"
 FOLLOWS = 0.5
@@ -116,8 +117,16 @@ def closures(
     ]
     written = [out / "gaps.json", out / "gaps.png"]
     with replaced(written[0]) as path:
-        content = {"times": take.times.tolist(), "gaps": [gap.name for gap in openings]}
-        path.write_text(json.dumps(content | {"widths_mm": {name: v.tolist() for name, v in found.items()}}, indent=1))
+        options = {"frames": len(take.times), "rate": take.rate, "level": level, "dynamic": dynamic}
+        content = {
+            "machine": describe(),
+            "options": options | {"parameters": asdict(parameters)},
+            "rows": [asdict(row) for row in results],
+            "times": take.times.tolist(),
+            "gaps": [gap.name for gap in openings],
+            "widths_mm": {name: values.tolist() for name, values in found.items()},
+        }
+        path.write_text(json.dumps(content, indent=1, default=np.ndarray.tolist))
     with replaced(written[1]) as path:
         path.write_bytes(_curves(take.times, openings, found))
     return results, written

@@ -25,19 +25,21 @@ from ..lhm.progress import OnProgress
 from ..lhm.registration.matching import Target
 from ..lhm.registration.registration import Registration, face_of, register
 from ..lhm.wraps.landmarks import Mask
+from .harness.machine import describe
 
 SEEN = 0.2
 """What sees less of the sky (nostrils, folds) has no counterpart on another head, and is not measured."""
 
 
 def run_registrations(spaces: Sequence[LinearSpace], seed: int, progress: OnProgress) -> dict[str, Any]:
-    """Slides and shapes of two spaces' mean heads, and of a person of each."""
+    """Slides and shapes of two spaces' mean heads, and of a person of each; with the machine and the options."""
     one, other = spaces
     progress(f"{one.name} upon {other.name}", 0.0)
     there = register(one.mean, one.parts, other.mean)
     progress(f"{other.name} upon {one.name}", 0.25)
     back = register(other.mean, other.parts, one.mean)
-    results: dict[str, Any] = {"slide": [], "shapes": []}
+    options = {"identities": one.name, "upon": other.name, "seed": seed}
+    results: dict[str, Any] = {"machine": describe(), "options": options, "slide": [], "shapes": []}
     for number, (space, upon, forth, home) in enumerate(((one, other, there, back), (other, one, back, there))):
         away = slide(space, forth, upon, home)
         results["slide"].append(

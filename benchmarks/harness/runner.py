@@ -30,7 +30,10 @@ PNG = b"\x89PNG"
 
 @dataclass(frozen=True)
 class Row:
-    """A task and how it ended ("done", "skipped", "failed"); seconds of all of it, memory [MB], and the load then."""
+    """A task and how it ended ("done", "skipped", "failed"); seconds of all of it, memory [MB], and the load then.
+
+    commit: of the code that measured it, which a later run may have kept; empty in results of older versions.
+    """
 
     case: str
     method: str
@@ -41,6 +44,7 @@ class Row:
     memory_mb: float | None
     load: float
     of: str = field(repr=False)
+    commit: str = ""
 
     @property
     def done(self) -> bool:
@@ -64,6 +68,11 @@ class Results:
     def passed(self) -> bool:
         """Whether every gate holds that asks for a right answer; those of speed hang on the machine."""
         return all(gate["passed"] for gate in self.gates if gate["answer"])
+
+    @property
+    def commits(self) -> list[str]:
+        """Of the last run, and of runs before it whose rows were kept."""
+        return machine.commits_of(self.machine, [{"commit": row.commit} for row in self.rows])
 
     def json(self) -> dict[str, Any]:
         """For a results file."""
@@ -184,7 +193,7 @@ class _Rows:
         status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
         row = Row(
             task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
-            machine.load(), self._of,
+            machine.load(), self._of, machine.commit(),
         )  # fmt: skip
         self.found[task] = row
         self._records.add(asdict(row))

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from softdeca.benchmarks.harness.machine import lacks
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
@@ -12,6 +13,8 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
+OF_THE_CHECKOUT = {"clean tree", "commit"}
+"""What a results file may lack here: tests run on changed trees, and without git."""
 PLAN = CorpusPlan(
     identities=12, groups=3, frames=6, sequences=0, references=0, parameter_responses=0.0,
     varying=0.0, kinds={"few": 0.5, "both": 0.5}, sources={"random": 1.0}, conversations=0, random=6,
@@ -40,6 +43,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert {"network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)"} < methods
     kept = json.loads((scores / "scores.json").read_text())
     assert len(methods) == 12 and rows == kept["scores"] and kept["breakeven"]["training"] > 0
+    assert set(lacks(kept)) <= OF_THE_CHECKOUT and kept["options"]["corpus"]["plan"] == PLAN.digest
     assert (scores / "scores.md").read_text().count("\n") == len(rows) + 6
     assert (scores / "cost.png").read_bytes().startswith(b"\x89PNG")
     # The study of the same gives the same figures; so little training beats nothing, which is told.

@@ -1,0 +1,228 @@
+#!/usr/bin/env python3
+"""Make the pictures of README and docs again: `python tools/pictures.py`, some minutes; `--stale` tells which are old.
+
+docs/pictures.toml holds, for each picture, a digest of what it is drawn from and one of the PNG. A picture is old when
+the default head, the shipped network, the simulator's meaning, or the code that draws it has changed since.
+The viewer's picture needs Chromium and playwright; the own head needs the scan of Lee Perry-Smith (--scan).
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+RECORD = DOCS / "pictures.toml"
+SCAN = ROOT.parent / "shared" / "data" / "heads" / "lee_perry_smith.glb"
+DRAWING = ("viewer/pictures.py", "viewer/shading.py", "viewer/within.py")
+HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/face/parameters.py")
+NETWORK = ("surrogate/pretrained/anny.safetensors",)
+PAGE = (
+    "viewer/app.js",
+    "viewer/page.html",
+    "viewer/page.py",
+    "viewer/face.py",
+    "viewer/shading.py",
+    "viewer/within.py",
+)
+DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0}
+Maker = Callable[[Path], bytes]
+
+
+def face(level: int = 2):
+    """Return the mean person's head, its space and its code."""
+    import numpy as np
+
+    from softdeca.lhm import fit_head, identities, load_template
+
+    space = identities.Anny()
+    code = np.zeros(space.code_size)
+    return fit_head(load_template(level=level), space.skin(code)), space, code
+
+
+def jaw_open(scan: Path) -> bytes:
+    """Draw jawOpen simulated, and how far blendshapes, the neo-Hookean law and the network are from it."""
+    import numpy as np
+
+    from softdeca.lhm import expressions
+    from softdeca.reference import Parameters, facial_scene, neo_hookean_scene, solve
+    from softdeca.surrogate import Surrogate
+    from softdeca.viewer.pictures import Panel, strip
+
+    head, space, code = face()
+    weights, n = expressions.weights_of({"jawOpen": 0.8}), len(head.bone)
+    shape = expressions.blend(space, code, weights)[0]
+    scene = facial_scene(head, Parameters(), shape)
+    fast = solve(scene)
+    real = solve(neo_hookean_scene(scene), solver="fenicsx", start=fast.positions, tolerance=1e-6)
+    for solution in (fast, real):
+        if not solution.converged:
+            raise SystemExit(f"jaw-open: {solution.reason}")
+    simulated, law = (head.skin_after(shape, solution.positions[:n]) for solution in (fast, real))
+    network = Surrogate.load().bind(space.skin(code), code, Parameters()).frame(weights)
+    drawn = head.skin.with_vertices(simulated)
+    off = {"blendshapes": shape, "neo-Hookean law": law, "network": network}
+    distances = {name: np.linalg.norm(skin - simulated, axis=1) for name, skin in off.items()}
+    top = float(np.percentile(distances["blendshapes"], 99.5))
+    panels = [Panel("simulated (PD)", drawn, weights=weights)]
+    panels += [Panel(f"{name} to PD", drawn, distance, top) for name, distance in distances.items()]
+    return strip(panels, rest=head.skin)
+
+
+def weight(scan: Path) -> bytes:
+    """Draw a neutral face and a smile, and both with 40 % more soft tissue."""
+    from softdeca.lhm import expressions
+    from softdeca.reference import Parameters, settled, solve
+    from softdeca.viewer.pictures import Panel, strip
+
+    head, space, code = face()
+    weights = expressions.weights_of(SMILE)
+    shape, panels = expressions.blend(space, code, weights)[0], []
+    for named, parameters in (("", Parameters()), (", + 40 % soft tissue", Parameters(soft_volume=1.4))):
+        settled_face = settled(head, parameters)
+        smile = solve(settled_face.scene(shape))
+        if not smile.converged:
+            raise SystemExit(f"weight: {smile.reason}")
+        skin = settled_face.skin_after(shape, smile.positions)
+        panels.append(Panel(f"neutral{named}", head.skin.with_vertices(settled_face.skin)))
+        panels.append(Panel(f"smile{named}", head.skin.with_vertices(skin), weights=weights))
+    return strip([panels[k] for k in (0, 2, 1, 3)], rest=head.skin)
+
+
+def own_head(scan: Path) -> bytes:
+    """Draw the fitted scan of Lee Perry-Smith at rest and simulated in three expressions."""
+    from softdeca.benchmarks.head_pictures import FRONT
+    from softdeca.lhm import expressions, load_template, scans
+    from softdeca.reference import Parameters, facial_scene, solve
+    from softdeca.viewer.pictures import Panel, strip
+
+    if not scan.is_file():
+        raise SystemExit(f"own-head: no scan at {scan}; name the file by --scan")
+    head = scans.fit_scan(scan, load_template())
+    panels = [Panel("a scan, fitted", head.skin)]
+    for name, weights in (("jawOpen", {"jawOpen": 0.7}), ("smile", SMILE), ("browInnerUp", {"browInnerUp": 1.0})):
+        shape = head.expression(expressions.weights_of(weights))
+        solution = solve(facial_scene(head, Parameters(), shape))
+        if not solution.converged:
+            raise SystemExit(f"own-head, {name}: {solution.reason}")
+        moved = head.skin_after(shape, solution.positions[: len(head.bone)])
+        panels.append(Panel(f"{name}, simulated", head.skin.with_vertices(moved)))
+    return strip(panels, view=FRONT, framed=head.skin_wrap.vertices, rest=head.skin)
+
+
+def viewer(scan: Path) -> bytes:
+    """Show the default head's page in Chromium with an open jaw, cut open, and take a screenshot."""
+    from playwright.sync_api import sync_playwright
+
+    from softdeca.reference import Parameters
+    from softdeca.surrogate import Surrogate
+    from softdeca.viewer import Rig, face_page
+
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise SystemExit("viewer: Chromium is not installed")
+    head, space, code = face()
+    rig = Rig.baked("surrogate", Surrogate.load().bind(space.skin(code), code, Parameters()))
+    words = "Turn it with the mouse or a finger. The layers beneath move as the simulator says, to first order."
+    text = face_page("the default head", words, head, Parameters(), space.expression_deltas(code), [rig])
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
+        file = Path(folder) / "view.html"
+        file.write_text(text)
+        browser = play.chromium.launch(executable_path=chromium, args=DRAWS)
+        page = browser.new_page(viewport={"width": 1200, "height": 760})
+        page.goto(file.as_uri())
+        page.wait_for_function("window.viewer !== undefined")
+        page.get_by_role("button", name="jaw open").click()
+        page.evaluate("name => viewer.show(name)", rig.name)
+        page.mouse.move(400, 400)
+        page.mouse.down()
+        page.mouse.move(330, 392, steps=5)
+        page.mouse.up()
+        page.locator("#cut").fill("0.5")
+        page.wait_for_timeout(1000)
+        picture = page.screenshot()
+        browser.close()
+    return picture
+
+
+PICTURES: dict[str, tuple[Maker, tuple[str, ...]]] = {
+    "jaw-open.png": (jaw_open, (*HEAD, *NETWORK, *DRAWING)),
+    "weight.png": (weight, (*HEAD, *DRAWING)),
+    "own-head.png": (own_head, (*HEAD, *DRAWING)),
+    "viewer.png": (viewer, (*HEAD, *NETWORK, *PAGE)),
+}
+"""Each picture with the function that makes it, and the files that it is drawn from."""
+
+
+def digest_of(name: str) -> str:
+    """Name what a picture is drawn from: its files, the simulator's meaning, and the function that makes it."""
+    import inspect
+
+    from softdeca.surrogate.corpus.simulate import GENERATOR
+
+    make, sources = PICTURES[name]
+    digest = hashlib.sha256(f"{GENERATOR} {SMILE}\n{inspect.getsource(make)}{inspect.getsource(face)}".encode())
+    for source in sources:
+        digest.update((ROOT / source).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def recorded() -> dict[str, dict[str, str]]:
+    """Read what each picture in docs was drawn from."""
+    return tomllib.loads(RECORD.read_text()) if RECORD.is_file() else {}
+
+
+def stale() -> dict[str, str]:
+    """Name the pictures that are old, each with why."""
+    found, record = {}, recorded()
+    for name in PICTURES:
+        known = record.get(name)
+        if known is None or not (DOCS / name).is_file():
+            found[name] = "not made"
+        elif known["inputs"] != digest_of(name):
+            found[name] = "drawn from other inputs than today's"
+        elif known["png"] != hashlib.sha256((DOCS / name).read_bytes()).hexdigest()[:16]:
+            found[name] = "not the file that was drawn"
+    return found
+
+
+def make(names: Iterable[str], scan: Path) -> None:
+    """Draw pictures into docs and record what they are of."""
+    for name in names:
+        png = PICTURES[name][0](scan)
+        (DOCS / name).write_bytes(png)
+        record = recorded() | {name: {"inputs": digest_of(name), "png": hashlib.sha256(png).hexdigest()[:16]}}
+        lines = ["# Written by tools/pictures.py: what each picture was drawn from, and its file."]
+        lines += [f'["{name}"]\ninputs = "{of["inputs"]}"\npng = "{of["png"]}"' for name, of in sorted(record.items())]
+        RECORD.write_text("\n\n".join(lines) + "\n")
+        print(f"wrote {DOCS / name}", flush=True)
+
+
+def main() -> int:
+    """Make pictures, or tell which are old."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="PICTURE", help=f"default: all of {', '.join(PICTURES)}")
+    parser.add_argument("--scan", type=Path, default=SCAN, help="of the own head, as glTF")
+    parser.add_argument("--stale", action="store_true", help="only tell which are old; exit status 1 if some are")
+    asked = parser.parse_args()
+    if unknown := set(asked.names) - set(PICTURES):
+        parser.error(f"no picture {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
+    if not asked.stale:
+        make(asked.names or PICTURES, asked.scan)
+        return 0
+    for name, why in stale().items():
+        print(f"{name}: {why}")
+    return 1 if stale() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
