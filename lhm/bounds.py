@@ -9,7 +9,7 @@ import numbers
 from dataclasses import dataclass
 from typing import Any
 
-from .errors import InputError
+from .errors import InputError, plain
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,26 @@ def shown(value: Any, longest: int = 40) -> str:
     return text if len(text) <= longest else text[:longest] + "..."
 
 
-def plain(text: str) -> str:
-    """Escape what is no printable character, so that a text from a file cannot steer the terminal."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
-
-
-FILE_BYTES = Bound(
-    "bytes", 2_000_000_000, "the largest scans have 1 GB; a reader needs some five times the file's size"
-)
+# Files of every kind.
+FILE_BYTES = Bound("bytes", 1_000_000_000, "the largest scans have some 300 MB; reading needs up to ten times the size")
 UNPACKED_BYTES = Bound("bytes unpacked", 2_000_000_000, "a template of level 3 unpacks to 0.2 GB; more is a zip bomb")
+ARRAYS = Bound("arrays", 10_000, "a head has some 40; a checkpoint has two for each layer")
 JSON_BYTES = Bound("bytes of JSON", 200_000_000, "an hour's take at 60 Hz has 100 MB; Python needs ten times its size")
 JSON_DEPTH = Bound("levels of brackets", 64, "no format that is read nests more than ten levels")
 JSON_DIGITS = Bound("digits in an integer", 18, "18 digits fit 64 bits; no index, count or time needs more")
+
+# Meshes, heads and templates.
+VERTICES = Bound("vertices", 20_000_000, "the densest scans have some 10 million")
+TRIANGLES = Bound("triangles", 40_000_000, "twice the vertices, as in every closed mesh")
+TETS = Bound("tets", 20_000_000, "six times the finest mesh that has been solved", least=1)
+POLYGON_CORNERS = Bound("corners of a polygon", 1_000, "a cap over a hole has some hundred")
+MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
+MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
+GLTF_NODES = Bound("nodes", 100_000, "a scene with a rigged body has some hundred")
+GLTF_DEPTH = Bound("levels of nodes", 100, "a skeleton's fingers are some twenty levels deep")
+REGIONS = Bound("regions", 1_000, "a head has eight")
+NOTES = Bound("notes", 1_000, "a fit writes some ten")
+NOTE_LETTERS = Bound("letters in a note", 2_000, "a note is a sentence or two")
+SHAPES = Bound("shapes", 10_000, "FLAME has 400")
+PARTS = Bound("parts", 10_000, "BodyParts3D has 2,000 for the whole body")
+PAIRS = Bound("pairs of skin and skull", 10_000, "each takes half a minute")
