@@ -50,8 +50,8 @@ JSON_DIGITS = Bound("digits in an integer", 18, "18 digits fit 64 bits; no index
 # Meshes, heads and templates.
 VERTICES = Bound("vertices", 20_000_000, "the densest scans have some 10 million")
 TRIANGLES = Bound("triangles", 40_000_000, "twice the vertices, as in every closed mesh")
+CORNERS = Bound("corners of triangles", 120_000_000, "three for each triangle")
 TETS = Bound("tets", 20_000_000, "six times the finest mesh that has been solved", least=1)
-POLYGON_CORNERS = Bound("corners of a polygon", 1_000, "a cap over a hole has some hundred")
 MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
 MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
 GLTF_NODES = Bound("nodes", 100_000, "a scene with a rigged body has some hundred")
