@@ -129,6 +129,14 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
     return csr_matrix((values, columns_of, ends), shape=(rows, columns))
 
 
+def is_plain_file(path: Path) -> bool:
+    """Whether there is a file of that name, no folder or device; False for what can be no name."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, or with a NUL
+        return False
+
+
 def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> bytes:
     """Return a file's content; InputError if it is missing, no plain file, unreadable, or larger than the bound."""
     path = Path(path)

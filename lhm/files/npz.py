@@ -7,11 +7,13 @@ import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
-from ..bounds import ARRAYS, FILE_BYTES, UNPACKED_BYTES
+from ..bounds import ARRAYS, FILE_BYTES, UNPACKED_BYTES, shown
 from ..errors import InputError
+from ..validate import read_bytes
 from .atomic import write_whole
 
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -60,23 +62,38 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
     return arrays
 
 
+def read_npy(path: Path) -> np.ndarray:
+    """Read an .npy file; InputError names one that is missing or damaged."""
+    content = read_bytes(path)
+    try:
+        return _parsed(io.BytesIO(content), len(content), "it")
+    except Exception as error:  # numpy raises whatever the damage makes it raise
+        raise InputError(f"{path}: no .npy file, or damaged ({' '.join(str(error).split())[:100]})") from None
+
+
 def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo) -> np.ndarray:
-    """Read one array, whose header has to promise just the bytes that are there."""
+    """Read one array of an archive."""
     with archive.open(part) as file:
-        version = np.lib.format.read_magic(file)
-        if version not in _HEADERS:
-            raise InputError(f"{part.filename}: a format of arrays that is not read")
-        shape, by_columns, kind = _HEADERS[version](file)
-        if kind.kind not in _KINDS:
-            raise InputError(f"{part.filename}: an array of {kind}, expected numbers or texts")
-        size = kind.itemsize
-        for length in shape:
-            size *= length
-        if min(shape, default=0) < 0 or size != part.file_size - file.tell():
-            raise InputError(f"{part.filename}: its header says {size} bytes, it has {part.file_size - file.tell()}")
-        flat = np.empty(size, np.uint8)
-        if size and file.readinto(memoryview(flat)) != size:
-            raise InputError(f"{part.filename}: cut off")
+        array = _parsed(file, part.file_size, part.filename)
         file.read(1)  # at the end the checksum is compared
+        return array
+
+
+def _parsed(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
+    """Read an array, whose header has to promise just the bytes that are there."""
+    version = np.lib.format.read_magic(file)
+    if version not in _HEADERS:
+        raise InputError(f"{name}: a format of arrays that is not read")
+    shape, by_columns, kind = _HEADERS[version](file)
+    if kind.kind not in _KINDS:
+        raise InputError(f"{name}: an array of {kind}, expected numbers or texts")
+    size, there = kind.itemsize, file_size - file.tell()
+    for length in shape:
+        size *= length
+    if min(shape, default=0) < 0 or size != there:
+        raise InputError(f"{name}: its header says {shown(size)} bytes, it has {there:,}")
+    flat = np.empty(size, np.uint8)
+    if size and file.readinto(memoryview(flat)) != size:  # type: ignore[attr-defined]
+        raise InputError(f"{name}: cut off")
     array = flat.view(kind) if size else np.empty(0, kind)
     return array.reshape(shape, order="F" if by_columns else "C")
