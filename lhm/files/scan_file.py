@@ -21,6 +21,7 @@ from .stl import read_stl
 
 FARTHEST = 1e12
 """In the file's own unit: a head in picometres."""
+MOST_MOVED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,10 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         farthest = float(np.abs(scan.vertices).max())
         if farthest > FARTHEST:
             raise InputError(f"a vertex lies at {farthest:.3g}, at most {FARTHEST:g} in any unit; is the file damaged?")
+        size = float(np.ptp(scan.vertices, axis=0).max())
+        for name, delta in scan.morphs.items():
+            if np.abs(delta).max(initial=0.0) > MOST_MOVED * size:
+                raise InputError(f"morph target {name!r} moves a vertex more than {MOST_MOVED:g} times the mesh's size")
     except (InputError, MeshError) as error:
         text = str(error)
         raise InputError(text if str(path) in text else f"{path}: {text}") from None

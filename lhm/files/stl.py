@@ -29,7 +29,8 @@ def read_stl(path: Path) -> tuple[Floats, Ints]:
         corners = _text(content)
     else:
         raise InputError(f"not an STL file, or cut off: its size is not that of the {count:,} triangles it promises")
-    return _merged(corners)
+    with np.errstate(all="ignore"):  # NaN and infinity are refused as such
+        return _merged(corners)
 
 
 def _text(content: bytes) -> np.ndarray:
@@ -54,7 +55,7 @@ def _text(content: bytes) -> np.ndarray:
     if facet:
         raise InputError("the file is cut off within a triangle")
     TRIANGLES.check("it has", len(corners) // 9)
-    with np.errstate(over="ignore"):  # infinity is refused as such
+    with np.errstate(over="ignore"):
         return np.frombuffer(corners, np.float64).reshape(-1, 3).astype(np.float32)
 
 
