@@ -195,7 +195,8 @@ def _vertices(read: _Binary | _Text, element: _Element) -> Floats:
     if any(p.length for p in element.properties) or any(names.count(axis) != 1 for axis in "xyz"):
         raise InputError("its header names no x, y and z of the vertices, or lists among them")
     table = read.table(element)
-    return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    with np.errstate(invalid="ignore"):  # NaN is refused where the mesh is made
+        return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
 def _lists(read: _Binary | _Text, element: _Element) -> tuple[Ints, Ints]:
