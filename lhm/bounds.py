@@ -1,0 +1,66 @@
+"""The largest counts and sizes that are accepted from files and arguments: one name, one number and one reason each.
+
+`docs/bounds.md` is made of this table. A bound lies far above every real use and below what exhausts a small machine.
+"""
+
+from __future__ import annotations
+
+import numbers
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import InputError, plain
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A count of `what` lies within least..most, for `reason`."""
+
+    what: str
+    most: int
+    reason: str
+    least: int = 0
+
+    def check(self, name: str, count: Any) -> int:
+        """Return a count as int; InputError names it for another kind of value, or one outside the bound."""
+        good = isinstance(count, numbers.Integral) and not isinstance(count, bool)
+        if not good or not self.least <= int(count) <= self.most:
+            allowed = f"{self.least:,} to {self.most:,}" if self.least else f"at most {self.most:,}"
+            raise InputError(f"{name}: {shown(count)} {self.what}; expected {allowed}")
+        return int(count)
+
+
+def shown(value: Any, longest: int = 40) -> str:
+    """Quote a value in an error: one line of printable characters, at most `longest` of them and three dots."""
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        # Python refuses to print an integer of more than 4,300 digits.
+        return f"{int(value):,}" if abs(int(value)) < 10**18 else "more than 10^18" if value > 0 else "less than -10^18"
+    text = plain(value if isinstance(value, str) else repr(value))
+    return text if len(text) <= longest else text[:longest] + "..."
+
+
+# Files of every kind.
+FILE_BYTES = Bound("bytes", 1_000_000_000, "the largest scans have some 300 MB; reading needs up to ten times the size")
+UNPACKED_BYTES = Bound("bytes unpacked", 2_000_000_000, "a template of level 3 unpacks to 0.2 GB; more is a zip bomb")
+ARRAYS = Bound("arrays", 10_000, "a head has some 40; a checkpoint has two for each layer")
+JSON_BYTES = Bound("bytes of JSON", 200_000_000, "an hour's take at 60 Hz has 100 MB; Python needs ten times its size")
+JSON_DEPTH = Bound("levels of brackets", 64, "no format that is read nests more than ten levels")
+JSON_DIGITS = Bound("digits in an integer", 18, "18 digits fit 64 bits; no index, count or time needs more")
+
+# Meshes, heads and templates.
+VERTICES = Bound("vertices", 20_000_000, "the densest scans have some 10 million")
+TRIANGLES = Bound("triangles", 40_000_000, "twice the vertices, as in every closed mesh")
+CORNERS = Bound("corners of triangles", 120_000_000, "three for each triangle")
+TETS = Bound("tets", 20_000_000, "six times the finest mesh that has been solved", least=1)
+TAGS = Bound("tags of surfaces", 10_000, "a head has three; anatomical atlases some hundred")
+MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
+MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
+GLTF_NODES = Bound("nodes", 100_000, "a scene with a rigged body has some hundred")
+GLTF_DEPTH = Bound("levels of nodes", 100, "a skeleton's fingers are some twenty levels deep")
+REGIONS = Bound("regions", 1_000, "a head has eight")
+NOTES = Bound("notes", 1_000, "a fit writes some ten")
+NOTE_LETTERS = Bound("letters in a note", 2_000, "a note is a sentence or two")
+SHAPES = Bound("shapes", 10_000, "FLAME has 400")
+SPACE_VALUES = Bound("numbers in its shapes", 250_000_000, "2 GB: ICT-FaceKit has 20 million")
+PARTS = Bound("parts", 10_000, "BodyParts3D has 2,000 for the whole body")
+PAIRS = Bound("pairs of skin and skull", 10_000, "each takes half a minute")
