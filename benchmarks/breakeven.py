@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import read_manifest, shard_path
+from ..surrogate.corpus.folder import shard_path
+from ..surrogate.corpus.manifest import read_manifest
 from ..surrogate.corpus.shard import read_label
 from ..surrogate.evaluate import Score
 from ..surrogate.modal.weights import TrainingNote
@@ -44,12 +45,12 @@ class Breakeven:
 
 def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
     """Of a network with its note and scores, and of the corpus' training people; None if none of them has frames."""
-    manifest = read_manifest(corpus)
-    people = range(int(manifest["content"]["identities"]) - int(manifest["tested"]))
-    labels = [read_label(path) for path in (shard_path(corpus, k) for k in people) if path.exists()]
+    counts = read_manifest(corpus).counts
+    paths = (shard_path(corpus, identity) for identity in range(counts.trained))
+    labels = [read_label(path) for path in paths if path.exists()]
     spent = {phase: sum(label.seconds.get(phase, 0.0) for label in labels) for phase in PAID}
-    groups = len(labels) * int(manifest["content"]["groups"])
-    frames = groups * int(manifest["content"]["frames"])
+    groups = len(labels) * counts.groups
+    frames = groups * counts.frames
     if not frames:
         return None
     return Breakeven(

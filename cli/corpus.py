@@ -62,7 +62,8 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
     PLAN.toml has `preset` and any field of the plan, such as identities = 640, groups = 4, frames = 9, sequences = 1,
     responses = 1.0, references = 5, varying = 0.5, seed = 1, and tables of shares [kinds] and [sources].
     """
-    from ..surrogate.corpus.folder import Corpus, read_manifest
+    from ..surrogate.corpus.folder import Corpus
+    from ..surrogate.corpus.manifest import read_manifest
     from ..surrogate.corpus.people import people_of
     from ..surrogate.corpus.predict import Rates, predicted, probe
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -16,11 +16,13 @@ import numpy as np
 from ...lhm.errors import InputError
 from ...lhm.files.alone import alone_in
 from ...lhm.files.atomic import write_whole
-from ...lhm.files.resumable import check_same, manifest_of
+from ...lhm.files.resumable import check_same
 from ...lhm.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
+from .intact import REMEDY, check_person
+from .manifest import MANIFEST, read_manifest
 from .mixture import NAMES
 from .person import People
 from .plan import IDENTITY, CorpusPlan, Split
@@ -30,8 +32,6 @@ from .template import CorpusTemplate, write_template
 from .velocities import velocities_of
 
 SERIAL = Schedule()
-MANIFEST = "corpus.json"
-"""What the folder's corpus is of, and how it was made."""
 PARTIAL = ".person-*.h5"
 """What a process that was killed while it wrote leaves behind."""
 
@@ -92,7 +92,8 @@ class Corpus:
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
         self.manifest = simulated_of(plan, people) | {"format": FORMAT}
-        check_same(self.folder / MANIFEST, "corpus", self.manifest)
+        if check_same(self.folder / MANIFEST, "corpus", self.manifest):
+            read_manifest(self.folder)
 
     @property
     def owner(self) -> str:
@@ -161,8 +162,14 @@ class Corpus:
         return True
 
     def shard(self, identity: int) -> Shard:
-        """One person's shard; InputError if it is missing, damaged or of another corpus."""
-        return read_shard(self.shard_path(identity), self.owner)
+        """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
+        path = self.shard_path(identity)
+        shard = read_shard(path, self.owner)
+        try:
+            check_person(shard, self.plan.parameter_numbers(identity))
+        except InputError as error:
+            raise InputError(f"shard {path}: {error}; {REMEDY}") from None
+        return shard
 
     def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
         """All people's shards of a split, or of both, one after another; InputError for one that cannot be used."""
@@ -234,29 +241,17 @@ def simulated_of(plan: CorpusPlan, people: People) -> dict[str, Any]:
 
 
 def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
-    """The plan of a corpus, and with what it was made, from its folder alone; InputError where that is not told."""
+    """Return a corpus' plan, and how to make its people again, from its folder; InputError where that is not told."""
     manifest = read_manifest(folder)
-    try:
-        options = {key: value for key, value in manifest["content"].items() if key != "recordings"}
-        plan, made_with = CorpusPlan(**options | {"takes": manifest["takes"]}), dict(manifest["made_with"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"corpus {folder}: its corpus.json does not tell how it was made ({error})") from None
-    if not {"identities", "level"} <= set(made_with):
+    takes = manifest.said.get("takes", "")
+    plan, made_with = replace(manifest.counts, takes=takes), dict(manifest.made_with)
+    if not (isinstance(made_with.get("identities"), str) and made_with.get("level") in (1, 2, 3)):
         raise InputError(f"corpus {folder}: it was made from Python, of people that no command knows by name")
-    if plan.digest != manifest["plan"]:
+    if plan.digest != manifest.said["plan"]:
         raise InputError(
-            f"corpus {folder}: its recordings are not what they were (takes in {manifest['takes'] or 'none'}); "
-            "make another one"
+            f"corpus {folder}: its recordings are not what they were (takes in {takes or 'none'}); make another one"
         )
     return plan, made_with
-
-
-def read_manifest(folder: str | PathLike[str]) -> dict[str, Any]:
-    """What a corpus says it is of; InputError where there is none."""
-    found = manifest_of(Path(folder) / MANIFEST, "corpus", ("plan", "people", "template", "generator", "format"))
-    if found is None:
-        raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
-    return found
 
 
 class _Rate:
