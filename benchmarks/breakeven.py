@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import shard_path
+from ..surrogate.corpus.folder import shard_path, summed
 from ..surrogate.corpus.manifest import read_manifest
-from ..surrogate.corpus.shard import read_label
+from ..surrogate.corpus.shard import read_seconds
 from ..surrogate.evaluate import Score
 from ..surrogate.modal.weights import TrainingNote
 
@@ -44,20 +44,23 @@ class Breakeven:
 
 
 def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
-    """Of a network with its note and scores, and of the corpus' training people; None if none of them has frames."""
+    """Of a network with its note and scores, and of the corpus' training people.
+
+    None if none of them has frames, or if the seconds of one are not known.
+    """
     counts = read_manifest(corpus).counts
     paths = (shard_path(corpus, identity) for identity in range(counts.trained))
-    labels = [read_label(path) for path in paths if path.exists()]
-    spent = {phase: sum(label.seconds.get(phase, 0.0) for label in labels) for phase in PAID}
-    groups = len(labels) * counts.groups
+    timed = [read_seconds(path) for path in paths if path.exists()]
+    spent = {phase: summed(timed).get(phase, 0.0) for phase in PAID}
+    groups = len(timed) * counts.groups
     frames = groups * counts.frames
-    if not frames:
+    if not frames or not spent["statics"]:
         return None
     return Breakeven(
         corpus=sum(spent.values()),
         training=float(note.curve[-1]["seconds"]),
         simulated_frame=spent["statics"] / frames,
-        linearised_face=(spent["shapes"] + spent["fit"]) / len(labels)
+        linearised_face=(spent["shapes"] + spent["fit"]) / len(timed)
         + (spent["settling"] + spent["derivatives"]) / groups,
         own_frame=1e-3 * (network.frame_ms or 0.0),
         own_face=1e-3 * (network.bind_ms or 0.0),

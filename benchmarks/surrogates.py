@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +33,13 @@ from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
+from ..surrogate.runtime import SHIPPED
 from ..surrogate.schedule import schedule
 from . import corpus_size, plots
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
 from .corpus_size import errors_over_size
+from .harness.machine import describe
 from .harness.study import Table
 from .harness.tables import markdown
 from .surrogate_frames import frames_png
@@ -53,6 +57,13 @@ READY: Mapping[str, Callable[[ModalWeights], Method]] = {
 GAINED = ("network", "network + simulator at bind", "linearised simulator", "blendshapes (T = S)")
 EXTERNAL = "external"
 """Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
+
+
+def _options(surrogate: Path | None, corpora: Mapping[str, Path | None], **counts: int | None) -> dict[str, Any]:
+    """What scores are of: each corpus by its plan with seeds, the weights' file by a digest, and counts."""
+    plans = {name: None if folder is None else dict(read_manifest(folder)) for name, folder in corpora.items()}
+    digest = hashlib.sha256((surrogate or SHIPPED).read_bytes()).hexdigest()[:16]
+    return {"weights": digest, "shipped": surrogate is None} | plans | counts
 
 
 def compare(
@@ -112,7 +123,17 @@ def compare(
     paid = breakeven(corpus, network.weights.note, scores[0])
     written = [out / "scores.json", out / "scores.md", out / "cost.png", out / "frames.png"]
     with replaced(written[0]) as path:
-        found = {"scores": [asdict(score) for score in scores], "breakeven": None if paid is None else asdict(paid)}
+        found = {
+            "machine": describe(),
+            "options": _options(
+                surrogate,
+                {"corpus": corpus, "external": external},
+                simulated=simulated,
+                generalisation=generalisation,
+            ),
+            "scores": [asdict(score) for score in scores],
+            "breakeven": None if paid is None else asdict(paid),
+        }
         path.write_text(json.dumps(found | ({"curve": [asdict(one) for one in grown]} if grown else {}), indent=1))
     with replaced(written[1]) as path:
         parts = [markdown(table(scores)), "" if paid is None else told(paid)]

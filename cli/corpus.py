@@ -143,6 +143,7 @@ def _opened(folder: Path, progress):
 
 
 def _generate(out, plan, identities, level, workers, scheduler, as_json, progress) -> int:
+    from ..benchmarks.harness.machine import describe
     from ..surrogate.corpus.card import write_card
     from ..surrogate.corpus.folder import Corpus
     from ..surrogate.corpus.people import people_of
@@ -152,7 +153,7 @@ def _generate(out, plan, identities, level, workers, scheduler, as_json, progres
     people = people_of(identities, level=level, on_progress=progress)
     made_with = {"identities": identities, "level": level}
     status = Corpus(out, plan, people, made_with).generate(on=on, on_progress=progress)
-    write_card(Corpus(out, plan, people, made_with))
+    write_card(Corpus(out, plan, people, made_with), machine=describe())
     _tell(status, out, as_json)
     return 0 if status.rejected_share <= 0.05 and not status.damaged else 1
 

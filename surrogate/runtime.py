@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from importlib.resources import files
 from os import PathLike
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -39,6 +40,8 @@ from .rigs import (
 )
 
 Beyond = Literal["refuse", "clamp"]
+SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors"))
+"""The weights of the default space."""
 
 
 class Surrogate:
@@ -52,9 +55,7 @@ class Surrogate:
     @checked
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
         """Read weights; None is the network that is shipped, of the default space. InputError if it is damaged."""
-        if path is not None:
-            return cls(ModalWeights.load(path))
-        return cls(ModalWeights.load(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensors")))
+        return cls(ModalWeights.load(SHIPPED if path is None else path))
 
     @property
     def space(self) -> str:

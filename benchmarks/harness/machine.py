@@ -1,4 +1,4 @@
-"""Where and with what a figure was measured."""
+"""Where and with what a figure was measured, and what a results file lacks of that."""
 
 from __future__ import annotations
 
@@ -6,9 +6,16 @@ import os
 import platform
 import shutil
 import subprocess
+from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
+DIRTY = "-dirty"
+"""At the end of a commit: the code had changes that it does not hold."""
+_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", ":(exclude)docs", ":(exclude)benchmarks/results")
+"""What a figure can depend on; texts and results of other studies may change while one is measured."""
 _PACKAGES = ("softdeca", "numpy", "scipy", "numba", "cholespy", "scikit-fem", "torch", "anny", "fenics-dolfinx")
 
 
@@ -21,7 +28,7 @@ def describe() -> dict:
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},
-        "commit": _commit(),
+        "commit": commit(),
         "dtype": "float64",
         "threads": int(os.environ.get("OMP_NUM_THREADS", "0")) or "default",
     }
@@ -49,9 +56,41 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-def _commit() -> str:
+@cache
+def commit() -> str:
+    """The commit of the code when this process first asked, with DIRTY after it where files were changed or new."""
     if shutil.which("git") is None:
         return "not known: git is not installed"
-    here = Path(__file__).resolve().parent
-    done = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True)
-    return done.stdout.strip() if done.returncode == 0 else "not a git checkout"
+    here = Path(__file__).resolve().parents[2]
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "--short=12", "HEAD") + (DIRTY if git("status", "--porcelain", "--", *_CODE) else "")
+    except subprocess.CalledProcessError:
+        return "not known: no git checkout"
+
+
+def is_dirty(machine: Mapping[str, Any]) -> bool:
+    """Whether figures of a machine's description cannot be made again: their code is in no commit."""
+    commit = str(machine.get("commit", ""))
+    return commit.endswith(DIRTY) or not commit or " " in commit
+
+
+def lacks(results: Any) -> list[str]:
+    """Name what a results file lacks for its figures to be made again, of its content as read from JSON.
+
+    It has to say machine, versions, the options (or plan) with its seeds, and a commit, which holds all code.
+    """
+    if not isinstance(results, Mapping):
+        return ["machine", "commit", "versions", "options"]
+    if results and all(isinstance(each, Mapping) and "study" in each for each in results.values()):
+        return sorted({missing for each in results.values() for missing in lacks(each)})  # a report of studies
+    machine = results.get("machine") or {}
+    missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
+    commits = {str(machine.get("commit", "")), *(row["commit"] for row in results.get("rows", ()) if row.get("commit"))}
+    if any(is_dirty({"commit": commit}) for commit in commits):
+        missing.append("clean tree" if any(commit.endswith(DIRTY) for commit in commits) else "commit")
+    missing += [] if machine.get("versions") else ["versions"]
+    return missing + ([] if "options" in results or "plan" in results else ["options"])

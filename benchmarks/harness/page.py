@@ -12,11 +12,13 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from .machine import is_dirty
 from .runner import Results, Row
 from .study import Study, Table
 
 QUALITY = 92
 """Of pictures in pages."""
+CHANGED = "Caution: the code that measured this is in no commit, so its figures cannot be made again."
 
 
 def page(study: Study, results: Results, folder: Path) -> str:
@@ -30,7 +32,7 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
     return {
         "name": study.name,
         "question": study.question,
-        "words": results.words,
+        "words": f"{results.words} {CHANGED}".strip() if is_dirty(results.machine) else results.words,
         "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
         "figures": study.pictures(done) if done else {},
         "pictures": {caption: _webp(png) for row in done for caption, png in _drawn(row, folder, ".png")},

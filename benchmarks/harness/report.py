@@ -10,6 +10,7 @@ from typing import Any
 
 from ...lhm.errors import InputError
 from ...lhm.files.atomic import write_whole
+from .machine import is_dirty
 from .page import machine_rows, rendered, rows_table, shown
 from .runner import Results, Row
 from .study import Study, Table
@@ -75,7 +76,10 @@ def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple
         for gate in made.results.gates
         if not gate["passed"]
     ]
-    machines = [(name, made.results.machine["commit"], made.results.machine["load"]) for name, made in named.items()]
+    machines = [
+        (name, made.results.machine["commit"], not is_dirty(made.results.machine), made.results.machine["load"])
+        for name, made in named.items()
+    ]
     first = next(iter(named.values())).results.machine
     files = {
         "index.html": rendered(

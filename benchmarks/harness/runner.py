@@ -30,7 +30,10 @@ PNG = b"\x89PNG"
 
 @dataclass(frozen=True)
 class Row:
-    """A task and how it ended ("done", "skipped", "failed"); seconds of all of it, memory [MB], and the load then."""
+    """A task and how it ended ("done", "skipped", "failed"); seconds of all of it, memory [MB], and the load then.
+
+    commit: of the code that measured it, which a later run may have kept; empty in results of older versions.
+    """
 
     case: str
     method: str
@@ -41,6 +44,7 @@ class Row:
     memory_mb: float | None
     load: float
     of: str = field(repr=False)
+    commit: str = ""
 
     @property
     def done(self) -> bool:
@@ -90,7 +94,8 @@ def run(
 ) -> Results:
     """Do the tasks of a study that are not done yet; write OUT/rows.jsonl, results.json and index.html.
 
-    Rows of the same options, study version and package versions are kept: `only` "failed" does those that failed again, "all" every one.
+    Rows of the same options, study version and package versions are kept: `only` "failed" does those that failed
+    again, "all" every one.
     `match` chooses tasks by a part of their names. `workers` processes side by side, by default all processors, and
     one where seconds are compared. Raises InputError where nothing matches and where the folder is in use.
     """
@@ -183,7 +188,7 @@ class _Rows:
         status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
         row = Row(
             task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
-            machine.load(), self._of,
+            machine.load(), self._of, machine.commit(),
         )  # fmt: skip
         self.found[task] = row
         self._records.add(asdict(row))

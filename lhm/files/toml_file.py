@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
-from ..bounds import TOML_BYTES, plain, shown
+from ..bounds import TOML_BYTES, plain
 from ..errors import InputError, MissingDependencyError
 from ..validate import read_bytes
 
@@ -19,14 +18,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise MissingDependencyError(f"{path}: TOML files are read from Python 3.11 on") from None
     content = read_bytes(path, TOML_BYTES)
     try:
-        return tomllib.loads(content.decode("utf-8"), parse_float=_finite)
+        return tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         reason = plain(" ".join(str(error).split()))[:80]
         raise InputError(f"{path}: not a TOML file that can be read ({reason})") from None
-
-
-def _finite(digits: str) -> float:
-    number = float(digits)
-    if not math.isfinite(number):
-        raise InputError(f"{shown(digits)} is no finite number")
-    return number

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from datetime import date
 from importlib.metadata import version
@@ -25,9 +26,10 @@ LICENCE = "cc0-1.0"
 CROISSANT = "http://mlcommons.org/croissant/1.0"
 
 
-def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
+def write_card(corpus: Corpus, *, licence: str = LICENCE, machine: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Write README.md, figures.json and croissant.json into the corpus' folder; return the figures of the card.
 
+    `machine`, where and with what it was made, is kept in figures.json.
     Raises InputError for shards that are damaged, and where a file cannot be written.
     """
     status = corpus.status()
@@ -35,7 +37,10 @@ def write_card(corpus: Corpus, *, licence: str = LICENCE) -> dict[str, Any]:
     with replaced(corpus.folder / "README.md") as temporary:
         temporary.write_text(card_text(corpus, status, figures, licence), encoding="utf-8")
     with replaced(corpus.folder / "figures.json") as temporary:
-        temporary.write_text(json.dumps(card_json(corpus, status, figures), indent=1), encoding="utf-8")
+        temporary.write_text(
+            json.dumps(card_json(corpus, status, figures) | ({"machine": machine} if machine else {}), indent=1),
+            encoding="utf-8",
+        )
     with replaced(corpus.folder / "croissant.json") as temporary:
         temporary.write_text(json.dumps(croissant(corpus, licence), indent=1), encoding="utf-8")
     return figures
@@ -68,7 +73,7 @@ def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
         "p95_mm": {key: _quantiles(values[:, 1]) for key, values in gathered.items()},
         "iterations": _quantiles(np.concatenate([np.zeros(0), *iterations])),
         "rejected": dict(sorted(reasons.items(), key=lambda item: -item[1])),
-        "core_hours": sum(status.seconds.values()) / 3600.0,
+        "core_hours": sum(status.seconds.values()) / 3600.0 if status.seconds else None,
         "frames_per_core_hour": _rate(status, ("shapes", "fit", "settling", "derivatives", "statics"), "statics"),
         "sequence_frames_per_core_hour": _rate(status, ("sequences",), "sequences"),
         "bytes": status.bytes,
@@ -98,6 +103,8 @@ def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], lic
     fields_ = "\n".join(f"- **{table}**: {' '.join((kind.__doc__ or '').split())}" for table, kind in TABLES.items())
     rate = figures["frames_per_core_hour"]
     speed = "not measured" if rate is None else f"{rate:.0f}"
+    hours = figures["core_hours"]
+    cost = "Core-hours not measured" if hours is None else f"{hours:.2f} core-hours"
     return f"""---
 license: {licence}
 pretty_name: softdeca corpus {plan.digest}
@@ -134,13 +141,14 @@ shares no person, no parameter set and no recording with training. Speech and co
 
 ## Cost
 
-{figures["core_hours"]:.2f} core-hours, {status.bytes / 1e9:.2f} GB; {speed} static frames a core-hour with fit, shapes,
+{cost}, {status.bytes / 1e9:.2f} GB; {speed} static frames a core-hour with fit, shapes,
 settling and simulation.
 
 ## Files
 
 `corpus.json`: plan and splits. `template.npz`: mean skin, triangles, shapes. `person-NNNNN.h5`: one person each, arrays
-in seven tables, uncompressed; T - S in float16 (rounds by less than 0.008 mm below 16 mm).
+in seven tables, uncompressed; T - S in float16 (rounds by less than 0.008 mm below 16 mm). `person-NNNNN.json`: the
+processor seconds that it took, which differ between runs.
 
 {fields_}
 """

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -26,13 +27,13 @@ from .manifest import MANIFEST, read_manifest
 from .mixture import NAMES
 from .person import People
 from .plan import IDENTITY, CorpusPlan, Split
-from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_shard, write_shard
+from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
 from .simulate import GENERATOR, simulate_person
 from .template import CorpusTemplate, write_template
 from .velocities import velocities_of
 
 SERIAL = Schedule()
-PARTIAL = ".person-*.h5"
+PARTIAL = ".person-*"
 """What a process that was killed while it wrote leaves behind."""
 
 
@@ -54,7 +55,7 @@ class CorpusStatus:
     """What a corpus holds: people done of all; counts of what was accepted, by table; what was rejected, of `asked`.
 
     `damaged`: shards that are there but cannot be used, by message; `seconds`: of one process, by phase, summed over
-    people; `bytes` of all shards.
+    people, and empty where those of one are not known; `bytes` of all shards.
     """
 
     identities: int
@@ -189,19 +190,18 @@ class Corpus:
         asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
         rejected, damaged, done, size = [], [], 0, 0
         versions: dict[str, int] = {}
-        seconds: dict[str, float] = {}
+        timed: list[dict[str, float]] = []
         names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
         for identity in self.people_there():
             path = self.shard_path(identity)
             try:
-                arrays, label = read_arrays_of(path, self.owner, *names), read_label(path)
+                arrays, label, spent = read_arrays_of(path, self.owner, *names), read_label(path), read_seconds(path)
             except InputError as error:
                 damaged.append(str(error))
                 continue
             done, size = done + 1, size + path.stat().st_size
             versions[label.version] = versions.get(label.version, 0) + 1
-            for phase, spent in label.seconds.items():
-                seconds[phase] = seconds.get(phase, 0.0) + spent
+            timed.append(spent)
             for table in tables:
                 status = arrays[f"{table}/status"]
                 each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
@@ -212,7 +212,7 @@ class Corpus:
             asked["responses"] += len(arrays["responses/group"])
             accepted["responses"] += len(arrays["responses/group"])
         return CorpusStatus(
-            self.plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, seconds, size
+            self.plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
         )
 
     def _write_manifest(self):
@@ -227,6 +227,13 @@ class Corpus:
         person = self.people.person(self.plan.rng(IDENTITY, 0))
         write_template(self.folder, CorpusTemplate(self.people.mean, None if person.personal else person.shapes))
         write_whole(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
+
+
+def summed(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Add up people's seconds by phase; empty if those of one are not known."""
+    if not all(timed):
+        return {}
+    return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
 
 
 def shard_path(folder: Path, identity: int) -> Path:

@@ -31,9 +31,9 @@ class Rates:
 
     @classmethod
     def of(cls, status: CorpusStatus) -> Rates | None:
-        """From what a corpus has spent; None where nothing is done."""
+        """From what a corpus has spent; None where nothing is done, or its seconds are not known."""
         spent, asked = status.seconds, status.asked
-        if not status.identities_done or not asked["groups"]:
+        if not status.identities_done or not asked["groups"] or not spent:
             return None
 
         def each(table: str) -> float:

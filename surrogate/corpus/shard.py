@@ -1,8 +1,9 @@
-"""One person of a corpus as an HDF5 file: arrays in five tables, written whole or not at all, with a checksum.
+"""One person of a corpus as an HDF5 file: arrays in seven tables, written whole or not at all, with a checksum.
 
 Arrays are stored as they are, one run of bytes each, so that a row can be read without HDF5 (`Place`). T is the
 simulator's skin, S that of the linear blendshapes; T - S is kept in float16, which rounds by less
-than 0.001 mm below 2 mm and 0.008 mm below 16 mm.
+than 0.001 mm below 2 mm and 0.008 mm below 16 mm. The same content gives the same bytes: processor seconds, which
+differ between runs, lie in a JSON file beside the shard.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ...lhm.bounds import SHARD_BYTES
 from ...lhm.errors import InputError
 from ...lhm.files.atomic import write_whole
 from ...lhm.mesh import Floats
+from ...lhm.validate import read_json
 
 ACCEPTED = "accepted"
 FORMAT = 1
@@ -152,7 +155,7 @@ class References:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """All that a corpus holds of one person; `seconds` spent on each phase, which no checksum covers."""
+    """All that a corpus holds of one person; `seconds` spent on each phase, which its file does not hold."""
 
     persons: Persons
     groups: Groups
@@ -179,14 +182,15 @@ TABLES: dict[str, type] = {name: kind for name, kind in get_type_hints(Shard).it
 
 
 def write_shard(path: Path, shard: Shard, owner: str) -> None:
-    """Write a shard of the corpus `owner`; `path` is whole or as it was. InputError if it cannot be written."""
+    """Write a shard of the corpus `owner`, and its seconds beside it. InputError if one cannot be written.
+
+    `path` is whole or as it was.
+    """
+    write_whole(seconds_path(path), json.dumps(shard.seconds).encode())
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="`product` is deprecated")  # in Debian's h5py
-        file.attrs.update(
-            owner=owner, checksum=shard.checksum, format=FORMAT, version=version("softdeca"),
-            seconds=json.dumps(shard.seconds),
-        )  # fmt: skip
+        file.attrs.update(owner=owner, checksum=shard.checksum, format=FORMAT, version=version("softdeca"))
         for table, kind in TABLES.items():
             for item in fields(kind):
                 file.create_dataset(f"{table}/{item.name}", data=getattr(getattr(shard, table), item.name))
@@ -195,13 +199,12 @@ def write_shard(path: Path, shard: Shard, owner: str) -> None:
 
 @dataclass(frozen=True)
 class Label:
-    """What a shard says of itself: corpus, format, version of the software, checksum, seconds by phase."""
+    """What a shard says of itself: corpus, format, version of the software, checksum."""
 
     owner: str
     format: int
     version: str
     checksum: str
-    seconds: dict[str, float]
 
 
 def read_label(path: Path) -> Label:
@@ -210,16 +213,43 @@ def read_label(path: Path) -> Label:
         return _label(file)
 
 
+def seconds_path(path: Path) -> Path:
+    """Return the place of a shard's processor seconds: the file of its name that ends in .json."""
+    return path.with_suffix(".json")
+
+
+def read_seconds(path: Path) -> dict[str, float]:
+    """Read the processor seconds by phase that a shard took; empty if the file beside it is missing.
+
+    InputError for a file that cannot be read, or that holds anything but finite numbers by name.
+    """
+    beside = seconds_path(path)
+    if not beside.exists():
+        return {}
+    try:
+        seconds = {str(phase): float(spent) for phase, spent in read_json(beside).items()}
+        if not all(spent >= 0.0 for spent in seconds.values()):
+            raise ValueError
+    except (ValueError, TypeError, AttributeError):
+        raise InputError(
+            f"seconds {beside}: expected JSON of seconds by phase; delete it, or make the shard anew"
+        ) from None
+    return seconds
+
+
 def read_shard(path: Path, owner: str) -> Shard:
-    """Read a shard and check it; InputError for one that is missing, truncated, damaged or of another corpus."""
+    """Read a shard and check it; InputError for one that is missing, truncated, damaged or of another corpus.
+
+    Its seconds are left to `read_seconds`.
+    """
     with _opened(path) as file:
         label = _label(file)
         _check_label(path, label, owner)
         tables = {
-            table: kind(**{item.name: file[f"{table}/{item.name}"][()] for item in fields(kind)})
+            table: kind(**{item.name: _array(file, f"{table}/{item.name}") for item in fields(kind)})
             for table, kind in TABLES.items()
         }
-    shard = Shard(**tables, seconds=label.seconds)
+    shard = Shard(**tables)
     if shard.checksum != label.checksum:
         raise InputError(f"shard {path}: its content does not match its checksum; {_REMEDY}")
     return shard
@@ -229,7 +259,7 @@ def read_arrays_of(path: Path, owner: str, *names: str) -> dict[str, NDArray[Any
     """Some arrays of a shard by "table/name", not checked but for the owner; InputError as `read_shard`."""
     with _opened(path) as file:
         _check_label(path, _label(file), owner)
-        return {name: file[name][()] for name in names}
+        return {name: _array(file, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -260,7 +290,22 @@ class Place:
 def places_of(path: Path, *names: str) -> dict[str, Place]:
     """Where some large arrays of a shard lie, by "table/name"; InputError as `read_shard`."""
     with _opened(path) as file:
-        return {name: Place(file[name].id.get_offset() or 0, file[name].dtype, file[name].shape) for name in names}
+        found = {name: _dataset(file, name) for name in names}
+        return {name: Place(data.id.get_offset() or 0, data.dtype, data.shape) for name, data in found.items()}
+
+
+def _array(file: h5py.File, name: str) -> NDArray[Any]:
+    return np.asarray(_dataset(file, name)[()])
+
+
+def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
+    """Return one array of a file, of a plain type, whose bytes lie in the file in one run, as `write_shard` has it."""
+    data = file[name]
+    if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "biufS":
+        raise ValueError(f"{name} is no array of numbers or texts")
+    if not 0 <= data.nbytes <= file.id.get_filesize() or (data.nbytes and data.id.get_offset() is None):
+        raise ValueError(f"{name} of shape {data.shape} does not lie in the file")
+    return data
 
 
 class _opened:
@@ -273,6 +318,7 @@ class _opened:
         if not self.path.is_file():
             raise InputError(f"shard {self.path}: missing; {_REMEDY}")
         try:
+            SHARD_BYTES.check(f"shard {self.path}", self.path.stat().st_size)
             self.file = h5py.File(self.path, "r")
         except OSError as error:
             raise self._damaged(error) from None
@@ -297,7 +343,6 @@ def _label(file: h5py.File) -> Label:
         format=int(attributes["format"]),
         version=str(attributes["version"]),
         checksum=str(attributes["checksum"]),
-        seconds=json.loads(attributes["seconds"]),
     )
 
 

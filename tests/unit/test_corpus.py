@@ -1,6 +1,9 @@
 """The corpus: content that follows from the plan alone, damage that is named and mended, and what a reader finds."""
 
 import json
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -14,7 +17,7 @@ from softdeca.reference import Parameters, Sequence
 from softdeca.reference.face.base import turns_before
 from softdeca.reference.face.velocities import Velocities
 from softdeca.surrogate.corpus.card import write_card
-from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.folder import Corpus, summed
 from softdeca.surrogate.corpus.group import Group
 from softdeca.surrogate.corpus.mixture import NAMES
 from softdeca.surrogate.corpus.person import OfSpace
@@ -22,6 +25,7 @@ from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import Rates, predicted
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.sequences import rolled
+from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulate import simulate_static
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
@@ -112,6 +116,71 @@ def test_two_processes_and_any_order_make_the_same(made, tmp_path):
     other.make(2)
     other.generate(on=Schedule("processes", 2))
     assert checksums(other) == checksums(made)
+
+
+KILLED = """
+import os, signal, sys
+from dataclasses import replace
+from softdeca.surrogate.corpus import folder
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.plan import PRESETS
+from softdeca.surrogate.sphere import Spheres
+
+def write_and_die(path, shard, owner):
+    folder.Corpus.written = getattr(folder.Corpus, "written", 0) + 1
+    if folder.Corpus.written == 2:
+        path.with_name(f".{path.stem}-abc.h5").write_bytes(b"half")
+        os.kill(os.getpid(), signal.SIGKILL)
+    write(path, shard, owner)
+
+write, folder.write_shard = folder.write_shard, write_and_die
+space = Spheres(1)
+people = OfSpace(space, space.mean, space.fit)
+folder.Corpus(sys.argv[1], replace(PRESETS["tiny"], references=0), people).generate()
+"""
+
+
+def test_one_or_two_workers_killed_and_resumed_write_the_same_bytes(made, tmp_path):
+    """Seconds differ between runs, and lie in files of their own; every other file is the same to the byte."""
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    assert killed.returncode == -signal.SIGKILL and len(list(tmp_path.glob("person-*.h5"))) == 1
+    Corpus(tmp_path, PLAN, PEOPLE).generate(on=Schedule("processes", 2))
+    names = [f"person-{k:05d}.h5" for k in range(3)] + ["corpus.json", "template.npz", "velocities.npz"]
+    for name in names:
+        assert (tmp_path / name).read_bytes() == (made.folder / name).read_bytes(), name
+    beside = {f"person-{k:05d}.json" for k in range(3)}
+    assert {path.name for path in tmp_path.iterdir()} - {".lock"} == {*names, *beside}
+
+
+def test_seconds_lie_beside_a_shard(made, tmp_path):
+    shard, path = made.shard(0), tmp_path / "person-00000.h5"
+    write_shard(path, replace(shard, seconds={"fit": 1.5}), made.owner)
+    before = path.read_bytes()
+    assert read_seconds(path) == {"fit": 1.5}
+    write_shard(path, replace(shard, seconds={"fit": 2.5}), made.owner)
+    assert path.read_bytes() == before and read_seconds(path) == {"fit": 2.5}
+    with h5py.File(path, "r+") as file:
+        file.attrs["seconds"] = '{"fit": 3.5}'  # shards made before had them there
+    assert read_shard(path, made.owner).checksum == shard.checksum
+    seconds_path(path).unlink()
+    assert read_seconds(path) == {}
+    for damaged in ("[1]", '{"fit": "long"}', '{"fit": NaN}', '{"fit": -1}', "{"):
+        seconds_path(path).write_text(damaged)
+        with pytest.raises(InputError, match="person-00000.json: expected JSON of seconds by phase"):
+            read_seconds(path)
+
+
+def test_costs_are_not_told_where_seconds_are_missing(made):
+    assert summed([{"fit": 1.0, "statics": 2.0}, {"fit": 3.0}]) == {"fit": 4.0, "statics": 2.0}
+    assert summed([{"fit": 1.0}, {}]) == {} == summed([])
+    kept = seconds_path(made.shard_path(1)).read_bytes()
+    assert made.status().seconds["statics"] > 0.0
+    seconds_path(made.shard_path(1)).unlink()
+    status = made.status()
+    assert status.identities_done == 3 and status.seconds == {} and Rates.of(status) is None
+    assert write_card(made)["core_hours"] is None
+    assert "Core-hours not measured, " in (made.folder / "README.md").read_text()
+    seconds_path(made.shard_path(1)).write_bytes(kept)
 
 
 def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):

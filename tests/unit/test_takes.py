@@ -276,7 +276,10 @@ def test_the_three_forms_of_json_say_the_same(write):
         ('{"rate": 30, "frames": [{"jawOpn": 1}]}', "frame 0: unknown ARKit expression 'jawOpn'; did you mean jawOpen"),
         ('{"rate": 30, "frames": [{}, {"jawOpen": "x"}]}', "frame 1, jawOpen: x is no finite"),
         ('{"rate": 30, "frames": [{"jawOpen": NaN}]}', "frame 0, jawOpen: nan is no finite"),
-        ('{"rate": 30, "frames": [{"jawOpen": 1' + "0" * 400 + "}]}", "JSON: 401 digits in an integer; expected at most 18"),
+        (
+            '{"rate": 30, "frames": [{"jawOpen": 1' + "0" * 400 + "}]}",
+            "JSON: 401 digits in an integer; expected at most 18",
+        ),
         ('{"rate": 30, "frames": [{"jawOpen": true}]}', "frame 0, jawOpen: True"),
         ('{"rate": 30, "frames": [{"jawOpen": 1}, 3]}', "frame 1"),
         ('{"rate": 30, "frames": [[1]]}', '"names"'),

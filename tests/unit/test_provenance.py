@@ -1,0 +1,95 @@
+"""Every kept result says where, with what and from which commit it was measured; pages say it where one does not."""
+
+import json
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from softdeca.benchmarks.harness import machine, run
+from softdeca.benchmarks.harness.page import CHANGED, page
+from softdeca.benchmarks.harness.report import Made, write
+from softdeca.benchmarks.studies.verification import Verification
+from softdeca.lhm.files.toml_file import read_toml
+
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+FILES = sorted(RESULTS.rglob("*.json"))
+AT_MOST = 6
+"""Files that lack something; lower it when one is made again."""
+
+
+def content(path):
+    return json.loads(path.read_text())
+
+
+def test_every_kept_result_says_where_and_with_what_it_was_measured():
+    listed = read_toml(RESULTS / "lacking.toml")
+    assert all(len(each["reason"]) > 20 for each in listed.values()) and len(listed) <= AT_MOST
+    lacking = {str(path.relative_to(RESULTS)): machine.lacks(content(path)) for path in FILES}
+    assert {name: missing for name, missing in lacking.items() if missing} == {
+        name: each["lacks"] for name, each in listed.items()
+    }, "lacking.toml has to name exactly the files that lack something: make results from a clean tree"
+
+
+def test_what_a_result_lacks_is_named():
+    whole = content(RESULTS / "parts.json")
+    assert machine.lacks(whole) == []
+    for key, missing in (("commit", "commit"), ("versions", "versions"), ("processor", "machine")):
+        without = {name: value for name, value in whole["machine"].items() if name != key}
+        assert machine.lacks(whole | {"machine": without}) == [missing]
+    dirty = whole | {"machine": whole["machine"] | {"commit": "0123456-dirty"}}
+    unknown = whole | {"machine": whole["machine"] | {"commit": "not known: no git checkout"}}
+    assert machine.lacks(dirty) == ["clean tree"] and machine.lacks(unknown) == ["commit"]
+    kept = whole | {"rows": [row | {"commit": "0123456-dirty"} for row in whole["rows"]]}
+    assert machine.lacks(kept) == ["clean tree"]  # rows of a run before
+    assert machine.lacks({"a": whole, "b": dirty}) == ["clean tree"]  # a report of two studies
+    assert machine.lacks([1]) == machine.lacks({"scores": []}) == ["machine", "commit", "versions", "options"]
+
+
+def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
+    root = tmp_path / "house"
+    source = root / "benchmarks" / "harness" / "machine.py"
+    source.parent.mkdir(parents=True)
+    source.write_text("first = 1\n")
+    (root / "README.md").write_text("words\n")
+    monkeypatch.setattr(machine, "__file__", str(source))
+
+    def git(*words):
+        subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=root, check=True)
+
+    def commit():
+        machine.commit.cache_clear()
+        return machine.commit()
+
+    try:
+        git("init", "-q")
+        git("add", ".")
+        git("commit", "-qm", "first")
+        clean = commit()
+        assert re.fullmatch("[0-9a-f]{12}", clean)
+        (root / "README.md").write_text("other words\n")  # results are kept while the next study runs
+        (root / "benchmarks" / "results").mkdir()
+        (root / "benchmarks" / "results" / "new.toml").write_text("")
+        assert commit() == clean
+        new = root / "benchmarks" / "study.py"
+        new.write_text("second = 2\n")
+        assert commit() == clean + machine.DIRTY
+        new.unlink()
+        source.write_text("first = 2\n")
+        assert machine.is_dirty({"commit": commit()})
+    finally:
+        machine.commit.cache_clear()
+
+
+@pytest.mark.parametrize("commit", ["0123456789ab", "0123456789ab-dirty"])
+def test_pages_say_where_no_commit_holds_the_code(tmp_path, commit):
+    study = Verification(solvers=("skfem",))
+    results = run(study, tmp_path, match="two layers", workers=1)
+    results = replace(results, machine={**results.machine, "commit": commit})
+    write([Made(study, results, tmp_path)], tmp_path / "report", "mine")
+    shown = [page(study, results, tmp_path)] + [
+        (tmp_path / "report" / name).read_text() for name in ("index.html", "report.md")
+    ]
+    assert [CHANGED in text for text in shown] == 3 * [commit.endswith("dirty")]
