@@ -10,8 +10,13 @@ from . import animate, bench, corpus, head, simulate, study, train, view
 from .interruption import INTERRUPTED, interruptible
 from .streams import silence
 
+ROOT = (
+    "Several processes: mpirun -n 2 softdeca ... shares each FEniCSx solve among them. As root, Open MPI refuses to start "
+    "them unless OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 stand in the environment."
+)
 
-@click.group(context_settings={"show_default": True})
+
+@click.group(context_settings={"show_default": True}, epilog=ROOT)
 @click.version_option(package_name="softdeca", prog_name="softdeca", message="%(prog)s %(version)s")
 def app() -> None:
     """A finite-element reference on FEniCSx, and a learned surrogate, for physics-based faces."""

@@ -4,6 +4,7 @@ import os
 import sys
 from contextlib import suppress
 
+
 def open_closed() -> None:
     """Open the null device in place of each standard stream that is closed.
 

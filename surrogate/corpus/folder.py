@@ -22,14 +22,14 @@ from ...lhm.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
-from .intact import REMEDY, check_person
+from .intact import REMEDY, check_person, read_intact
 from .manifest import MANIFEST, read_manifest
 from .mixture import NAMES
 from .person import People
 from .plan import IDENTITY, CorpusPlan, Split
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
 from .simulate import GENERATOR, simulate_person
-from .template import CorpusTemplate, write_template
+from .template import CorpusTemplate, read_template, write_template
 from .velocities import velocities_of
 
 SERIAL = Schedule()
@@ -167,7 +167,7 @@ class Corpus:
         path = self.shard_path(identity)
         shard = read_shard(path, self.owner)
         try:
-            check_person(shard, self.plan.parameter_numbers(identity))
+            check_person(shard.groups.number, self.plan.parameter_numbers(identity))
         except InputError as error:
             raise InputError(f"shard {path}: {error}; {REMEDY}") from None
         return shard
@@ -185,35 +185,8 @@ class Corpus:
             on_progress("verify", (identity + 1) / self.plan.identities)
 
     def status(self) -> CorpusStatus:
-        """Count what is there, and list what was rejected or is damaged; contents are not read, see `verify`."""
-        tables = ("groups", "statics", "sequences", "references")
-        asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
-        rejected, damaged, done, size = [], [], 0, 0
-        versions: dict[str, int] = {}
-        timed: list[dict[str, float]] = []
-        names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
-        for identity in self.people_there():
-            path = self.shard_path(identity)
-            try:
-                arrays, label, spent = read_arrays_of(path, self.owner, *names), read_label(path), read_seconds(path)
-            except InputError as error:
-                damaged.append(str(error))
-                continue
-            done, size = done + 1, size + path.stat().st_size
-            versions[label.version] = versions.get(label.version, 0) + 1
-            timed.append(spent)
-            for table in tables:
-                status = arrays[f"{table}/status"]
-                each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
-                good = status == ACCEPTED.encode()
-                asked[table] += each * len(status)
-                accepted[table] += each * int(good.sum())
-                rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
-            asked["responses"] += len(arrays["responses/group"])
-            accepted["responses"] += len(arrays["responses/group"])
-        return CorpusStatus(
-            self.plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
-        )
+        """Count what is there: see `status_of`."""
+        return status_of(self.folder, self.plan, self.owner)
 
     def _write_manifest(self):
         content = self.manifest | {
@@ -234,6 +207,57 @@ def summed(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
     if not all(timed):
         return {}
     return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
+
+
+def status_of(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
+    """Count what is there, and list what was rejected or is damaged, in the folder of a corpus by its plan and name.
+
+    Only small arrays are read, unchecked; see `verify_folder`.
+    """
+    tables = ("groups", "statics", "sequences", "references")
+    asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
+    rejected, damaged, done, size = [], [], 0, 0
+    versions: dict[str, int] = {}
+    timed: list[dict[str, float]] = []
+    names = [f"{table}/status" for table in tables] + ["groups/number", "responses/group", "sequences/iterations"]
+    for identity in range(plan.identities):
+        path = shard_path(folder, identity)
+        if not path.exists():
+            continue
+        try:
+            arrays, label, spent = read_arrays_of(path, owner, *names), read_label(path), read_seconds(path)
+            check_person(arrays["groups/number"], plan.parameter_numbers(identity))
+        except InputError as error:
+            damaged.append(str(error) if str(path) in str(error) else f"shard {path}: {error}")
+            continue
+        done, size = done + 1, size + path.stat().st_size
+        versions[label.version] = versions.get(label.version, 0) + 1
+        timed.append(spent)
+        for table in tables:
+            status = arrays[f"{table}/status"]
+            each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
+            good = status == ACCEPTED.encode()
+            asked[table] += each * len(status)
+            accepted[table] += each * int(good.sum())
+            rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
+        asked["responses"] += len(arrays["responses/group"])
+        accepted["responses"] += len(arrays["responses/group"])
+    return CorpusStatus(
+        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
+    )
+
+
+def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = silent) -> int:
+    """Read every shard of a corpus whole, and return how many there are.
+
+    InputError names the first that is missing, damaged, or of another corpus or person; see `intact`.
+    """
+    manifest, n = read_manifest(folder), len(read_template(folder).mean.vertices)
+    people = manifest.counts.identities
+    for identity in range(people):
+        read_intact(shard_path(manifest.folder, identity), manifest, identity, n)
+        on_progress("verify", (identity + 1) / people)
+    return people
 
 
 def shard_path(folder: Path, identity: int) -> Path:

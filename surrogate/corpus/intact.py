@@ -39,7 +39,7 @@ def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) ->
     shard = read_shard(path, manifest.owner)
     try:
         _check_arrays(shard, vertices)
-        check_person(shard, manifest.counts.parameter_numbers(identity))
+        check_person(shard.groups.number, manifest.counts.parameter_numbers(identity))
     except InputError as error:
         raise InputError(f"shard {path}: {error}; {REMEDY}") from None
     if before is not None:
@@ -47,9 +47,9 @@ def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) ->
     return shard
 
 
-def check_person(shard: Shard, numbers: list[int]) -> None:
-    """InputError unless a shard is of the person to whom the plan gives these parameter sets, which no other has."""
-    found = whole("groups/number", shard.groups.number, 0, 2**62, (None,)).tolist()
+def check_person(said: np.ndarray, numbers: list[int]) -> None:
+    """InputError unless a shard's groups/number are the parameter sets that the plan gives its person and no other."""
+    found = whole("groups/number", said, 0, 2**62, (None,)).tolist()
     if found != numbers:
         raise InputError(f"of another person, with parameter sets {found[:3]}, expected {numbers[:3]}")
 

@@ -10,6 +10,7 @@ from PIL import Image
 
 from softdeca.benchmarks.harness import Asked, Task, compared, lanes, run, run_together, runner
 from softdeca.benchmarks.harness.lanes import Job
+from softdeca.benchmarks.harness.results_file import read_results
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
