@@ -11,8 +11,8 @@ from .interruption import INTERRUPTED, interruptible
 from .streams import silence
 
 ROOT = (
-    "Several processes: mpirun -n 2 softdeca ... shares each FEniCSx solve among them. As root, Open MPI refuses to start "
-    "them unless OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 stand in the environment."
+    "Several processes: mpirun -n 2 softdeca ... shares each FEniCSx solve among them. As root, Open MPI refuses to "
+    "start them unless OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 stand in the environment."
 )
 
 

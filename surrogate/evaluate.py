@@ -128,9 +128,7 @@ def score_of(method: Named, kind: str, error: Floats, motion: Floats, times: Tim
     Raises InputError where there is no frame, where nothing moves, and for numbers that are not finite.
     """
     if not len(error) or not motion.any() or not (np.isfinite(error).all() and np.isfinite(motion).all()):
-        why = (
-            "no frames" if not len(error) else "frames that nothing moves" if not motion.any() else "numbers not finite"
-        )
+        why = "numbers that are not finite" if motion.any() else "no frame that simulation moves"
         raise InputError(f"evaluate: {method.name}, {kind}: {why}")
     moves = motion > MOVES
     return Score(
