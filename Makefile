@@ -1,7 +1,8 @@
 # make study   the whole chain on the default head -> out/study/index.html
 # make test    every test, two at a time        make check   ruff, mypy, import-linter, the pages
-# make docs    the pages, their programs run -> out/docs/index.html
-# Each does first all set-up that is missing (tools/set-up), and starts at once when nothing is.
+# make docs    the pages, their programs run -> out/docs/index.html; installs Sphinx and its themes besides (extra "docs")
+# Each does first all set-up that is missing (tools/set-up), which says what it will install before it does, and
+# starts at once when nothing is missing.
 .PHONY: study test check docs setup clean
 PYTHON := .venv/bin/python
 

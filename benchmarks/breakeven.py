@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import read_manifest, shard_path, summed
+from ..surrogate.corpus.folder import shard_path, summed
+from ..surrogate.corpus.manifest import read_manifest
 from ..surrogate.corpus.shard import read_seconds
 from ..surrogate.evaluate import Score
 from ..surrogate.modal.weights import TrainingNote
@@ -47,12 +48,12 @@ def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | N
 
     None if none of them has frames, or if the seconds of one are not known.
     """
-    manifest = read_manifest(corpus)
-    people = range(int(manifest["content"]["identities"]) - int(manifest["tested"]))
-    timed = [read_seconds(path) for path in (shard_path(corpus, k) for k in people) if path.exists()]
+    counts = read_manifest(corpus).counts
+    paths = (shard_path(corpus, identity) for identity in range(counts.trained))
+    timed = [read_seconds(path) for path in paths if path.exists()]
     spent = {phase: summed(timed).get(phase, 0.0) for phase in PAID}
-    groups = len(timed) * int(manifest["content"]["groups"])
-    frames = groups * int(manifest["content"]["frames"])
+    groups = len(timed) * counts.groups
+    frames = groups * counts.frames
     if not frames or not spent["statics"]:
         return None
     return Breakeven(

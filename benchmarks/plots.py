@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import math
+import os
 from collections.abc import Mapping, Sequence
+
+from ..lhm.errors import InputError
 
 STYLE = {
     "svg.fonttype": "none",
@@ -71,13 +74,22 @@ def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]])
 
 def subplots(rows: int = 1, columns: int = 1, **more):
     """A figure and its axes, as pyplot.subplots makes them, in the style that all share; Matplotlib loads here."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = _pyplot()
     plt.rcParams.update(STYLE)
     return plt.subplots(rows, columns, **more)
+
+
+def _pyplot():
+    """Matplotlib's pyplot, which draws into memory; InputError where MPLBACKEND names what is not installed."""
+    try:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        import matplotlib.pyplot as plt
+    except ValueError as error:
+        named = os.environ.get("MPLBACKEND", "")
+        raise InputError(f"MPLBACKEND={named}: Matplotlib has no such backend ({str(error)[:40]})") from None
+    return plt
 
 
 def png(figure) -> bytes:

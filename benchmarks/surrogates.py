@@ -15,7 +15,8 @@ from ..lhm.errors import InputError
 from ..lhm.files.atomic import replaced
 from ..lhm.progress import OnProgress
 from ..surrogate import Surrogate
-from ..surrogate.corpus.folder import known_plan, read_manifest
+from ..surrogate.corpus.folder import known_plan
+from ..surrogate.corpus.manifest import read_manifest
 from ..surrogate.corpus.people import people_of
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import Split
@@ -94,24 +95,24 @@ def compare(
     grown = errors_over_size(training, curve, test, progress) if training is not None and curve else []
     elsewhere = None if external is None else faces_of(external, None, partial, network)
     ready = [make(network.weights) for make in READY.values()]
-    content = read_manifest(corpus)["content"]
+    counts = read_manifest(corpus).counts
     scores = evaluate(ready, test, on_progress=progress)
     if training is not None and rivals:
         fitted = [make() for make in learning().values()]
         scores += evaluate(fitted, test, training, on_progress=progress)
-        if content["sequences"]:
+        if counts.sequences:
             from ..surrogate.rivals.snp import SubspacePhysics
 
             scores.append(evaluate_sequences(SubspacePhysics(), corpus, partial=partial, on_progress=progress))
     known = network.weights.looseness
-    if content["sequences"] and known is not None:
+    if counts.sequences and known is not None:
         scores += evaluate_dynamic(ready, corpus, "test", known, partial=partial, on_progress=progress)
-    if content["references"]:
+    if counts.references:
         scores += evaluate_references(ready, corpus, "test", partial=partial, on_progress=progress)
     if elsewhere is not None:
         others = evaluate(ready, elsewhere, on_progress=progress)
         scores += [replace(score, kind=EXTERNAL) for score in others if score.kind == "all"]
-        if external is not None and read_manifest(external)["content"]["sequences"] and known is not None:
+        if external is not None and read_manifest(external).counts.sequences and known is not None:
             moving = evaluate_dynamic(ready, external, None, known, partial=partial, on_progress=progress)
             scores += [replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in moving]
     if simulated:

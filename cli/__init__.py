@@ -5,15 +5,21 @@ import signal
 import sys
 import warnings
 
+from .streams import open_closed
+
 # One thread is the fastest for the solvers' small blocks; it must be set before a BLAS is loaded.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+# Pictures go to files. A backend that is asked for and not installed would end Matplotlib's import.
+os.environ["MPLBACKEND"] = "agg"
 
 __all__ = ["main"]
 
 
 def main() -> None:
     """Run the command: see `app.main`. Interrupted while its modules are being loaded it ends in one line too."""
+    open_closed()
     warnings.showwarning = _in_one_line
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # elsewhere somebody has decided otherwise, as nohup has

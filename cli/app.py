@@ -7,9 +7,17 @@ import click
 from ..lhm.errors import SoftdecaError
 from ..reference import ranks
 from . import animate, bench, corpus, head, simulate, study, train, view
+from .interruption import INTERRUPTED, interruptible
+from .streams import silence
+
+ROOT = (
+    "Several processes: mpirun -n 2 softdeca ... shares each FEniCSx solve among them. As root, Open MPI refuses to "
+    "start them unless OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 stand in the environment."
+)
 
 
-@click.group(context_settings={"show_default": True})
+@click.group(context_settings={"show_default": True}, epilog=ROOT)
+@click.version_option(package_name="softdeca", prog_name="softdeca", message="%(prog)s %(version)s")
 def app() -> None:
     """A finite-element reference on FEniCSx, and a learned surrogate, for physics-based faces."""
 
@@ -30,24 +38,53 @@ def main() -> None:
 
     Of processes that mpirun starts together the first one runs it, and the others help FEniCSx.
     """
+    with interruptible():
+        status = _run()
+        ranks.leave(status)
+        sys.exit(status)
+
+
+def _run() -> int:
     try:
         ranks.lead()
-        status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False)
+        status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
+        sys.stdout.flush()
     except SoftdecaError as error:
         status = _fail(str(error))
+    except BrokenPipeError:  # as of `| head`, which has what it wanted
+        silence(1)
+        status = 1
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         status = _fail(f"{where}{error.strerror or error}")
+        if not _can_write():
+            silence(1)
+    except (RecursionError, MemoryError) as error:
+        status = _fail(f"{type(error).__name__}: input nested too deeply, or too large for this machine's memory")
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "softdeca"
         status = _fail(f"{error.format_message()} (`{command} --help` says more)", status=error.exit_code)
     except (KeyboardInterrupt, click.Abort):
-        print("softdeca: interrupted; what was finished is kept and used by the next run", file=sys.stderr)
-        status = 130
-    ranks.leave(status)
-    sys.exit(status)
+        status = _say("softdeca: interrupted; what was finished is kept and used by the next run", INTERRUPTED)
+    return status
 
 
 def _fail(message: str, *, status: int = 1) -> int:
-    print(f"softdeca: error: {' '.join(message.split())}", file=sys.stderr)
+    return _say(f"softdeca: error: {' '.join(message.split())}", status)
+
+
+def _say(line: str, status: int) -> int:
+    """Print a line on stderr, if it can be written to, and return the status."""
+    try:
+        print(line, file=sys.stderr, flush=True)
+    except OSError:
+        silence(2)
     return status
+
+
+def _can_write() -> bool:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return False
+    return True

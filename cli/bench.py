@@ -6,8 +6,10 @@ from pathlib import Path
 
 import click
 
+from ..lhm.bounds import SEED
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters
+from .counts import counted
 from .progress import shown
 from .study_command import Studies, changes, listed, report
 from .written_file import FOLDER
@@ -44,7 +46,7 @@ bench.add_command(report)
 @bench.command()
 @click.option("--identities", default="anny", help="the one head with a rig: 'anny' (the default head) or 'ict:FILE'")
 @click.option("--upon", required=True, help="the other, as ict:FILE")
-@click.option("--seed", default=0, type=click.IntRange(min=0), help="of a person of each, whose shapes are known")
+@click.option("--seed", default=0, type=counted(SEED), help="of a person of each, whose shapes are known")
 @click.option("--json", "as_json", is_flag=True, help="print every shape as JSON")
 def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
     """How far registered points slide, and how near transferred shapes come to a head's own: some two minutes.

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import click
 
+from ..lhm.bounds import PEOPLE as PEOPLE_BOUND
+from ..lhm.bounds import SEED, WORKERS
+from .counts import counted
 from .progress import shown
 from .written_file import FOLDER, PNG
 
@@ -44,7 +47,7 @@ def _options(command):
         click.argument("plan_file", metavar="[PLAN.toml]", required=False, type=AFile),
         click.option("--preset", help="tiny (default), study, small, neutral or paper, in place of a file"),
         click.option("--takes", type=AFolder, help="folder of recorded takes (LiveLink CSV, JSON, weights.csv)"),
-        click.option("--people", "count", type=click.IntRange(2), help="how many, in place of the plan's"),
+        click.option("--people", "count", type=counted(PEOPLE_BOUND), help="how many, in place of the plan's"),
         PEOPLE,
         LEVEL,
         JSON,
@@ -62,7 +65,8 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
     PLAN.toml has `preset` and any field of the plan, such as identities = 640, groups = 4, frames = 9, sequences = 1,
     responses = 1.0, references = 5, varying = 0.5, seed = 1, and tables of shares [kinds] and [sources].
     """
-    from ..surrogate.corpus.folder import Corpus, read_manifest
+    from ..surrogate.corpus.folder import Corpus
+    from ..surrogate.corpus.manifest import read_manifest
     from ..surrogate.corpus.people import people_of
     from ..surrogate.corpus.predict import Rates, predicted, probe
 
@@ -97,7 +101,7 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
 @corpus.command()
 @_options
 @click.option("--out", default="out/corpus", type=FOLDER, help="folder of the corpus; what is done there is kept")
-@click.option("--workers", type=click.IntRange(1), default=1, help="processes on this machine (embedded Dask cluster)")
+@click.option("--workers", type=counted(WORKERS), default=1, help="processes on this machine (embedded Dask cluster)")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="of an existing Dask cluster, as tcp://host:8786, in place of them"
 )
@@ -111,7 +115,7 @@ def generate(plan_file, preset, takes, count, identities, level, as_json, out, w
 
 @corpus.command()
 @click.argument("folder", type=AFolder)
-@click.option("--workers", type=click.IntRange(1), default=1, help="processes on this machine (embedded Dask cluster)")
+@click.option("--workers", type=counted(WORKERS), default=1, help="processes on this machine (embedded Dask cluster)")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="of an existing Dask cluster, as tcp://host:8786, in place of them"
 )
@@ -132,23 +136,15 @@ def _known(folder: Path):
     return known_plan(folder)
 
 
-def _opened(folder: Path, progress):
-    from ..surrogate.corpus.folder import Corpus
-    from ..surrogate.corpus.people import people_of
-
-    plan, made_with = _known(folder)
-    people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
-    return Corpus(folder, plan, people)
-
-
 def _generate(out, plan, identities, level, workers, scheduler, as_json, progress) -> int:
     from ..benchmarks.harness.machine import describe
     from ..surrogate.corpus.card import write_card
     from ..surrogate.corpus.folder import Corpus
     from ..surrogate.corpus.people import people_of
-    from ..surrogate.schedule import schedule
+    from ..surrogate.schedule import check_answers, schedule
 
     on = schedule(workers, scheduler)
+    check_answers(on)
     people = people_of(identities, level=level, on_progress=progress)
     made_with = {"identities": identities, "level": level}
     status = Corpus(out, plan, people, made_with).generate(on=on, on_progress=progress)
@@ -180,8 +176,11 @@ def _tell(status, folder: Path, as_json: bool) -> None:
 @JSON
 def status(folder: Path, as_json: bool) -> int:
     """What a corpus holds, what was rejected and why, and which shards are damaged. Exit status 1 until it is whole."""
-    with shown() as progress:
-        found = _opened(folder, progress).status()
+    from ..surrogate.corpus.folder import status_of
+    from ..surrogate.corpus.manifest import read_manifest
+
+    manifest = read_manifest(folder)
+    found = status_of(folder, manifest.counts, manifest.owner)
     _tell(found, folder, as_json)
     return 0 if found.identities_done == found.identities and not found.damaged else 1
 
@@ -189,18 +188,22 @@ def status(folder: Path, as_json: bool) -> int:
 @corpus.command()
 @click.argument("folder", type=AFolder)
 def verify(folder: Path) -> int:
-    """Read every shard and check it against its checksum; the first that is missing or damaged is named."""
+    """Read every shard of a corpus and check it; the first that is missing, damaged or swapped is named.
+
+    FOLDER may be a study's own corpus, OUT/surrogate/corpus-... of `softdeca study`, as for `status`.
+    """
+    from ..surrogate.corpus.folder import verify_folder
+
     with shown() as progress:
-        opened = _opened(folder, progress)
-        opened.verify(on_progress=progress)
-    click.echo(f"{folder}: {opened.plan.identities} shards are whole")
+        people = verify_folder(folder, on_progress=progress)
+    click.echo(f"{folder}: {people} shards are whole")
     return 0
 
 
 @corpus.command()
 @click.argument("folder", type=AFolder)
 @click.option("--count", type=click.IntRange(1, 200), default=12, help="frames")
-@click.option("--seed", type=click.IntRange(0), default=0, help="of the choice")
+@click.option("--seed", type=counted(SEED), default=0, help="of the choice")
 @click.option("--out", type=PNG, help="default: FOLDER/sample.png")
 def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
     """A contact sheet of random accepted frames: blendshapes S, simulation T, and |T - S| as colours."""

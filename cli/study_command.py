@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..benchmarks.studies import names, study_of
+from ..lhm.bounds import SEED, WORKERS, Bound
 from ..lhm.errors import InputError
+from .counts import counted
 from .progress import shown
 from .written_file import WrittenFolder
 
@@ -19,6 +21,19 @@ if TYPE_CHECKING:
     # It brings the surrogate with it, which most commands go without.
     from ..benchmarks.harness.study import Study
 
+COUNTS: dict[str, Bound] = {
+    "seed": SEED,
+    "level": Bound("level", 3, "templates have three", 1),
+    "repeats": Bound("repeats", 1_000, "medians of fewer are as good", 1),
+    "rounds": Bound("rounds", 1_000, "medians of fewer are as good", 1),
+    "people": Bound("people", 1_000, "each is minutes of work", 1),
+    "frames": Bound("frames", 100_000, "each is 0.1 s of work or more", 1),
+    "count": Bound("identities", 100_000, "each is a second of work or more", 1),
+    "gallery": Bound("heads", 1_000, "each is simulated and drawn"),
+    "fan": Bound("starts", 1_000, "each is a solve"),
+    "up_to": Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1),
+}
+"""The bound of a study's option by its field's name; where a study itself takes less, it says so."""
 ONLY = ("missing", "failed", "all")
 
 
@@ -100,7 +115,7 @@ def command_of(kind: type[Study]) -> click.Command:
     common = [
         click.Option(["--match"], default="", help="only cases and methods with this in their name"),
         click.Option(["--only"], type=click.Choice(ONLY), default="missing", help="which to do: failed again, or all"),
-        click.Option(["--workers"], type=click.IntRange(min=1), help="processes; default: all; one if timed"),
+        click.Option(["--workers"], type=counted(WORKERS), help="processes; default: all; one if timed"),
         click.Option(["--out"], type=WrittenFolder(), default=f"out/{kind.name}", help="folder of the report"),
         click.Option(["--json", "as_json"], is_flag=True, help="print the results file to stdout"),
     ]
@@ -118,7 +133,8 @@ def command_of(kind: type[Study]) -> click.Command:
     Writes OUT/index.html, OUT/results.json and, as they come, OUT/rows.jsonl; rows that are there are kept. Exit
     status 1 if a statement does not hold or a case could not be measured.
     """
-    return click.Command(kind.name, params=[*own, *common], callback=run, help=text)
+    # Click's own first sentence would end at "Eq."
+    return click.Command(kind.name, params=[*own, *common], callback=run, help=text, short_help=kind.question)
 
 
 def _option(field: Field) -> click.Option:
@@ -132,7 +148,8 @@ def _option(field: Field) -> click.Option:
         return click.Option([name, field.name], is_flag=True, **words)
     if several:
         return click.Option([name, field.name], multiple=True, **words)
-    return click.Option([name, field.name], type=type(field.default), **words)
+    kind = counted(COUNTS[field.name]) if field.name in COUNTS else type(field.default)
+    return click.Option([name, field.name], type=kind, **words)
 
 
 def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:

@@ -8,6 +8,7 @@ import click
 import numpy as np
 
 from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm.bounds import SEED
 from ..lhm.errors import InputError
 from ..lhm.expressions import Take
 from ..lhm.files.head_file import load_head
@@ -15,6 +16,7 @@ from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
+from .counts import counted
 
 AFile = click.Path(path_type=Path)
 OF_HEADS = (
@@ -22,7 +24,7 @@ OF_HEADS = (
     click.option(
         "--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with --head: whose expressions"
     ),
-    click.option("--seed", type=click.IntRange(min=0), help="of a random identity; default: the mean"),
+    click.option("--seed", type=counted(SEED), help="of a random identity; default: the mean"),
     click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap"),
     click.option(
         "--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults"

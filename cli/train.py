@@ -6,7 +6,9 @@ from pathlib import Path
 
 import click
 
+from ..lhm.bounds import FACES, PEOPLE_PAIRS, TRAINING_STEPS, WORKERS
 from ..lhm.files.atomic import replaced
+from .counts import counted
 from .progress import shown
 from .written_file import FOLDER
 
@@ -20,7 +22,7 @@ from .written_file import FOLDER
     default="modal",
     help="modal: what is shipped; paper: SoftDECA's hypernetwork of deformation gradients, to compare with",
 )
-@click.option("--steps", type=click.IntRange(min=1), help="instead of the network's own number")
+@click.option("--steps", type=counted(TRAINING_STEPS), help="instead of the network's own number")
 @click.option("--device", default="cpu", help="as torch names it: cpu, cuda")
 @click.option(
     "--precision",
@@ -119,17 +121,17 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
 @click.option("--rivals", is_flag=True, help="also fit rivals that learn to the corpus' training faces (minutes)")
 @click.option(
     "--simulated",
-    type=click.IntRange(0),
+    type=counted(FACES),
     default=0,
     help="faces on which rivals that simulate run, too, and unseen parameters: minutes",
 )
 @click.option(
     "--generalisation",
-    type=click.IntRange(1),
+    type=counted(PEOPLE_PAIRS),
     metavar="N",
     help="pairs of people, known and unseen, simulated under both's parameters and recordings: a minute of a core each",
 )
-@click.option("--workers", type=click.IntRange(1), default=1, help="processes of --generalisation")
+@click.option("--workers", type=counted(WORKERS), default=1, help="processes of --generalisation")
 @click.option(
     "--curve",
     multiple=True,

@@ -5,9 +5,11 @@ from pathlib import Path
 import click
 import numpy as np
 
+from ..lhm.bounds import SEED
 from ..lhm.files.atomic import write_whole
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters
+from .counts import counted
 from .progress import shown
 from .take_options import WhichHead
 from .written_file import HTML
@@ -19,7 +21,7 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
 @click.command()
 @click.argument("head_file", metavar="[HEAD]", type=AFile, required=False)
 @click.option("--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with HEAD: whose expressions")
-@click.option("--seed", type=click.IntRange(min=0), help="of a random identity; default: the mean")
+@click.option("--seed", type=counted(SEED), help="of a random identity; default: the mean")
 @click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults")
 @click.option("--out", default="out/view.html", type=HTML, help="the page")
 def view(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..lhm.errors import InputError, SceneError
 from .materials import EnergyLaw
@@ -35,7 +37,8 @@ def add_file(path: Path | str):
     """Run a Python file, which adds laws (`add_law`), solvers (`add_solver`) or studies; once, if asked twice.
 
     Its classes are those of a module "softdeca_added_" and the file's name, also in processes that a study starts.
-    Raises InputError for a file that is missing, has the name of another one, or raises anything itself.
+    Raises InputError for a file that is missing, has the name of another one, raises anything itself, or ends the
+    process, which would look as if all had been done.
     """
     path = Path(path).resolve()
     name = f"softdeca_added_{path.stem}"
@@ -50,11 +53,30 @@ def add_file(path: Path | str):
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
+        with _without_exit(path):
+            spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise InputError(f"{path}: {type(error).__name__}: {error}") from error
+    except BaseException:  # Ctrl-C
+        del sys.modules[name]
+        raise
     _files[name] = path
+
+
+@contextmanager
+def _without_exit(path: Path) -> Iterator[None]:
+    """Let os._exit raise while a file is run: it would end the process without a word."""
+    ends = os._exit
+
+    def refuse(status: int) -> NoReturn:
+        raise InputError(f"it ends the process (os._exit({status}))")
+
+    os._exit = refuse  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        os._exit = ends
 
 
 def added_files() -> tuple[Path, ...]:

@@ -9,8 +9,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ..lhm.bounds import MARCH_STEPS, MARCH_VALUES
 from ..lhm.checked import checked
-from ..lhm.errors import SceneError
+from ..lhm.errors import InputError, SceneError
 from ..lhm.mesh import Floats, Ints
 from .scene import Scene
 from .schemes import Scheme, scheme
@@ -149,8 +150,10 @@ def _checked(
     step = np.asarray(time_step, dtype=np.float64)
     if step.shape != () or not 0.0 < step <= LONGEST:
         raise SceneError(f"time_step: must be above 0 s and at most {LONGEST:g}, got {time_step!r}")
-    if not isinstance(steps, (int, np.integer)) or steps < 1:
-        raise SceneError(f"steps: must be a whole number of at least 1, got {steps!r}")
+    try:
+        MARCH_STEPS.check("steps", steps)
+    except InputError as error:
+        raise SceneError(str(error)) from None
     if mass not in MASSES:
         raise SceneError(f"mass {mass!r}: there are {', '.join(MASSES)}")
     triangles = np.empty((0, 3), dtype=np.int64) if skin is None else np.asarray(skin)
@@ -177,6 +180,11 @@ def _checked(
         raise SceneError(f"keep: expected vertices of shape (k,), got shape {vertices.shape} of {vertices.dtype}")
     if vertices.size and not (vertices.min() >= 0 and vertices.max() < len(scene.vertices)):
         raise SceneError(f"keep: a vertex is outside 0..{len(scene.vertices) - 1}")
+    if (int(steps) + 1) * 3 * len(vertices) > MARCH_VALUES.most:
+        raise SceneError(
+            f"steps: {steps:,} of {len(vertices):,} vertices are too much to record; name fewer by keep, or march in "
+            f"parts: at most {MARCH_VALUES.most // 3:,} vertices times steps"
+        )
     return Motion(
         scene, rule, float(step), int(steps), volume, triangles.astype(np.int64), area, mass,
         (float(rayleigh[0]), float(rayleigh[1])), targets, fixed, scenes, acceleration,

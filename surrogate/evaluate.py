@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..lhm.errors import InputError
 from ..lhm.mesh import Floats
 from ..lhm.progress import OnProgress, silent
 from .modal.faces import Face, Faces, Frames
@@ -102,6 +103,10 @@ def _scores(method: Method, test: Tests, chosen: Sequence[int], fit_seconds: flo
         motions.append(np.linalg.norm(truth, axis=2))
         kinds += [face.kind] * len(frames.weights)
         varying += [bool(face.coefficients[:, 1:].any())] * len(frames.weights)
+    if not errors:
+        raise InputError(
+            "evaluate: the faces have no accepted static frames; make more of the corpus, or another split"
+        )
     error, motion, kind = np.concatenate(errors), np.concatenate(motions), np.array(kinds)
     times: Times = fit_seconds, 1e3 * float(np.median(binding)), 1e3 * float(np.median(framing))
     parts = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
@@ -118,7 +123,13 @@ class Named(Protocol):
 
 
 def score_of(method: Named, kind: str, error: Floats, motion: Floats, times: Times) -> Score:
-    """Of distances of vertices to the truth (frames, n) [mm], and by how much that is off the blendshapes."""
+    """Return the score of distances of vertices to the truth (frames, n) [mm], and of that to the blendshapes.
+
+    Raises InputError where there is no frame, where nothing moves, and for numbers that are not finite.
+    """
+    if not len(error) or not motion.any() or not (np.isfinite(error).all() and np.isfinite(motion).all()):
+        why = "numbers that are not finite" if motion.any() else "no frame that simulation moves"
+        raise InputError(f"evaluate: {method.name}, {kind}: {why}")
     moves = motion > MOVES
     return Score(
         method=method.name,

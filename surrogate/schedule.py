@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from threadpoolctl import threadpool_limits
 
+from ..lhm.bounds import WORKERS
 from ..lhm.errors import InputError, MissingDependencyError, SoftdecaError
 
 if TYPE_CHECKING:
@@ -44,8 +45,8 @@ _ADDRESS = re.compile(r"\w+://\S+|[^\s/:]\S*:\d{1,5}")
 class Schedule:
     """`where`: "serial"; "processes", `workers` of this machine; "dask", the cluster of a scheduler at `address`.
 
-    Raises InputError for fewer than one worker, for what is no address, and for one without "dask" or the other way
-    round.
+    Raises InputError for workers beyond `bounds.WORKERS`, for what is no address, and for one without "dask" or the
+    other way round.
     """
 
     where: Where = "serial"
@@ -55,8 +56,7 @@ class Schedule:
     def __post_init__(self):
         if self.where not in get_args(Where):
             raise InputError(f"schedule {self.where!r}: there are {', '.join(get_args(Where))}")
-        if isinstance(self.workers, bool) or not isinstance(self.workers, int) or self.workers < 1:
-            raise InputError(f"workers: must be at least 1, got {self.workers!r}")
+        WORKERS.check("workers", self.workers)
         if (self.where == "dask") != (self.address is not None):
             raise InputError("schedule: a scheduler's address belongs to 'dask', and 'dask' needs one")
         if self.address is not None and not _ADDRESS.fullmatch(self.address):
@@ -68,6 +68,13 @@ def schedule(workers: int = 1, address: str | None = None) -> Schedule:
     if address is not None:
         return Schedule("dask", workers, address)
     return Schedule("serial" if workers == 1 else "processes", workers)
+
+
+def check_answers(on: Schedule) -> None:
+    """Raise InputError now where the scheduler of a cluster does not answer, rather than after minutes of set-up."""
+    if on.where == "dask":
+        with _client(on, 1):
+            pass
 
 
 def results_of(

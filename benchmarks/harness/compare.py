@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...lhm.errors import InputError
+from .results_file import of_this_version, read_results
 from .study import Column, Study
 
 LEAST = 0.02
@@ -38,8 +38,7 @@ class Change:
     @property
     def told(self) -> bool:
         """Whether it is more than noise."""
-        same = self.before == self.after or (np.isnan(self.before) and np.isnan(self.after))
-        return not same and not abs(self.after - self.before) <= self.noise
+        return abs(self.after - self.before) > self.noise
 
 
 @dataclass(frozen=True)
@@ -52,18 +51,11 @@ class Comparison:
 
 
 def read(path: Path) -> Mapping[str, Any]:
-    """A results file of `run`, or the folder with one; InputError if it is none."""
-    file = path / "results.json" if path.is_dir() else path
-    try:
-        found = json.loads(file.read_text())
-        rows = {f"{r['case']}, {r['method']}": r for r in found["rows"]}
-        return {
-            "study": found["study"],
-            "rows": rows,
-            "gates": {g["what"]: g["passed"] for g in found.get("gates", ())},
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: no results of a study ({type(error).__name__})") from None
+    """Return study, rows by name and gates by name of a results file, or of the folder with one; see `read_results`."""
+    said = read_results(path)
+    rows = {f"{row['case']}, {row['method']}": row for row in said["rows"]}
+    gates = {gate["what"]: gate["passed"] for gate in said["gates"]}
+    return {"study": said["study"], "rows": rows, "gates": gates}
 
 
 def study_in(path: Path) -> str:
@@ -81,6 +73,11 @@ def compared(before: Path, after: Path, kind: type[Study]) -> Comparison:
     old, new = read(before), read(after)
     if old["study"] != new["study"]:
         raise InputError(f"{before} is of {old['study']!r}, {after} of {new['study']!r}: they cannot be compared")
+    with of_this_version(f"{before} and {after}"):
+        return _compared(old, new, kind)
+
+
+def _compared(old: Mapping[str, Any], new: Mapping[str, Any], kind: type[Study]) -> Comparison:
     found = Comparison([], [], [])
     pairs: list[tuple[str, Column, Any, Any]] = []
     for task in [*old["rows"], *(task for task in new["rows"] if task not in old["rows"])]:

@@ -164,7 +164,7 @@ def _measure(job: Job) -> Measured:
             values = job.study.measure(job.task)
     except (MissingDependencyError, NotModelledError) as error:
         return Measured(job, "skipped", str(error))
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a SystemExit of a study that a file adds would end the command
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
         return Measured(job, "failed", " ".join(reason.split()), seconds=time.perf_counter() - begin)
     memory = peak_megabytes() if job.study.alone else None

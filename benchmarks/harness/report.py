@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from ...lhm.bounds import plain, shown
 from ...lhm.errors import InputError
 from ...lhm.files.atomic import write_whole
 from .machine import is_dirty
-from .page import machine_rows, rendered, rows_table, shown
+from .page import machine_rows, rendered, rows_table
+from .page import shown as shown_study
+from .results_file import of_this_version, read_results
 from .runner import Results, Row
 from .study import Study, Table
 from .tables import latex, markdown
@@ -44,17 +47,31 @@ def read(path: Path, kind_of: Callable[[str], type[Study]]) -> Made:
     Raises InputError for what is no such file, and for results that this version's study would not have.
     """
     file = path / "results.json" if path.is_dir() else path
+    said = read_results(file)
     try:
-        found = json.loads(file.read_text())
-        found["rows"] = tuple(Row(**row) for row in found["rows"])
-        results = Results(**(found | {"gates": tuple(found["gates"])}))
-        kind = kind_of(results.study)
-        known = {field.name for field in fields(kind)}  # type: ignore[arg-type]  # every study is a dataclass
-        options = {key: tuple(value) if isinstance(value, list) else value for key, value in results.options.items()}
-        study = kind(**{key: value for key, value in options.items() if key in known})
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: no results of a study ({type(error).__name__})") from None
+        rows = tuple(Row(**row) for row in said["rows"])
+        results = Results(**(said | {"rows": rows, "gates": tuple(said["gates"])}))
+        study = _study(kind_of(results.study), results.options)
+        if not isinstance(results.machine, dict) or not isinstance(results.words, str):
+            raise InputError("machine and words: expected an object and a text")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = plain(" ".join(str(error).split()))[:120]
+        raise InputError(f"{file}: no results of a study ({type(error).__name__}: {reason})") from None
     return Made(study, results, file.parent)
+
+
+def _study(kind: type[Study], said: Mapping[str, Any]) -> Study:
+    """Make the study of these options, each of the kind of its default; those that it has no more are left out."""
+    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]  # every study is a dataclass
+    options = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in said.items() if name in known
+    }
+    for name, value in options.items():
+        default = known[name].default
+        good = (int, float) if isinstance(default, float) else type(default)
+        if default is not MISSING and not isinstance(value, good):
+            raise InputError(f"options {name}: got {shown(value)}, expected as {shown(default)}")
+    return kind(**options)
 
 
 def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple[str, str]] = ()) -> list[Path]:
@@ -65,10 +82,21 @@ def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple
     named = {made.results.study: made for made in studies}
     if not studies or len(named) < len(studies):
         raise InputError("report: results of one study or more are needed, and of each study once")
-    try:
-        sections = {name: shown(made.study, made.results, made.folder) for name, made in _ordered(named).items()}
-    except KeyError as error:
-        raise InputError(f"report: results without {error}, made by another version; run that study again") from None
+    sections = {}
+    for name, made in _ordered(named).items():
+        with of_this_version(f"report, {name}"):
+            sections[name] = shown_study(made.study, made.results, made.folder)
+    with of_this_version("report"):
+        files = _files(named, title, sections, failed)
+    for name, content in files.items():
+        write_whole(out / name, content.encode())
+    return [out / name for name in files]
+
+
+def _files(
+    named: Mapping[str, Made], title: str, sections: Mapping[str, dict[str, Any]], failed: Sequence[tuple[str, str]]
+) -> dict[str, str]:
+    """The texts of the report's files by name."""
     conclusion = concluded(named)
     missed = [
         (made.results.study, gate["what"], gate["value"], gate["bound"])
@@ -81,7 +109,7 @@ def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple
         for name, each in ((name, made.results) for name, made in named.items())
     ]
     first = next(iter(named.values())).results.machine
-    files = {
+    return {
         "index.html": rendered(
             "report_of_studies.html", {"title": title}, conclusion=conclusion, missed=missed, failed=failed,
             sections=sections, machines=machines, machine=machine_rows(first),
@@ -92,9 +120,6 @@ def write(studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple
             latex(table, f"{name} {table.caption}") for name, made in named.items() for table in _tables(made)
         ),
     }  # fmt: skip
-    for name, content in files.items():
-        write_whole(out / name, content.encode())
-    return [out / name for name in files]
 
 
 def concluded(named: Mapping[str, Made]) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...lhm.errors import InputError
 from ...surrogate import Surrogate
-from ...surrogate.corpus.folder import read_manifest
+from ...surrogate.corpus.manifest import read_manifest
 from ...surrogate.evaluate import Score, evaluate
 from ...surrogate.modal.faces import Faces
 from ..harness.gates import above

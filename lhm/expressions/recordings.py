@@ -10,12 +10,14 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bounds import RECORDED_FILES, RECORDINGS
 from ..checked import checked
 from ..errors import InputError
 from ..mesh import Ints
@@ -70,15 +72,17 @@ def recordings(
 
     `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
     `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`: how many, each of `seconds`.
-    Raises InputError for a folder that is not there or has no take, counts below 0, and what `speech` and the makers
-    raise.
+    Raises InputError for a folder that is not there or has no take, counts beyond `bounds.RECORDINGS`, and what
+    `speech` and the makers raise.
     """
-    if min(conversations, random) < 0:
-        raise InputError("recordings: counts must be 0 or more")
+    RECORDINGS.check("conversations", conversations)
+    RECORDINGS.check("random", random)
     check_frames(seconds * rate, rate)
     frames = round(seconds * rate)
     found = [] if folder is None else _real(Path(folder), rate)
-    for number, text in enumerate(texts() if spoken is None else spoken):
+    spoken = texts() if spoken is None else spoken
+    RECORDINGS.check("spoken", len(spoken))
+    for number, text in enumerate(spoken):
         count = len(_made("speech", text, 0, rate, pace).times)
         found.append(Recording(f"speech/{number:02d}", "speech", count, rate, text, pace))
     found += [Recording(f"conversation/{k}", "conversation", frames, rate, str(k)) for k in range(conversations)]
@@ -105,7 +109,10 @@ def _real(folder: Path, rate: float) -> list[Recording]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
     found = []
-    for path in sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()):
+    files = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    paths = sorted(islice(files, RECORDED_FILES.most + 1))
+    RECORDED_FILES.check(str(folder), len(paths))
+    for path in paths:
         try:
             count = len(resampled(read_take(path), rate).times)
         except InputError as error:

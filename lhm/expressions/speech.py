@@ -10,6 +10,7 @@ import re
 import zlib
 from importlib import resources
 
+from ..bounds import SPEECH_LETTERS, shown
 from ..checked import checked
 from ..errors import InputError
 from .livelink import parse_csv
@@ -30,9 +31,10 @@ GESTURES = {
 def speech(text: str, *, pace: float = PACE) -> Take:
     """A take of someone saying an English text, at 60 Hz; the same text and pace [sounds per second] give the same.
 
-    Raises InputError for a text without words or with one that has no sounds, such as 3, for a pace outside [2, 30],
-    and where openfacefx is not installed.
+    Raises InputError for a text without words or with one that has no sounds, such as 3, for one that is longer than
+    `bounds.SPEECH_LETTERS`, for a pace outside [2, 30], and where openfacefx is not installed.
     """
+    SPEECH_LETTERS.check("speech", len(text))
     if not SLOWEST <= pace <= FASTEST:
         raise InputError(f"pace: {pace:g} sounds per second, expected {SLOWEST:g} to {FASTEST:g}")
     try:
@@ -61,14 +63,14 @@ def _segments(text: str, seconds: float) -> list:
         pause = STOP if re.search(r"[.!?…]", mark) else COMMA
         segments.append(fx.PhonemeSegment("sil", segments[-1].end, segments[-1].end + pause))
     if len(segments) == 1:
-        raise InputError(f"speech: no words in {text[:40]!r}")
+        raise InputError(f"speech: no words in {shown(text)!r}")
     return segments
 
 
 def _spoken(word: str, sounds_of) -> list[str]:
     sounds = sounds_of.phrase(word)
     if not sounds and re.search(r"\w", word):
-        raise InputError(f"speech: {word!r} is no English word; numbers are to be written out")
+        raise InputError(f"speech: {shown(word)!r} is no English word; numbers are to be written out")
     return sounds
 
 

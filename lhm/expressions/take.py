@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arkit import ARKIT
+from ..bounds import TAKE_FRAMES
 from ..checked import checked
 from ..errors import InputError
 from ..mesh import Floats
@@ -43,6 +44,7 @@ class Take:
         weights, times = (np.array(values, dtype=np.float64) for values in (self.weights, self.times))
         if weights.ndim != 2 or weights.shape[1] != len(ARKIT) or not len(weights):
             raise InputError(f"take: expected weights of shape (frames, {len(ARKIT)}), got {weights.shape}")
+        TAKE_FRAMES.check("take", len(weights))
         bad = np.argwhere(~((weights >= 0.0) & (weights <= 1.0)))
         if len(bad):
             value = weights[tuple(bad[0])]
@@ -104,8 +106,6 @@ class Take:
         return tuple(text for there, text in said if there)
 
 
-MOST_FRAMES = 10_000_000
-"""Of a take: nearly two days at 60 Hz, and 4 GB."""
 FASTEST = 10_000.0
 """Frames per second [Hz]."""
 
@@ -117,10 +117,9 @@ def check_rate(rate: float) -> None:
 
 
 def check_frames(frames: float, rate: float) -> None:
-    """Raise InputError unless a take can have so many frames at this rate [Hz]."""
+    """Raise InputError unless a take can have so many frames at this rate [Hz], see `bounds.TAKE_FRAMES`."""
     check_rate(rate)
-    if not 1 <= frames <= MOST_FRAMES:
-        raise InputError(f"frames: {frames:.0f}, expected 1 to {MOST_FRAMES:,}")
+    TAKE_FRAMES.check("take", round(frames) if np.isfinite(frames) else TAKE_FRAMES.most + 1)
 
 
 def take_of(

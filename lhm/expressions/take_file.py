@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from ..bounds import TAKE_BYTES
 from ..checked import checked
 from ..errors import InputError
+from ..validate import read_bytes
 from .livelink import parse_csv
 from .take import Take
 from .take_json import parse_json
@@ -26,13 +28,11 @@ def read_take(path: str | os.PathLike[str]) -> Take:
     parse = parsers.get(path.suffix.lower())
     if parse is None:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(parsers)}")
+    content = read_bytes(path, TAKE_BYTES)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text"
-        raise InputError(f"{path}: cannot be read ({reason})") from None
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot be read (it is no text)") from None
     if not text.strip():
         raise InputError(f"{path}: the file is empty")
     if parse is parse_csv and is_transposed(text):

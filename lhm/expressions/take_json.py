@@ -9,15 +9,16 @@ Names are ARKit's, whatever their order and case; an unknown one is an error. Of
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
 
 import numpy as np
 
 from ..arkit import ARKIT
+from ..bounds import TAKE_FRAMES, shown
 from ..errors import InputError
 from ..mesh import Floats
+from ..validate import parse_json as from_json
 from .blending import index
 from .take import Take, check_rate, take_of
 
@@ -26,13 +27,11 @@ _BY_LOWER = {name.lower(): name for name in ARKIT}
 
 def parse_json(text: str) -> Take:
     """The take in a JSON text, of one of the forms above; InputError names frame and expression."""
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON ({' '.join(str(error).split())})") from None
+    content = from_json(text, allow_nan=True)  # weights and times that are not finite are named with their frame
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError('not a take: expected an object with a list "frames" that is not empty')
+    TAKE_FRAMES.check('"frames"', len(frames))
     timed = [frame.get("time") if isinstance(frame, dict) and "weights" in frame else None for frame in frames]
     if isinstance(frames[0], dict) and "weights" not in frames[0]:
         names, values = _of_objects(frames)
@@ -95,7 +94,7 @@ def _number(value: Any, where: str) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"{where}: {str(value)[:40]} is no finite number")
+        raise InputError(f"{where}: {shown(value)} is no finite number")
     return number
 
 

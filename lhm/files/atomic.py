@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import InputError
+
+NAMED = 100
+"""Characters of a file's name that its temporary one begins with: names end at 255."""
+_unfinished: set[Path] = set()
 
 
 @contextmanager
@@ -22,18 +26,27 @@ def replaced(path: str | os.PathLike[str]) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-        os.close(handle)
-        temporary = Path(name)
+        # Named before it is made, so that an interruption at any place finds it here.
+        temporary = path.parent / f".{path.stem[:NAMED]}-{secrets.token_hex(4)}{path.suffix}"
+        _unfinished.add(temporary)
         try:
+            temporary.touch(0o600, exist_ok=False)
             yield temporary
             temporary.chmod(0o666 & ~_umask())
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+            _unfinished.discard(temporary)
     except OSError as error:
         where = f": {error.filename}" if error.filename else ""
         raise InputError(f"{path}: cannot be written ({error.strerror or error}{where})") from None
+
+
+def remove_unfinished() -> None:
+    """Remove the temporary files of this process: for an end at once, which no `finally` sees."""
+    for temporary in list(_unfinished):
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def check_place(path: str | os.PathLike[str], *, folder: bool) -> None:

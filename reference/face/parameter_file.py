@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ...lhm.bounds import plain, shown
 from ...lhm.checked import checked
 from ...lhm.errors import InputError
 from ...lhm.files.toml_file import read_toml
 from ...lhm.mesh import Floats
+from ...lhm.validate import finite
 from .parameters import Parameters
 
 
@@ -29,7 +31,8 @@ def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     path = Path(path)
     named = read_toml(path)
     try:
-        return Parameters(**{Parameters.info(name).name: _value(path, name, value) for name, value in named.items()})
+        values = {Parameters.info(name).name: _value(path, name, value) for name, value in named.items()}
+        return Parameters(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -40,10 +43,12 @@ def _value(path: Path, name: str, value):
 
 
 def _array(path: Path, name: str) -> Floats:
-    if path.suffix != ".npy" or not path.is_file():
-        raise InputError(f"parameter {name}: {path}: expected a number, or an .npy file that is there")
+    if path.suffix != ".npy" or not os.path.isfile(path):  # False, too, for a name that is too long
+        raise InputError(f"parameter {name}: {shown(str(path), 200)}: expected a number, or an .npy file that is there")
     try:
-        array = np.load(path, allow_pickle=False)
-        return np.asarray(array, dtype=np.float64)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"parameter {name}: {path}: not an array of numbers ({str(error)[:60]})") from None
+        # A map of the file cannot be longer than the file, whatever its header says.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError, MemoryError) as error:
+        reason = plain(" ".join(str(error).split()))[:60]
+        raise InputError(f"parameter {name}: {path}: not an array of numbers ({reason})") from None
+    return np.array(finite(f"parameter {name}: {path}", array))

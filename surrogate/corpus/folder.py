@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -17,22 +17,22 @@ import numpy as np
 from ...lhm.errors import InputError
 from ...lhm.files.alone import alone_in
 from ...lhm.files.atomic import write_whole
-from ...lhm.files.resumable import check_same, manifest_of
+from ...lhm.files.resumable import check_same
 from ...lhm.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
+from .intact import REMEDY, check_person, read_intact
+from .manifest import MANIFEST, read_manifest
 from .mixture import NAMES
 from .person import People
 from .plan import IDENTITY, CorpusPlan, Split
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
 from .simulate import GENERATOR, simulate_person
-from .template import CorpusTemplate, write_template
+from .template import CorpusTemplate, read_template, write_template
 from .velocities import velocities_of
 
 SERIAL = Schedule()
-MANIFEST = "corpus.json"
-"""What the folder's corpus is of, and how it was made."""
 PARTIAL = ".person-*"
 """What a process that was killed while it wrote leaves behind."""
 
@@ -93,7 +93,8 @@ class Corpus:
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
         self.manifest = simulated_of(plan, people) | {"format": FORMAT}
-        check_same(self.folder / MANIFEST, "corpus", self.manifest)
+        if check_same(self.folder / MANIFEST, "corpus", self.manifest):
+            read_manifest(self.folder)
 
     @property
     def owner(self) -> str:
@@ -162,8 +163,14 @@ class Corpus:
         return True
 
     def shard(self, identity: int) -> Shard:
-        """One person's shard; InputError if it is missing, damaged or of another corpus."""
-        return read_shard(self.shard_path(identity), self.owner)
+        """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
+        path = self.shard_path(identity)
+        shard = read_shard(path, self.owner)
+        try:
+            check_person(shard.groups.number, self.plan.parameter_numbers(identity))
+        except InputError as error:
+            raise InputError(f"shard {path}: {error}; {REMEDY}") from None
+        return shard
 
     def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
         """All people's shards of a split, or of both, one after another; InputError for one that cannot be used."""
@@ -178,35 +185,8 @@ class Corpus:
             on_progress("verify", (identity + 1) / self.plan.identities)
 
     def status(self) -> CorpusStatus:
-        """Count what is there, and list what was rejected or is damaged; contents are not read, see `verify`."""
-        tables = ("groups", "statics", "sequences", "references")
-        asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
-        rejected, damaged, done, size = [], [], 0, 0
-        versions: dict[str, int] = {}
-        timed: list[dict[str, float]] = []
-        names = [f"{table}/status" for table in tables] + ["responses/group", "sequences/iterations"]
-        for identity in self.people_there():
-            path = self.shard_path(identity)
-            try:
-                arrays, label, spent = read_arrays_of(path, self.owner, *names), read_label(path), read_seconds(path)
-            except InputError as error:
-                damaged.append(str(error))
-                continue
-            done, size = done + 1, size + path.stat().st_size
-            versions[label.version] = versions.get(label.version, 0) + 1
-            timed.append(spent)
-            for table in tables:
-                status = arrays[f"{table}/status"]
-                each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
-                good = status == ACCEPTED.encode()
-                asked[table] += each * len(status)
-                accepted[table] += each * int(good.sum())
-                rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
-            asked["responses"] += len(arrays["responses/group"])
-            accepted["responses"] += len(arrays["responses/group"])
-        return CorpusStatus(
-            self.plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
-        )
+        """Count what is there: see `status_of`."""
+        return status_of(self.folder, self.plan, self.owner)
 
     def _write_manifest(self):
         content = self.manifest | {
@@ -229,6 +209,57 @@ def summed(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
 
 
+def status_of(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
+    """Count what is there, and list what was rejected or is damaged, in the folder of a corpus by its plan and name.
+
+    Only small arrays are read, unchecked; see `verify_folder`.
+    """
+    tables = ("groups", "statics", "sequences", "references")
+    asked, accepted = dict.fromkeys((*tables, "responses"), 0), dict.fromkeys((*tables, "responses"), 0)
+    rejected, damaged, done, size = [], [], 0, 0
+    versions: dict[str, int] = {}
+    timed: list[dict[str, float]] = []
+    names = [f"{table}/status" for table in tables] + ["groups/number", "responses/group", "sequences/iterations"]
+    for identity in range(plan.identities):
+        path = shard_path(folder, identity)
+        if not path.exists():
+            continue
+        try:
+            arrays, label, spent = read_arrays_of(path, owner, *names), read_label(path), read_seconds(path)
+            check_person(arrays["groups/number"], plan.parameter_numbers(identity))
+        except InputError as error:
+            damaged.append(str(error) if str(path) in str(error) else f"shard {path}: {error}")
+            continue
+        done, size = done + 1, size + path.stat().st_size
+        versions[label.version] = versions.get(label.version, 0) + 1
+        timed.append(spent)
+        for table in tables:
+            status = arrays[f"{table}/status"]
+            each = arrays["sequences/iterations"].shape[1] if table == "sequences" else 1
+            good = status == ACCEPTED.encode()
+            asked[table] += each * len(status)
+            accepted[table] += each * int(good.sum())
+            rejected += [Rejection(identity, table, int(k), status[k].decode()) for k in np.flatnonzero(~good)]
+        asked["responses"] += len(arrays["responses/group"])
+        accepted["responses"] += len(arrays["responses/group"])
+    return CorpusStatus(
+        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
+    )
+
+
+def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = silent) -> int:
+    """Read every shard of a corpus whole, and return how many there are.
+
+    InputError names the first that is missing, damaged, or of another corpus or person; see `intact`.
+    """
+    manifest, n = read_manifest(folder), len(read_template(folder).mean.vertices)
+    people = manifest.counts.identities
+    for identity in range(people):
+        read_intact(shard_path(manifest.folder, identity), manifest, identity, n)
+        on_progress("verify", (identity + 1) / people)
+    return people
+
+
 def shard_path(folder: Path, identity: int) -> Path:
     """Where a person's shard lies in a corpus' folder."""
     return folder / f"person-{identity:05d}.h5"
@@ -241,29 +272,17 @@ def simulated_of(plan: CorpusPlan, people: People) -> dict[str, Any]:
 
 
 def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
-    """The plan of a corpus, and with what it was made, from its folder alone; InputError where that is not told."""
+    """Return a corpus' plan, and how to make its people again, from its folder; InputError where that is not told."""
     manifest = read_manifest(folder)
-    try:
-        options = {key: value for key, value in manifest["content"].items() if key != "recordings"}
-        plan, made_with = CorpusPlan(**options | {"takes": manifest["takes"]}), dict(manifest["made_with"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"corpus {folder}: its corpus.json does not tell how it was made ({error})") from None
-    if not {"identities", "level"} <= set(made_with):
+    takes = manifest.said.get("takes", "")
+    plan, made_with = replace(manifest.counts, takes=takes), dict(manifest.made_with)
+    if not (isinstance(made_with.get("identities"), str) and made_with.get("level") in (1, 2, 3)):
         raise InputError(f"corpus {folder}: it was made from Python, of people that no command knows by name")
-    if plan.digest != manifest["plan"]:
+    if plan.digest != manifest.said["plan"]:
         raise InputError(
-            f"corpus {folder}: its recordings are not what they were (takes in {manifest['takes'] or 'none'}); "
-            "make another one"
+            f"corpus {folder}: its recordings are not what they were (takes in {takes or 'none'}); make another one"
         )
     return plan, made_with
-
-
-def read_manifest(folder: str | PathLike[str]) -> dict[str, Any]:
-    """What a corpus says it is of; InputError where there is none."""
-    found = manifest_of(Path(folder) / MANIFEST, "corpus", ("plan", "people", "template", "generator", "format"))
-    if found is None:
-        raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
-    return found
 
 
 class _Rate:

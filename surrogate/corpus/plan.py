@@ -13,6 +13,18 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ...lhm.bounds import (
+    ITERATIONS,
+    PARAMETER_SETS,
+    PEOPLE,
+    PERSON_FRAMES,
+    PERSON_SEQUENCES,
+    RECORDINGS,
+    RUN_FRAMES,
+    SEED,
+    Bound,
+    shown,
+)
 from ...lhm.errors import InputError
 from ...lhm.expressions.recordings import Recording, recordings, starts
 from ...lhm.expressions.take import Take
@@ -28,6 +40,19 @@ RATE = 60.0
 """[Hz] of sequences."""
 LENGTH = 16
 """Frames of a sequence (SoftDECA 3.4)."""
+COUNTS: Mapping[str, Bound] = {
+    "seed": SEED,
+    "identities": PEOPLE,
+    "groups": PARAMETER_SETS,
+    "frames": PERSON_FRAMES,
+    "sequences": PERSON_SEQUENCES,
+    "references": PERSON_FRAMES,
+    "conversations": RECORDINGS,
+    "random": RECORDINGS,
+    "run": RUN_FRAMES,
+    "max_iterations": ITERATIONS,
+}
+"""The bound of each count of a plan."""
 IDENTITY, PAIRING, PARAMETERS, SPLITTING, STATIC, DYNAMIC, VELOCITIES = range(7)
 
 
@@ -80,23 +105,24 @@ class CorpusPlan:
     inverted_share: float = 1e-3
 
     def __post_init__(self):
-        for name, least in (("identities", 2), ("groups", 1), ("frames", 0), ("sequences", 0), ("references", 0)):
-            if not _is_count(getattr(self, name), least):
-                raise InputError(f"corpus plan {name}: expected a whole number of at least {least}")
-        for name, least in (("conversations", 0), ("random", 0), ("run", 3), ("max_iterations", 1), ("seed", 0)):
-            if not _is_count(getattr(self, name), least):
-                raise InputError(f"corpus plan {name}: expected a whole number of at least {least}")
+        for name, bound in COUNTS.items():
+            bound.check(f"corpus plan {name}", getattr(self, name))
+        PARAMETER_SETS.check("corpus plan identities * groups", self.identities * self.groups)
+        PERSON_FRAMES.check("corpus plan groups * frames", self.groups * self.frames)
+        if not isinstance(self.takes, str):
+            raise InputError(f"corpus plan takes: expected the name of a folder, got {shown(self.takes)}")
         if self.sequences > self.groups:
             raise InputError(f"corpus plan sequences: {self.sequences} for {self.groups} groups of a person")
         for name in ("responses", "parameter_responses", "varying", "inverted_share"):
             if not _is_share(getattr(self, name)):
-                raise InputError(f"corpus plan {name}: expected a share in [0, 1], got {getattr(self, name)!r}")
+                raise InputError(f"corpus plan {name}: expected a share in [0, 1], got {shown(getattr(self, name))}")
         for name, known in (("kinds", KINDS), ("sources", SOURCES)):
             object.__setattr__(self, name, _shares(name, getattr(self, name), known))
         if not (isinstance(self.tolerance, float) and 0.0 < self.tolerance < 1.0):
-            raise InputError(f"corpus plan tolerance: expected a number in (0, 1), got {self.tolerance!r}")
-        if not (isinstance(self.seconds, (int, float)) and 1.0 <= self.seconds <= 3600.0):
-            raise InputError(f"corpus plan seconds: expected 1 to 3600, got {self.seconds!r}")
+            raise InputError(f"corpus plan tolerance: expected a number in (0, 1), got {shown(self.tolerance)}")
+        number = isinstance(self.seconds, (int, float)) and not isinstance(self.seconds, bool)
+        if not (number and 1.0 <= self.seconds <= 3600.0):
+            raise InputError(f"corpus plan seconds: expected 1 to 3600, got {shown(self.seconds)}")
 
     @property
     def tested(self) -> int:
@@ -238,12 +264,12 @@ class CorpusPlan:
         """
         options = dict(options)
         preset = options.pop("preset", "small")
-        if preset not in PRESETS:
-            raise InputError(f"corpus preset {preset!r}: there are {', '.join(PRESETS)}")
+        if not isinstance(preset, str) or preset not in PRESETS:
+            raise InputError(f"corpus preset {shown(preset)!r}: there are {', '.join(PRESETS)}")
         known = [item.name for item in fields(cls)]
         for name in options:
             if name not in known:
-                raise InputError(f"corpus plan: unknown option {name!r}; there are preset, {', '.join(known)}")
+                raise InputError(f"corpus plan: unknown option {shown(name)!r}; there are preset, {', '.join(known)}")
         return replace(PRESETS[preset], **options)
 
 
@@ -267,10 +293,6 @@ def _text(recording: Recording) -> str:
     )
 
 
-def _is_count(value: Any, least: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
 def _is_share(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 <= value <= 1.0
 
@@ -278,7 +300,7 @@ def _is_share(value: Any) -> bool:
 def _shares(name: str, given: Any, known: tuple[str, ...]) -> dict[str, float]:
     """Shares of all that is known, which add up to 1."""
     if not isinstance(given, Mapping) or set(given) - set(known) or not all(map(_is_share, given.values())):
-        raise InputError(f"corpus plan {name}: expected shares in [0, 1] of {', '.join(known)}, got {given!r}")
+        raise InputError(f"corpus plan {name}: expected shares in [0, 1] of {', '.join(known)}, got {shown(given)}")
     total = sum(given.values())
     if total <= 0:
         raise InputError(f"corpus plan {name}: all shares are zero")

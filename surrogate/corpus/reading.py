@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from ...lhm.errors import InputError
 from ...lhm.mesh import Surface
-from .folder import read_manifest, shard_path
+from .folder import shard_path
+from .intact import check_intact
+from .manifest import read_manifest
 from .plan import SPLITS, Split
 from .shard import ACCEPTED, Place, places_of, read_arrays_of
 from .template import read_template
@@ -62,7 +64,8 @@ class Table:
     A row is a dict: identity, code (c,), varied (P,), coefficients (P, 1 + WAVES), and the fields of the table as
     `shard` says, without the first axis. With `partial`, people that are not there yet are left out. `share` of the
     people, the first of them, have rows. Raises InputError for a folder that is no corpus, an unknown table or split,
-    shards that are missing or damaged, and where no row is accepted.
+    shards that are missing, damaged or of another person (each is read whole once, see `intact`), and where no row is
+    accepted.
     """
 
     def __init__(
@@ -77,16 +80,14 @@ class Table:
         if table not in SMALL or split not in (None, *SPLITS):
             raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
         self.folder, self.table = Path(folder), table
-        manifest = read_manifest(folder)
+        self._manifest = read_manifest(folder)
         self.template = read_template(folder)
-        self.people = str(manifest["people"])
-        owner = "-".join(str(manifest[key]) for key in ("plan", "people", "template", "generator", "format"))
-        people = int(manifest["content"]["identities"])
-        first = people - int(manifest["tested"])
+        self.people = self._manifest.people
+        people, first = self._manifest.counts.identities, self._manifest.counts.trained
         numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
         there = [k for k in numbers if not partial or shard_path(self.folder, k).exists()]
         chosen = there[: round(share * len(there))]
-        self._people = {k: self._person(shard_path(self.folder, k), owner) for k in chosen}
+        self._people = {k: self._person(k) for k in chosen}
         rows = [(k, row) for k, person in self._people.items() for row in _accepted(person.small)]
         if not rows:
             raise InputError(
@@ -94,10 +95,12 @@ class Table:
             )
         self.rows = np.array(rows)
 
-    def _person(self, path: Path, owner: str) -> _Person:
+    def _person(self, identity: int) -> _Person:
+        path = shard_path(self.folder, identity)
+        check_intact(path, self._manifest, identity, len(self.template.mean.vertices))
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
-        found = read_arrays_of(path, owner, *OF_GROUPS, *names.values())
+        found = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())
         places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
         return _Person(
             path=path,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import os
 import warnings
 from dataclasses import dataclass, field, fields
@@ -23,9 +22,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from ...lhm.bounds import SHARD_BYTES
 from ...lhm.errors import InputError
 from ...lhm.files.atomic import write_whole
 from ...lhm.mesh import Floats
+from ...lhm.validate import read_json
 
 ACCEPTED = "accepted"
 FORMAT = 1
@@ -226,10 +227,10 @@ def read_seconds(path: Path) -> dict[str, float]:
     if not beside.exists():
         return {}
     try:
-        seconds = {str(phase): float(spent) for phase, spent in json.loads(beside.read_bytes()).items()}
-        if not all(math.isfinite(spent) and spent >= 0.0 for spent in seconds.values()):
+        seconds = {str(phase): float(spent) for phase, spent in read_json(beside).items()}
+        if not all(spent >= 0.0 for spent in seconds.values()):
             raise ValueError
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+    except (ValueError, TypeError, AttributeError):
         raise InputError(
             f"seconds {beside}: expected JSON of seconds by phase; delete it, or make the shard anew"
         ) from None
@@ -245,7 +246,7 @@ def read_shard(path: Path, owner: str) -> Shard:
         label = _label(file)
         _check_label(path, label, owner)
         tables = {
-            table: kind(**{item.name: file[f"{table}/{item.name}"][()] for item in fields(kind)})
+            table: kind(**{item.name: _array(file, f"{table}/{item.name}") for item in fields(kind)})
             for table, kind in TABLES.items()
         }
     shard = Shard(**tables)
@@ -258,7 +259,7 @@ def read_arrays_of(path: Path, owner: str, *names: str) -> dict[str, NDArray[Any
     """Some arrays of a shard by "table/name", not checked but for the owner; InputError as `read_shard`."""
     with _opened(path) as file:
         _check_label(path, _label(file), owner)
-        return {name: file[name][()] for name in names}
+        return {name: _array(file, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -289,7 +290,22 @@ class Place:
 def places_of(path: Path, *names: str) -> dict[str, Place]:
     """Where some large arrays of a shard lie, by "table/name"; InputError as `read_shard`."""
     with _opened(path) as file:
-        return {name: Place(file[name].id.get_offset() or 0, file[name].dtype, file[name].shape) for name in names}
+        found = {name: _dataset(file, name) for name in names}
+        return {name: Place(data.id.get_offset() or 0, data.dtype, data.shape) for name, data in found.items()}
+
+
+def _array(file: h5py.File, name: str) -> NDArray[Any]:
+    return np.asarray(_dataset(file, name)[()])
+
+
+def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
+    """Return one array of a file, of a plain type, whose bytes lie in the file in one run, as `write_shard` has it."""
+    data = file[name]
+    if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "biufS":
+        raise ValueError(f"{name} is no array of numbers or texts")
+    if not 0 <= data.nbytes <= file.id.get_filesize() or (data.nbytes and data.id.get_offset() is None):
+        raise ValueError(f"{name} of shape {data.shape} does not lie in the file")
+    return data
 
 
 class _opened:
@@ -302,6 +318,7 @@ class _opened:
         if not self.path.is_file():
             raise InputError(f"shard {self.path}: missing; {_REMEDY}")
         try:
+            SHARD_BYTES.check(f"shard {self.path}", self.path.stat().st_size)
             self.file = h5py.File(self.path, "r")
         except OSError as error:
             raise self._damaged(error) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -13,17 +14,22 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from ...lhm.bounds import CURVE_POINTS, WEIGHTS_BYTES, plain, shown
 from ...lhm.errors import InputError
 from ...lhm.files.atomic import write_whole
 from ...lhm.mesh import Floats, Surface
+from ...lhm.validate import finite, in_range, parse_json, read_bytes, text, whole
 from ..surface_hash import surface_hash
 from .features import STATIC
 from .looseness import Looseness
+from .shapes import check_network
 
 FORMAT = "softdeca-modal-3"
 PARTS = ("settled", "relaxed", "responses", "remainder")
 """The neutral face that p has settled; what it relaxes to among its targets; what is linear in w; and the rest."""
 NEUTRAL = PARTS[:2]
+FARTHEST = 1e5
+"""[mm] Of any vertex or pivot, and of a number of a code: a hundred metres."""
 
 
 @dataclass(frozen=True)
@@ -92,66 +98,85 @@ class ModalWeights:
         if self.looseness is not None:
             arrays["looseness.shares"] = np.ascontiguousarray(self.looseness.shares, dtype=np.float16)
             arrays["looseness.pivots"] = np.ascontiguousarray(self.looseness.pivots)
+        about["checksum"] = _checksum(arrays)
         write_whole(Path(path), save(arrays, metadata={"softdeca": json.dumps(about)}))
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> ModalWeights:
-        """Read what `save` wrote; InputError for a file that is missing, damaged, or something else."""
+        """Read what `save` wrote, each array and note checked; InputError names the file and what is wrong."""
         path = Path(path)
-        try:
-            content = path.read_bytes()
-        except FileNotFoundError:
-            raise InputError(f"weights {path}: no such file; `softdeca train` makes it") from None
-        except OSError as error:
-            raise InputError(f"weights {path}: cannot be read ({error.strerror})") from None
+        if not path.exists():
+            raise InputError(f"weights {path}: no such file; `softdeca train` makes it")
+        content = read_bytes(path, WEIGHTS_BYTES)
         try:
             size = int.from_bytes(content[:8], "little")
-            about = json.loads(json.loads(content[8 : 8 + size])["__metadata__"]["softdeca"])
+            about = parse_json(parse_json(content[8 : 8 + size])["__metadata__"]["softdeca"])
             if about["format"] != FORMAT:
-                raise InputError(f"weights {path}: format {about['format']!r}, this version reads {FORMAT!r}")
+                raise InputError(f"format {shown(about['format'])!r}, this version reads {FORMAT!r}")
             if tuple(about["parameters"]) != STATIC:
-                raise InputError(f"weights {path}: of other parameters than this version has; train them anew")
+                raise InputError("of other parameters than this version has; train them anew")
             arrays = load(content)
-            note = about["note"]
-            weights = cls(
-                space=about["space"],
-                mean=Surface(arrays["mean.vertices"], arrays["mean.triangles"]),
-                code_mean=arrays["code_mean"],
-                code_scale=arrays["code_scale"],
-                network={
-                    name.removeprefix("network."): value.astype(np.float32)
-                    for name, value in arrays.items()
-                    if name.startswith("network.")
-                },
-                note=TrainingNote(
-                    **{
-                        **note,
-                        "curve": tuple(note["curve"]),
-                        "held": tuple(note.get("held", ())),
-                        "seen": {name: (low, high) for name, (low, high) in note["seen"].items()},
-                    }
-                ),
-                looseness=_looseness(arrays),
-            )
-        except InputError:
-            raise
-        except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
-            said = " ".join(str(error).split())[:80] or type(error).__name__
+            if about.get("checksum", checksum := _checksum(arrays)) != checksum:
+                raise InputError("their numbers do not match their checksum")
+            return cls._checked(about, arrays)
+        except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            said = plain(" ".join(str(error).split()))[:200] or type(error).__name__
             raise InputError(f"weights {path}: damaged, or no weights of softdeca ({said})") from None
+
+    @classmethod
+    def _checked(cls, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> ModalWeights:
+        mean = Surface(
+            finite("mean.vertices", arrays["mean.vertices"], (None, 3), most=FARTHEST), arrays["mean.triangles"]
+        )
+        code_mean = finite("code_mean", arrays["code_mean"], (None,), most=FARTHEST)
+        code_scale = in_range("code_scale", arrays["code_scale"], 1e-9, FARTHEST, code_mean.shape)
+        network = {
+            name.removeprefix("network."): value.astype(np.float32)
+            for name, value in arrays.items()
+            if name.startswith("network.")
+        }
+        check_network(network, mean, len(code_mean))
+        loose = _looseness(arrays, len(code_mean), len(mean.vertices))
+        weights = cls(text("space", about["space"]), mean, code_mean, code_scale, network, _note(about["note"]), loose)
         if weights.template != about["template"]:
-            raise InputError(
-                f"weights {path}: their mesh is not the one they name ({about['template']}); train them anew"
-            )
-        if not all(np.isfinite(value).all() for name, value in arrays.items() if name != "mean.triangles"):
-            raise InputError(f"weights {path}: some are not finite")
+            named = shown(about["template"])
+            raise InputError(f"their mesh is not the one they name ({named}); train them anew")
         return weights
 
 
-def _looseness(arrays: Mapping[str, np.ndarray]) -> Looseness | None:
+def _checksum(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over names, types, shapes and bytes of all arrays."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape};".encode())
+        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()
+
+
+def _note(said: Mapping[str, Any]) -> TrainingNote:
+    """The note of a training, its counts, curve and ranges checked."""
+    counts = {name: said[name] for name in ("people", "faces", "frames", "neutrals", "steps")}
+    for name, count in counts.items():
+        whole(f"note {name}", count, 0, 2**53, ())
+    curve = said["curve"]
+    CURVE_POINTS.check("note curve", len(curve))
+    for point in curve:
+        finite("note curve", list(point.values()), (len(point),))
+    if not curve or "seconds" not in curve[-1]:
+        raise InputError("note curve: no point with its seconds")
+    unknown = set(said["seen"]) ^ set(STATIC)
+    if unknown:
+        raise InputError(f"note seen: {shown(min(unknown))} is not known, or missing")
+    seen = {name: tuple(in_range(f"note seen {name}", said["seen"][name], -1.0, 1.0, (2,)).tolist()) for name in STATIC}
+    held = whole("note held", np.array(said.get("held", ()), dtype=np.int64), 0, 2**53, (None,)).tolist()
+    config, before = said["config"], said.get("before")
+    if not isinstance(config, dict) or not isinstance(before, (dict, type(None))):
+        raise InputError("note config and before: expected objects")
+    return TrainingNote(**counts, config=config, curve=tuple(curve), seen=seen, held=tuple(held), before=before)
+
+
+def _looseness(arrays: Mapping[str, np.ndarray], code_size: int, vertices: int) -> Looseness | None:
     if "looseness.shares" not in arrays:
         return None
-    shares, pivots = arrays["looseness.shares"].astype(np.float64), arrays["looseness.pivots"]
-    expected = (len(arrays["code_mean"]) + 1, len(arrays["mean.vertices"]))
-    if shares.shape != expected or pivots.shape != (expected[0], 3):
-        raise ValueError(f"looseness of shape {shares.shape}, {expected} is needed")
-    return Looseness(shares, pivots)
+    shares = finite("looseness.shares", arrays["looseness.shares"], (code_size + 1, vertices), most=FARTHEST)
+    return Looseness(shares, finite("looseness.pivots", arrays["looseness.pivots"], (code_size + 1, 3), most=FARTHEST))

@@ -78,7 +78,7 @@ def test_a_bad_skin_is_named_in_one_line(command, tmp_path, name):
         (["corpus", "sample", "corpus", "--out", "sheet.pdf"], "expected a file that ends in .png"),
         (["simulate", "conversation:1", "--head", "head.npz", "--level", "1"], "--level is of a head yet to be fitted"),
         (["simulate", "conversation:1", "--fps", "1e12"], "rate: 1e+12 Hz, expected a number above 0, 10,000 at most"),
-        (["simulate", "conversation:3600", "--fps", "9999"], "frames: 35996234, expected 1 to 10,000,000"),
+        (["simulate", "conversation:3600", "--fps", "9999"], "take: 35,996,234 frames; expected 1 to 1,000,000"),
         (["simulate", "conversation:1e9"], "expected conversation[:SECONDS[:SEED]]"),
         (["head"], "Missing command"),
         (["heads"], "heads"),

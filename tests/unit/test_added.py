@@ -139,6 +139,12 @@ def test_a_study_of_a_file(tmp_path, command):
 def test_what_files_may_not_add(tmp_path):
     broken = tmp_path / "broken.py"
     broken.write_text("1 / 0\n")
+    ends = tmp_path / "ends.py"
+    for words in ("raise SystemExit(0)", "quit()", "import os; os._exit(0)"):
+        ends.write_text(words + "\n")
+        with pytest.raises(InputError, match=r"ends.py: "):
+            add_file(ends)
+    assert not added.added_files()
     other = tmp_path / "gent.py"
     other.write_text("")
     with pytest.raises(InputError, match=r"broken.py: ZeroDivisionError"):

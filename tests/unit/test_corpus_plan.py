@@ -78,7 +78,7 @@ def test_plans_from_files(tmp_path):
     plan = read_plan(path)
     assert (plan.identities, plan.seed, plan.groups) == (5, 3, 1) and plan.kinds["effects"] == 1.0
     for text, message in (
-        ("identities = 1", "identities: expected a whole number of at least 2"),
+        ("identities = 1", "identities: 1 people; expected 2 to 99,999"),
         ("identities = 2.5", "identities"),
         ("colour = 3", "unknown option 'colour'"),
         ('preset = "huge"', "there are tiny, study, small, neutral, paper"),

@@ -10,6 +10,7 @@ from PIL import Image
 
 from softdeca.benchmarks.harness import Asked, Task, compared, lanes, run, run_together, runner
 from softdeca.benchmarks.harness.lanes import Job
+from softdeca.benchmarks.harness.results_file import read_results
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
@@ -179,14 +180,42 @@ def test_answers_are_compared_but_for_rounding(toys, tmp_path):
         (tmp_path / name).write_text(json.dumps({"study": "toy", "rows": rows, "gates": gates}))
         return tmp_path / name
 
-    before = written("a.json", [100.0, 1e-9, 50.0, "right", None, True, float("nan")], True)
-    after = written("b.json", [101.0, 2e-2, 55.0, "wrong", 1.0, False, 3.0], False)
+    before = written("a.json", [100.0, 1e-9, 50.0, "right", None, True], True)
+    after = written("b.json", [101.0, 2e-2, 55.0, "wrong", 1.0, False], False)
     found = compared(before, after, toys.Toy)
     told = {change.task: change.share for change in found.changes if change.told}
-    assert set(told) == {"2, m", "6, m"} and told["2, m"] == pytest.approx(0.1)
+    assert set(told) == {"2, m"} and told["2, m"] == pytest.approx(0.1)
     assert found.broken == ["small: reached before, not after"]
     assert found.other == ["quick: not reached before, but after", "3, m, twice: right before, wrong after"]
     assert not any(change.told for change in compared(before, before, toys.Toy).changes)
+
+
+DAMAGED = {
+    "[]": "an object with the name of its study",
+    '{"study": "toy"}': "rows: expected a list, got None",
+    '{"study": "toy", "rows": [3]}': "row 0: expected an object, got 3",
+    '{"study": "toy", "rows": [{"case": "a", "method": "m", "status": "done", "values": null}]}': "row 0, values: got",
+    '{"study": "toy", "rows": [{"case": "a", "method": "m", "status": "gone", "values": {}}]}': "row 0, status: gone",
+    '{"study": "toy", "rows": [], "gates": [{"what": "x", "passed": 1}]}': "gate 0, passed: got 1",
+    '{"study": "toy", "rows": [NaN]}': "NaN is no finite number",
+    "[" * 100_000: "levels of brackets",
+}
+
+
+@pytest.mark.parametrize("text", DAMAGED, ids=lambda text: text[:40])
+def test_a_damaged_results_file_is_named_with_the_place(tmp_path, text):
+    (tmp_path / "results.json").write_text(text)
+    with pytest.raises(InputError, match="results.json: no results of a study") as refused:
+        read_results(tmp_path)
+    assert DAMAGED[text] in str(refused.value)
+
+
+def test_values_that_a_study_cannot_read_are_named(toys, tmp_path):
+    before = results_file(tmp_path / "a.json", {"x": [1.0]})
+    rows = [{"case": "x", "method": "m", "status": "done", "values": {"rows": 3}}]
+    (tmp_path / "b.json").write_text(json.dumps({"study": "toy", "rows": rows}))
+    with pytest.raises(InputError, match="results damaged, or made by another version"):
+        compared(before, tmp_path / "b.json", toys.Toy)
 
 
 def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):

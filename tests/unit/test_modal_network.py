@@ -445,7 +445,7 @@ def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_p
     moving.frame(np.zeros(52))
     assert 0.0 < np.abs(moving.frame(np.full(52, 0.1)) - rig.frame(np.full(52, 0.1))).max()
     replace(weights, looseness=replace(known, shares=known.shares[:, 1:])).save(path)
-    with pytest.raises(InputError, match="damaged.*looseness of shape"):
+    with pytest.raises(InputError, match="damaged.*looseness.shares: expected shape"):
         Surrogate.load(path)
 
 

@@ -131,7 +131,7 @@ def test_files_that_are_no_takes_are_left_out_by_name(tmp_path):
         pool["real/a.json"].take()
     with pytest.raises(InputError, match="none: no such folder"):
         recordings(tmp_path / "none")
-    with pytest.raises(InputError, match="counts must be 0 or more"):
+    with pytest.raises(InputError, match="conversations: -1 recordings; expected at most 10,000"):
         recordings(conversations=-1)
 
 

@@ -58,7 +58,7 @@ def test_nothing_is_started_for_nothing():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"workers": 0}, "workers: must be at least 1"),
+        ({"workers": 0}, "workers: 0 processes; expected 1 to 256"),
         ({"workers": True}, "workers"),
         ({"where": "cloud"}, "there are serial, processes, dask"),
         ({"where": "dask"}, "needs one"),
