@@ -28,6 +28,10 @@ def learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
     return png(figure)
 
 
+LEAST_SECONDS = 1e-3
+"""Where a method without a bind stands."""
+
+
 def error_against_cost(scores: Sequence) -> bytes:
     """`costs_figure` as PNG."""
     return png(costs_figure(scores))
@@ -41,13 +45,15 @@ def costs_figure(scores: Sequence):
     axes[1].set(xlabel="one frame, with its blendshapes [ms]")
     for score in scores:
         before = 1e-3 * ((score.head_ms or 0.0) + score.bind_ms)
-        for axis, cost in zip(axes, (before, score.frame_ms), strict=True):
-            point = max(cost, 1e-5), score.mean
-            axis.scatter(*point, marker="s" if score.simulates else "o")
-            axis.annotate(score.method, point, fontsize=7, xytext=(4, 4), textcoords="offset points")
+        for axis, cost in zip(axes, (max(before, LEAST_SECONDS), score.frame_ms), strict=True):
+            axis.scatter(cost, score.mean, marker="s" if score.simulates else "o")
+            # Above the mark and centred, since a name beside one leaves the axes.
+            axis.annotate(score.method, (cost, score.mean), (0, 6), textcoords="offset points", ha="center", fontsize=7)
     for axis in axes:
         axis.set(xscale="log", yscale="log")
-        axis.margins(x=0.25)
+        low, high = axis.get_xlim()
+        axis.set_xlim(low / 4.0, high * 4.0)
+        axis.margins(y=0.15)
     return figure
 
 

@@ -68,7 +68,7 @@ def frames_png(
 
         panels = [
             Panel("blendshapes: S", skin.with_vertices(blended)),
-            Panel(kind_of_coefficients(face.coefficients), simulated),
+            Panel(f"T: {kind_of_coefficients(face.coefficients)}", simulated),
             Panel(f"network {worst.error:.2f} mm", skin.with_vertices(blended + own)),
             Panel("|bones carried - T|", simulated, off(carried), top),
             Panel("|settled face - T|", simulated, off(still), top),

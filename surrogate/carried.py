@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 
 import numpy as np
@@ -19,11 +19,14 @@ from ..reference.face.settling import FOR_TARGETS, carry_skin
 from .corpus.fields import on_wraps
 from .corpus.folder import known_plan
 from .corpus.people import people_of
-from .corpus.person import People, Person
+from .corpus.person import OfSpace, People, Person
 from .linear import derivatives
 from .modal.faces import Face
 from .modal.features import STATIC
 from .ruler import BONES
+
+SCALED = 1.02
+"""Of a cranium, to measure what carrying costs."""
 
 
 class Heads:
@@ -67,6 +70,11 @@ class Heads:
         skin = Surface(np.asarray(face.skin, dtype=np.float64), people.mean.triangles)
         return people.head(Person(face.code, skin, face.shapes))
 
+    def shapes(self, face: Face) -> Floats:
+        """What each shape adds to the skin of a face's person [mm], shape (52, n, 3): of a space, by the code."""
+        people = self.people
+        return people.space.expression_deltas(face.code) if isinstance(people, OfSpace) else np.asarray(face.shapes)
+
     def parameters(self, face: Face, head: LayeredHead) -> Parameters:
         """The parameters of a face on the wraps of its head, as the corpus simulated it."""
         waves, values = on_wraps(head, self.people.mean), {}
@@ -89,7 +97,7 @@ class Heads:
 class BindCosts:
     """Median processor seconds of a bind on one thread, over `faces` faces, each on a head that is there.
 
-    head: fitting it, once a person. carried: bones carry the skin. settled: the neutral face settles under p and comes
+    head: fitting it, once a person. carried: scaled bones carry the skin. settled: the neutral face settles under p and comes
     to rest among its targets. derivatives: these, the tangent and 52 responses.
     """
 
@@ -113,7 +121,7 @@ def measure_binds(heads: Heads, faces: Sequence[Face], on_progress: OnProgress =
         fitted = time.process_time()
         parameters = heads.parameters(face, head)
         begun = time.process_time()
-        carry_skin(head, parameters)
+        carry_skin(head, replace(parameters, cranium_scale_x=SCALED))  # which costs nothing where no bone is scaled
         carried = time.process_time()
         neutral_at_rest(head, parameters)
         rested = time.process_time()

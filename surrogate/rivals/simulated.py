@@ -19,7 +19,7 @@ class _Face:
     """A face of a corpus, simulated anew: head, settled neutral face and tangent."""
 
     def __init__(self, heads: Heads, face: Face):
-        self.head, self.shapes = heads.fit(face), np.asarray(face.shapes, dtype=np.float64)
+        self.head, self.shapes = heads.fit(face), heads.shapes(face)
         self.linear: Linearised = linearised_face(self.head, heads.parameters(face, self.head))
 
     def corrected(self, weights, *, iterations: int | None = None) -> Floats:
