@@ -97,8 +97,8 @@ class Heads:
 class BindCosts:
     """Median processor seconds of a bind on one thread, over `faces` faces, each on a head that is there.
 
-    head: fitting it, once a person. carried: scaled bones carry the skin. settled: the neutral face settles under p and comes
-    to rest among its targets. derivatives: these, the tangent and 52 responses.
+    head: fitting it, once a person. carried: scaled bones carry the skin. settled: the neutral face settles under p and
+    comes to rest among its targets. derivatives: these, the tangent and 52 responses.
     """
 
     faces: int
