@@ -11,6 +11,7 @@ import numpy as np
 from ..lhm.errors import InputError
 from ..lhm.progress import OnProgress
 from ..surrogate import Surrogate
+from ..surrogate.carried import Heads
 from ..surrogate.evaluate import evaluate
 from ..surrogate.modal.faces import Faces
 from ..surrogate.rivals.modal import ModalMethod
@@ -23,7 +24,7 @@ SEEN = 24
 
 @dataclass(frozen=True)
 class Grown:
-    """A network by what it was trained on, and its share of the error of T = S on unseen people, and on seen ones."""
+    """A network by what it was trained on, and its share of |T - carried(S)| on unseen people, and on seen ones."""
 
     people: int
     faces: int
@@ -32,7 +33,9 @@ class Grown:
     seen: float
 
 
-def errors_over_size(training: Faces, weights: Sequence[Path], test: Faces, progress: OnProgress) -> list[Grown]:
+def errors_over_size(
+    training: Faces, weights: Sequence[Path], test: Faces, heads: Heads, progress: OnProgress
+) -> list[Grown]:
     """One of each weights file of `softdeca train --share`, fewest people first.
 
     Where the share of seen people stays far below that of unseen ones, more people help; where both are level, another
@@ -50,7 +53,8 @@ def errors_over_size(training: Faces, weights: Sequence[Path], test: Faces, prog
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
     found = []
     for number, one in enumerate(networks):
-        of_unseen, of_seen = evaluate([ModalMethod(one)], test), evaluate([ModalMethod(one)], training, chosen=chosen)
+        of_unseen = evaluate([ModalMethod(one)], test, heads)
+        of_seen = evaluate([ModalMethod(one)], training, heads, chosen=chosen)
         note = one.note
         found.append(Grown(note.people, note.faces, note.steps, of_unseen[0].share, of_seen[0].share))
         progress(f"curve: {note.people} people", (number + 1) / len(networks))
@@ -59,7 +63,7 @@ def errors_over_size(training: Faces, weights: Sequence[Path], test: Faces, prog
 
 def table(found: Sequence[Grown]) -> Table:
     """The curve, a line per network."""
-    head = ["people", "faces", "steps", "error of unseen people [% of T = S]", "of seen ones"]
+    head = ["people", "faces", "steps", "error of unseen people [% of |T - carried(S)|]", "of seen ones"]
     lines = [(f.people, f.faces, f.steps, 100.0 * f.unseen, 100.0 * f.seen) for f in found]
     return Table("Error over the number of people trained on", head, lines)
 
@@ -70,7 +74,7 @@ def picture(found: Sequence[Grown]) -> bytes:
     people = [f.people for f in found]
     axis.plot(people, [100.0 * f.unseen for f in found], "o-", label="people that it has not seen")
     axis.plot(people, [100.0 * f.seen for f in found], "s--", label="people that it has learned from")
-    axis.set(xlabel="people in training", ylabel="error [% of T = S]", xscale="log", ylim=(0.0, None))
+    axis.set(xlabel="people in training", ylabel="error [% of |T - carried(S)|]", xscale="log", ylim=(0.0, None))
     axis.set_xticks(people, [str(count) for count in people])
     axis.minorticks_off()
     axis.legend()

@@ -1,89 +1,107 @@
-"""Held-out frames in rows: blendshapes, PD, FEniCSx and the surrogate, and how far each is off. PNG."""
+"""The frames at which the network errs most, beside the simulator and trivial rivals, with distances. PNG."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..lhm.errors import InputError
-from ..lhm.mesh import Floats32
+from ..lhm.mesh import Floats, Floats32
 from ..lhm.progress import OnProgress
+from ..surrogate.carried import Heads
+from ..surrogate.corpus.plan import Split
 from ..surrogate.corpus.references import FEM_LAWS
 from ..surrogate.evaluate_references import referenced
 from ..surrogate.modal.faces import Faces
 from ..surrogate.modal.weights import ModalWeights
+from ..surrogate.rivals.linearised import Linearised
 from ..surrogate.rivals.modal import ModalMethod
+from ..surrogate.ruler import kind_of_coefficients, measure
 from ..viewer.pictures import Panel
 from .contact_sheet import face_strip, sheet
 
-SHOWN = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
-"""Which frames: those at these shares of all test frames in the order of how far simulation moves the face."""
+SHOWN = 6
+"""Faces, the worst ones, with the worst frame of each."""
 SIZE = 230
 
 
-def frames_png(corpus: Path, weights: ModalWeights, *, partial: bool, progress: OnProgress) -> bytes:
-    """Six frames of the test people, from one that hardly moves to one that moves much.
+@dataclass(frozen=True)
+class Worst:
+    """A frame of a face, by its number there, and the network's mean error [mm] over the vertices that move."""
 
-    Where FEniCSx has solved frames of the corpus on PD's energy, they are of these, with its answer beside the others.
+    face: int
+    frame: int
+    error: float
+
+
+def frames_png(
+    corpus: Path,
+    weights: ModalWeights,
+    heads: Heads,
+    *,
+    split: Split | None = "test",
+    partial: bool,
+    progress: OnProgress,
+) -> bytes:
+    """Show the worst frame of each of the SHOWN worst faces, the worst first.
+
+    Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
-    faces = Faces(corpus, "test", partial=partial)
-    methods = ModalMethod(weights), ModalMethod(weights, exact=True)
+    faces = Faces(corpus, split, partial=partial)
+    network, settled = ModalMethod(weights), Linearised(responses=False)
+    solved = _solved(corpus, split, faces, partial)
     rows = []
-    for number, frame in enumerate(_shown(corpus, faces, partial)):
-        face = faces.face(frame.face)
-        skin = faces.skin(face.identity)
-        blended = skin.vertices + np.tensordot(frame.weights, face.shapes, axes=1)
-        truth = frame.simulated.astype(np.float64)
-        own, exact = (method.bind(face)(frame.weights[None])[0].astype(np.float64) for method in methods)
-        top = max(0.5, float(np.percentile(np.linalg.norm(truth, axis=1), 99.0)))
+    for number, worst in enumerate(worst_frames(faces, network, heads)):
+        face, frames = faces.face(worst.face), faces.frames(worst.face, np.array([worst.frame]))
+        skin, weights_now = faces.skin(face.identity), frames.weights[0]
+        blended = skin.vertices + np.tensordot(weights_now, face.shapes, axes=1)
+        truth, carried = frames.corrected[0].astype(np.float64), heads.carry(face)
+        own, still = (method.bind(face)(frames.weights)[0].astype(np.float64) for method in (network, settled))
+        top = max(0.5, float(np.percentile(np.linalg.norm(truth - carried, axis=1), 99.0)))
         simulated = skin.with_vertices(blended + truth)
+
+        def off(answer: Floats | Floats32, truth: Floats = truth) -> Floats:
+            return np.linalg.norm(answer - truth, axis=1)
+
         panels = [
             Panel("blendshapes: S", skin.with_vertices(blended)),
-            Panel(f"PD: T, {face.kind}", simulated),
-            Panel("network", skin.with_vertices(blended + own)),
-            Panel("|S - T|", simulated, np.linalg.norm(truth, axis=1), top),
-            Panel("|network - T|", simulated, np.linalg.norm(own - truth, axis=1), top),
-            Panel("|exact bind - T|", simulated, np.linalg.norm(exact - truth, axis=1), top),
+            Panel(f"T: {kind_of_coefficients(face.coefficients)}", simulated),
+            Panel(f"network {worst.error:.2f} mm", skin.with_vertices(blended + own)),
+            Panel("|bones carried - T|", simulated, off(carried), top),
+            Panel("|settled face - T|", simulated, off(still), top),
+            Panel("|network - T|", simulated, off(own), top),
         ]
-        if frame.fenicsx is not None:
-            away = np.linalg.norm(frame.fenicsx - truth, axis=1)
-            panels.insert(2, Panel("FEniCSx", skin.with_vertices(blended + frame.fenicsx)))
-            panels.append(Panel("|FEniCSx - T|", simulated, away, top))
-        rows.append(face_strip(panels, skin, frame.weights.astype(np.float64), SIZE))
-        progress("pictures", (number + 1) / len(SHOWN))
+        answer = solved.get((worst.face, weights_now.tobytes()))
+        if answer is not None:
+            panels.insert(2, Panel("FEniCSx", skin.with_vertices(blended + answer)))
+            panels.append(Panel("|FEniCSx - T|", simulated, off(answer), top))
+        rows.append(face_strip(panels, skin, weights_now.astype(np.float64), SIZE))
+        progress("pictures", (number + 1) / SHOWN)
     return sheet(rows, 1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """A frame of a face: weights (52,), T - S (n, 3) [mm] by PD, and by FEniCSx where it is known."""
-
-    face: int
-    weights: Floats32
-    simulated: Floats32
-    fenicsx: Floats32 | None
-
-
-def _shown(corpus: Path, faces: Faces, partial: bool) -> list[_Frame]:
-    known = _solved(corpus, faces, partial)
-    if known:
-        order = np.argsort([np.percentile(np.linalg.norm(frame.simulated, axis=1), 95.0) for frame in known])
-        return [known[order[round(share * (len(order) - 1))]] for share in SHOWN]
-    moved = [(index, k, size) for index in range(len(faces)) for k, size in enumerate(faces.moved(index))]
-    order = np.argsort([size for *_, size in moved])
+def worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
+    """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
     found = []
-    for share in SHOWN:
-        index, k, _ = moved[order[round(share * (len(order) - 1))]]
-        frames = faces.frames(index, np.array([k]))
-        found.append(_Frame(index, frames.weights[0], frames.corrected[0].astype(np.float32), None))
-    return found
+    for index in range(len(faces)):
+        face, frames = faces.face(index), faces.frames(index)
+        if not len(frames.weights):
+            continue
+        truth, bound = frames.corrected.astype(np.float32), method.bind(face)
+        errors = np.linalg.norm(bound(frames.weights) - truth, axis=2)
+        motions = np.linalg.norm(truth - heads.carry(face), axis=2)
+        means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
+        found.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
+    return sorted(found, key=lambda worst: -worst.error)[:count]
 
 
-def _solved(corpus: Path, faces: Faces, partial: bool) -> list[_Frame]:
+def _solved(corpus: Path, split: Split | None, faces: Faces, partial: bool) -> Mapping[tuple[int, bytes], Floats32]:
+    """FEniCSx' T - S on PD's energy, by face and weights; empty for a corpus without references."""
     try:
-        frames = [one for one in referenced(corpus, "test", faces, partial=partial) if one.law == FEM_LAWS[0]]
-    except InputError:  # a corpus without references
-        return []
-    return [_Frame(one.face, one.weights, one.simulated, one.fenicsx) for one in frames]
+        frames = [frame for frame in referenced(corpus, split, faces, partial=partial) if frame.law == FEM_LAWS[0]]
+    except InputError:
+        return {}
+    return {(frame.face, frame.weights.tobytes()): frame.fenicsx for frame in frames}

@@ -45,7 +45,7 @@ def _plan(plan_file: Path | None, preset: str | None, takes: Path | None, identi
 def _options(command):
     for option in (
         click.argument("plan_file", metavar="[PLAN.toml]", required=False, type=AFile),
-        click.option("--preset", help="tiny (default), study, small, neutral or paper, in place of a file"),
+        click.option("--preset", help="tiny (default), study, fresh, small, neutral or paper, in place of a file"),
         click.option("--takes", type=AFolder, help="folder of recorded takes (LiveLink CSV, JSON, weights.csv)"),
         click.option("--people", "count", type=counted(PEOPLE_BOUND), help="how many, in place of the plan's"),
         PEOPLE,

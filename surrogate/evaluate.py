@@ -1,48 +1,60 @@
-"""Table 1 again: methods on faces that training has not seen, error against the cost at bind and per frame."""
+"""Methods on faces that training has not seen: errors by the ruler, and what a user waits for."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import numpy as np
 
 from ..lhm.errors import InputError
-from ..lhm.mesh import Floats
+from ..lhm.mesh import Floats, Floats32
 from ..lhm.progress import OnProgress, silent
+from .carried import BindCosts, Heads
 from .modal.faces import Face, Faces, Frames
-from .rivals import Method
+from .rivals import Bound, Method, Takes
+from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 
-Times = tuple[float | None, float | None, float | None]
-"""Seconds of a fit, milliseconds of a bind and of a frame, those that were measured."""
-MOVES = 0.1
-"""[mm] |T - S| from which on a vertex counts as one that moves."""
-VARYING = "p varying over the face"
+ALL, VARYING = "all", "p varying over the face"
+UNSCALED = "no bone scaled"
 
 
 @dataclass(frozen=True)
-class Score:
-    """One method on some frames: distances of vertices to the simulator's [mm], and its costs.
+class Cost:
+    """What a user waits for, as processor time of one thread; None where it was not measured.
 
-    mean, p95, largest: over all vertices of all frames; moving: mean over vertices that simulation moves by more than
-    MOVES; share: mean over that of T = S. fit_seconds, bind_ms, frame_ms: medians on one thread, None where another
-    kind has them; of a method that `simulates`, bind_ms is without the simulator's part.
+    fit_seconds: learning. head_ms: fitting a person's head, where the method needs one. bind_ms: all that one person
+    and p need besides, the simulator's part included. frame_ms: one frame at a time, with its blendshapes.
     """
 
-    method: str
-    kind: str
-    frames: int
-    mean: float
-    p95: float
-    largest: float
-    moving: float
-    share: float
-    simulates: bool
-    fit_seconds: float | None
-    bind_ms: float | None
-    frame_ms: float | None
+    fit_seconds: float | None = None
+    head_ms: float | None = None
+    bind_ms: float | None = None
+    frame_ms: float | None = None
+
+
+@dataclass(frozen=True)
+class Score(Cost):
+    """One method on some frames of one or more `faces`: distances of the skin to the simulator's, and its costs.
+
+    mean, p95, largest, moved, share, vertices: see `ruler.Ruler`, over vertices that |T - carried(S)| moves. everywhere
+    [mm]: mean distance over all vertices. simulates: whether the simulator runs at bind or in each frame.
+    """
+
+    method: str = ""
+    kind: str = ALL
+    frames: int = 0
+    faces: int = 0
+    mean: float = np.nan
+    p95: float = np.nan
+    largest: float = np.nan
+    moved: float = np.nan
+    share: float = np.nan
+    vertices: int = 0
+    everywhere: float = np.nan
+    simulates: bool = False
 
 
 class Tests(Protocol):
@@ -59,62 +71,6 @@ class Tests(Protocol):
         ...
 
 
-def evaluate(
-    methods: Sequence[Method],
-    test: Tests,
-    training: Faces | None = None,
-    *,
-    chosen: Sequence[int] | None = None,
-    on_progress: OnProgress = silent,
-) -> list[Score]:
-    """Scores of each method over all static frames of the test faces, and per kind of parameters ("all" first).
-
-    Kind VARYING has the faces, of whatever other kind, whose p is not the same everywhere.
-
-    `training` faces fit what is not fitted yet; None for methods that need none. `chosen`: of the test faces, those of
-    these numbers alone.
-    """
-    scores = []
-    for number, method in enumerate(methods):
-        fit_seconds = 0.0
-        if training is not None:
-            begin = time.perf_counter()
-            method.fit(training)
-            fit_seconds = time.perf_counter() - begin
-        scores += _scores(method, test, range(len(test)) if chosen is None else chosen, fit_seconds)
-        on_progress(f"evaluate: {method.name}", (number + 1) / len(methods))
-    return scores
-
-
-def _scores(method: Method, test: Tests, chosen: Sequence[int], fit_seconds: float) -> list[Score]:
-    kinds, varying, errors, motions, binding, framing = [], [], [], [], [], []
-    for index in chosen:
-        face, frames = test.face(index), test.frames(index)
-        if not len(frames.weights):
-            continue
-        begin = time.perf_counter()
-        bound = method.bind(face)
-        binding.append(time.perf_counter() - begin)
-        begin = time.perf_counter()
-        answer = bound(frames.weights)
-        framing.append((time.perf_counter() - begin) / len(frames.weights))
-        truth = frames.corrected.astype(np.float32)
-        errors.append(np.linalg.norm(answer - truth, axis=2))
-        motions.append(np.linalg.norm(truth, axis=2))
-        kinds += [face.kind] * len(frames.weights)
-        varying += [bool(face.coefficients[:, 1:].any())] * len(frames.weights)
-    if not errors:
-        raise InputError(
-            "evaluate: the faces have no accepted static frames; make more of the corpus, or another split"
-        )
-    error, motion, kind = np.concatenate(errors), np.concatenate(motions), np.array(kinds)
-    times: Times = fit_seconds, 1e3 * float(np.median(binding)), 1e3 * float(np.median(framing))
-    parts = {"all": np.ones(len(kind), dtype=bool)} | {name: kind == name for name in sorted(set(kinds))}
-    if any(varying):
-        parts[VARYING] = np.array(varying)
-    return [score_of(method, name, error[rows], motion[rows], times) for name, rows in parts.items()]
-
-
 class Named(Protocol):
     """What a score says of its method."""
 
@@ -122,26 +78,129 @@ class Named(Protocol):
     simulates: bool
 
 
-def score_of(method: Named, kind: str, error: Floats, motion: Floats, times: Times) -> Score:
-    """Return the score of distances of vertices to the truth (frames, n) [mm], and of that to the blendshapes.
+@dataclass(frozen=True, eq=False)
+class _Tally:
+    """What is measured of one method: distances (frames, n) [mm] per face, and seconds."""
 
-    Raises InputError where there is no frame, where nothing moves, and for numbers that are not finite.
+    errors: list[Floats32]
+    binding: list[float]
+    framing: list[float]
+
+
+def evaluate(
+    methods: Sequence[Method],
+    test: Tests,
+    heads: Heads,
+    training: Faces | None = None,
+    *,
+    chosen: Sequence[int] | None = None,
+    costs: BindCosts | None = None,
+    on_progress: OnProgress = silent,
+) -> list[Score]:
+    """Score each method over all static frames of the test faces (ALL), and by kind of p and strength of expression.
+
+    Kinds and strengths are `ruler.KINDS` and `ruler.STRENGTHS`; UNSCALED and VARYING have the faces in which no bone is
+    scaled, and those whose p is not the same everywhere. Kinds in which nothing moves are left out.
+
+    heads: of the test people. training: faces that fit what is not fitted yet; None for methods that need none.
+    chosen: numbers of test faces, by default all. costs: what binds take of the simulator; without it the costs of
+    methods that take something are left out. Raises InputError where a bone is scaled and nobody fits heads.
     """
-    if not len(error) or not motion.any() or not (np.isfinite(error).all() and np.isfinite(motion).all()):
-        why = "numbers that are not finite" if motion.any() else "no frame that simulation moves"
+    fits = []
+    for number, method in enumerate(methods):
+        begin = time.process_time()
+        if training is not None:
+            method.fit(training)
+        fits.append(time.process_time() - begin)
+        on_progress(f"fit: {method.name}", (number + 1) / len(methods))
+    tallies = [_Tally([], [], []) for _ in methods]
+    motions: list[Floats32] = []
+    labels: list[tuple[int, str, str, bool, bool]] = []
+    indices = range(len(test)) if chosen is None else chosen
+    for number, index in enumerate(indices):
+        face, frames = test.face(index), test.frames(index)
+        if not len(frames.weights):
+            continue
+        carried, truth = heads.carry(face), frames.corrected.astype(np.float32)
+        motions.append(np.linalg.norm(truth - carried, axis=2))
+        kind, varies = kind_of_coefficients(face.coefficients), bool(face.coefficients[:, 1:].any())
+        labels += [(index, kind, strength_of(w), varies, not carried.any()) for w in frames.weights]
+        for method, tally in zip(methods, tallies, strict=True):
+            _measure(method, face, frames.weights, truth, tally)
+        on_progress("evaluate: faces", (number + 1) / len(indices))
+    if not motions:
+        raise InputError(
+            "evaluate: the faces have no accepted static frames; make more of the corpus, or another split"
+        )
+    motion, parts = np.concatenate(motions), _parts(labels)
+    face_of = np.array([label[0] for label in labels])
+    scores = []
+    for method, fitted, tally in zip(methods, fits, tallies, strict=True):
+        error, cost = np.concatenate(tally.errors), _cost(method.takes, fitted, tally, costs)
+        for name, rows in parts.items():
+            score = score_of(method, name, error[rows], motion[rows], cost, faces=len(np.unique(face_of[rows])))
+            if name == ALL or score.vertices:
+                scores.append(score)
+    return scores
+
+
+def _measure(method: Method, face: Face, weights: Floats32, truth: Floats32, tally: _Tally) -> None:
+    begin = time.process_time()
+    bound = method.bind(face)
+    tally.binding.append(time.process_time() - begin)
+    skin, shapes = face.skin.astype(np.float32), np.asarray(face.shapes, dtype=np.float32)
+    answers = []
+    for row in weights:
+        begin = time.process_time()
+        answer = _frame(bound, row, skin, shapes)
+        tally.framing.append(time.process_time() - begin)
+        answers.append(answer[1])
+    tally.errors.append(np.linalg.norm(np.stack(answers) - truth, axis=2).astype(np.float32))
+
+
+def _frame(bound: Bound, weights: Floats32, skin: Floats32, shapes: Floats32) -> tuple[Floats32, Floats32]:
+    """T and T - S [mm], (n, 3), as a user has them of one frame: with S by blendshapes."""
+    corrected = bound(weights[None])[0]
+    return skin + np.tensordot(weights, shapes, axes=1) + corrected, corrected
+
+
+def _parts(labels: Sequence[tuple[int, str, str, bool, bool]]) -> dict[str, np.ndarray]:
+    """Which frames each part has, shape (frames,), in the order of tables."""
+    _, kinds, strengths, varying, unscaled = (np.array(column) for column in zip(*labels, strict=True))
+    parts = {ALL: np.ones(len(labels), dtype=bool)}
+    parts |= {name: kinds == name for name in KINDS}
+    parts |= {UNSCALED: unscaled, VARYING: varying}
+    parts |= {name: strengths == name for name in STRENGTHS}
+    return {name: rows for name, rows in parts.items() if rows.any()}
+
+
+def _cost(takes: Takes, fitted: float, tally: _Tally, costs: BindCosts | None) -> Cost:
+    own, frame = 1e3 * float(np.median(tally.binding)), 1e3 * float(np.median(tally.framing))
+    if takes == "nothing":
+        return Cost(fitted, None, own, frame)
+    if costs is None:
+        return Cost(fitted, None, None, frame)
+    # To carry the skin is what this bind does itself.
+    return Cost(fitted, 1e3 * costs.head, 1e3 * costs.seconds(takes) + (0.0 if takes == "carried" else own), frame)
+
+
+def score_of(
+    method: Named, kind: str, error: Floats, motion: Floats, cost: Cost | None = None, *, faces: int = 1
+) -> Score:
+    """Score distances to T against |T - carried(S)|; both [mm], shape (frames, n).
+
+    Raises InputError where there is no frame, and for numbers that are not finite.
+    """
+    if not len(error) or not (np.isfinite(error).all() and np.isfinite(motion).all()):
+        why = "numbers that are not finite" if len(error) else "no frame"
         raise InputError(f"evaluate: {method.name}, {kind}: {why}")
-    moves = motion > MOVES
     return Score(
         method=method.name,
         kind=kind,
         frames=len(error),
-        mean=float(error.mean()),
-        p95=float(np.percentile(error, 95.0)),
-        largest=float(error.max()),
-        moving=float(error[moves].mean()) if moves.any() else float("nan"),
-        share=float(error.mean() / motion.mean()),
+        faces=faces,
+        everywhere=float(error.mean()),
         simulates=method.simulates,
-        fit_seconds=times[0],
-        bind_ms=times[1],
-        frame_ms=times[2],
+        **asdict(measure(error, motion)),
+        **asdict(Cost() if cost is None else cost),
     )

@@ -15,13 +15,14 @@ from ..lhm.mesh import Floats, Floats32, Surface
 from ..lhm.progress import OnProgress, silent
 from ..reference import Parameters
 from ..reference.face.base import turns_before
+from .carried import Heads
 from .corpus.fields import basis
 from .corpus.mixture import NAMES
 from .corpus.plan import RATE, Split
 from .corpus.reading import Row, Table
 from .dynamics import OSCILLATION, DynamicRig, Swing
-from .evaluate import Named, Score, score_of
-from .modal.faces import Face, Faces
+from .evaluate import Cost, Named, Score, score_of
+from .modal.faces import Face, Faces, static_of
 from .modal.looseness import Looseness
 from .rivals import Method
 
@@ -45,15 +46,17 @@ def evaluate_dynamic(
     methods: Sequence[Method],
     folder: str | PathLike[str],
     split: Split | None,
+    heads: Heads,
     looseness: Looseness,
     *,
     partial: bool = False,
     on_progress: OnProgress = silent,
 ) -> list[Score]:
-    """Scores of each method, which is fitted, over all frames of the sequences: of kinds DYNAMIC, and STILL.
+    """Score each method, which is fitted, over all frames of the sequences: of kinds DYNAMIC, and STILL.
 
-    A sequence begins at the method's own static answer with the velocity that the simulation had, and its head turns
-    alike. Raises InputError where no sequence of the split has derivatives, and what `Table` raises.
+    heads: of the corpus' people. A sequence begins at the method's own static answer with the velocity that
+    the simulation had, and its head turns alike. Raises InputError where no sequence of the split has derivatives, and
+    what `Table` raises.
     """
     faces, table = Faces(folder, split, partial=partial), Table(folder, "sequences", split, partial=partial)
     rows = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
@@ -62,49 +65,60 @@ def evaluate_dynamic(
         raise InputError(f"corpus {folder}: no sequence of the {split or 'whole'} split is of a face with derivatives")
     scores = []
     for number, method in enumerate(methods):
-        played = [_played(method, table, k, faces.face(row), looseness) for k, row in pairs]
+        played = [_played(method, table, k, faces.face(row), heads, looseness) for k, row in pairs]
         motion = np.concatenate([one.motion for one in played])
-        bind = 1e3 * float(np.median([one.bind for one in played]))
         for kind in (DYNAMIC, STILL):
             errors = np.concatenate([one.errors[kind] for one in played])
             frame = 1e3 * float(np.median([one.frame[kind] for one in played]))
-            scores.append(score_of(method, kind, errors, motion, (None, bind, frame)))
+            scores.append(score_of(method, kind, errors, motion, Cost(frame_ms=frame), faces=len(pairs)))
         on_progress(f"evaluate, dynamic: {method.name}", (number + 1) / len(methods))
     return scores
 
 
 def evaluate_sequences(
-    method: PlaysSequences, folder: str | PathLike[str], *, partial: bool = False, on_progress: OnProgress = silent
+    method: PlaysSequences,
+    folder: str | PathLike[str],
+    heads: Heads,
+    *,
+    partial: bool = False,
+    on_progress: OnProgress = silent,
 ) -> Score:
-    """The score, of kind DYNAMIC, of a method that learns sequences alone: fitted to those of training people.
+    """Tell the score, of kind DYNAMIC, of a method that learns sequences alone: fitted to those of training people.
 
     It begins with the two skins that the simulation had before. Raises what `Table` raises.
     """
-    begin = time.perf_counter()
+    begin = time.process_time()
     method.fit(Table(folder, "sequences", "train", partial=partial))
-    fitted = time.perf_counter() - begin
+    fitted = time.process_time() - begin
     table = Table(folder, "sequences", "test", partial=partial)
     errors, motions, times = [], [], []
     for k in range(len(table)):
         row = table[k]
-        begin = time.perf_counter()
+        begin = time.process_time()
         found = method.play(row)
-        times.append((time.perf_counter() - begin) / len(found))
+        times.append((time.process_time() - begin) / len(found))
         truth = row["corrected"].astype(np.float32)
         errors.append(np.linalg.norm(found - truth, axis=2))
-        motions.append(np.linalg.norm(truth, axis=2))
+        motions.append(np.linalg.norm(truth - heads.carry(_still_face(table, row)), axis=2))
     on_progress(f"evaluate, dynamic: {method.name}", 1.0)
-    costs = fitted, None, 1e3 * float(np.median(times))
-    return score_of(method, DYNAMIC, np.concatenate(errors), np.concatenate(motions), costs)
+    cost = Cost(fit_seconds=fitted, frame_ms=1e3 * float(np.median(times)))
+    return score_of(method, DYNAMIC, np.concatenate(errors), np.concatenate(motions), cost, faces=len(table))
+
+
+def _still_face(table: Table, row: Row) -> Face:
+    """The face of a sequence, without derivatives: enough for its bones."""
+    identity = int(row["identity"])
+    skin, none = table.skin(identity).vertices, np.zeros((0, 3), dtype=np.float32)
+    coefficients = static_of(row["coefficients"])
+    return Face(identity, "", row["code"], coefficients, none, none, none, table.shapes(identity), skin)
 
 
 @dataclass(frozen=True, eq=False)
 class _Played:
-    """Distances (frames, n) [mm] by kind, motion (frames, n) [mm] of the truth, seconds of a bind and of a frame."""
+    """Distances (frames, n) [mm] by kind, |T - carried(S)| (frames, n) [mm], and seconds of a frame by kind."""
 
     errors: dict[str, Floats]
     motion: Floats
-    bind: float
     frame: dict[str, float]
 
 
@@ -119,31 +133,28 @@ class _Answers:
         return self.skins[weights].copy()
 
 
-def _played(method: Method, table: Table, number: int, face: Face, looseness: Looseness) -> _Played:
+def _played(method: Method, table: Table, number: int, face: Face, heads: Heads, looseness: Looseness) -> _Played:
     row, skin, shapes = table[number], table.skin(face.identity), table.shapes(face.identity)
-    begin = time.perf_counter()
     bound = method.bind(face)
-    bind = time.perf_counter() - begin
-    begin = time.perf_counter()
-    corrected = bound(row["weights"])
-    static = (time.perf_counter() - begin) / len(corrected)
+    begin = time.process_time()
+    corrected = np.concatenate([bound(weights[None]) for weights in row["weights"]])
+    static = (time.process_time() - begin) / len(corrected)
     blended = (skin.vertices + np.tensordot(row["weights"], shapes, axes=1)).astype(np.float32)
     swing = _swing(face, row, table.template.mean, looseness)
     moving = DynamicRig(_Answers(blended + corrected), swing, 1.0 / RATE)
     turned = row["rotations"].astype(np.float64)
     velocity = RATE * (row["before"][0].astype(np.float64) - row["before"][1])
     moving.begin(0, velocity=velocity, base=turns_before(turned))
-    begin = time.perf_counter()
+    begin = time.process_time()
     swung = np.stack([moving.frame(k, base=base) for k, base in enumerate(turned)])
-    dynamic = static + (time.perf_counter() - begin) / len(corrected)
+    dynamic = static + (time.process_time() - begin) / len(corrected)
     truth = row["corrected"].astype(np.float32)
     return _Played(
         errors={
             DYNAMIC: np.linalg.norm(swung - blended - truth, axis=2),
             STILL: np.linalg.norm(corrected - truth, axis=2),
         },
-        motion=np.linalg.norm(truth, axis=2),
-        bind=bind,
+        motion=np.linalg.norm(truth - heads.carry(face), axis=2),
         frame={DYNAMIC: dynamic, STILL: static},
     )
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..lhm.errors import InputError
 from ..lhm.mesh import Floats, Floats32
 from ..lhm.progress import OnProgress, silent
+from .carried import Heads
 from .corpus.plan import Split
 from .corpus.reading import Table
 from .corpus.references import FEM_LAWS
@@ -63,13 +64,15 @@ def evaluate_references(
     methods: Sequence[Method],
     folder: str | PathLike[str],
     split: Split | None,
+    heads: Heads,
     *,
     partial: bool = False,
     on_progress: OnProgress = silent,
 ) -> list[Score]:
-    """Scores of projective dynamics and of each method, which is fitted, by law (KINDS), without times.
+    """Score projective dynamics and each method, which is fitted, by law (KINDS), without costs.
 
-    Raises InputError where no frame with references has derivatives, and what `Table` raises.
+    heads: of the corpus' people. T is what FEniCSx says. Raises InputError where no frame with references
+    has derivatives, and what `Table` raises.
     """
     faces = Faces(folder, split, partial=partial)
     scores: list[Score] = []
@@ -78,13 +81,19 @@ def evaluate_references(
     def bound(method: int, index: int) -> Bound:
         return methods[method].bind(faces.face(index))
 
+    @lru_cache(maxsize=4)
+    def carried(index: int) -> Floats32:
+        return heads.carry(faces.face(index))
+
     for law, kind in KINDS.items():
         answers: dict[str, list[Floats]] = {}
         motions: list[Floats] = []
+        seen: set[int] = set()
         for frame in referenced(folder, split, faces, partial=partial):
             if frame.law != law:
                 continue
-            motions.append(np.linalg.norm(frame.fenicsx, axis=1))
+            seen.add(frame.face)
+            motions.append(np.linalg.norm(frame.fenicsx - carried(frame.face), axis=1))
             answers.setdefault(_Simulator().name, []).append(np.linalg.norm(frame.simulated - frame.fenicsx, axis=1))
             for number, method in enumerate(methods):
                 own = bound(number, frame.face)(frame.weights[None])[0]
@@ -94,6 +103,6 @@ def evaluate_references(
             raise InputError(f"corpus {folder}: no frame with an answer of {law} has derivatives")
         named: list[Named] = [_Simulator(), *methods]
         motion: Floats = np.stack(motions)
-        scores += [score_of(one, kind, np.stack(answers[one.name]), motion, (None, None, None)) for one in named]
+        scores += [score_of(one, kind, np.stack(answers[one.name]), motion, faces=len(seen)) for one in named]
         on_progress(f"evaluate, {kind}", 1.0)
     return scores

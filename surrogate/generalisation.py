@@ -19,12 +19,13 @@ from ..lhm.files.alone import alone_in
 from ..lhm.files.npz import read_arrays, write_arrays
 from ..lhm.files.resumable import begin
 from ..lhm.progress import OnProgress, silent
+from .carried import BindCosts, Heads
 from .corpus.folder import simulated_of
 from .corpus.group import Group
 from .corpus.person import People, Person
 from .corpus.plan import IDENTITY, SPLITS, CorpusPlan, Split
 from .corpus.shard import ACCEPTED
-from .evaluate import Score, evaluate
+from .evaluate import ALL, Score, evaluate
 from .modal.faces import Face, Frames, static_of
 from .modal.weights import ModalWeights
 from .rivals import Method
@@ -95,6 +96,7 @@ def evaluate_generalisation(
     *,
     count: int,
     on: Schedule,
+    costs: BindCosts | None = None,
     on_progress: OnProgress = silent,
 ) -> list[Score]:
     """Scores by kind (KINDS) of methods, which are fitted, on `count` pairs of people; a minute of a core each.
@@ -112,9 +114,10 @@ def evaluate_generalisation(
         for done, _ in enumerate(results_of(work, pending, on=on, name="generalisation")):
             on_progress("generalisation: pairs of people simulated", (done + 1) / len(pending))
     scores: list[Score] = []
+    heads = Heads(people)
     for combination, kind in zip(COMBINATIONS, KINDS, strict=True):
-        found = evaluate(methods, _Combination.of(work, wanted, combination))
-        scores += [replace(score, kind=kind) for score in found if score.kind == "all"]
+        found = evaluate(methods, _Combination.of(work, wanted, combination), heads, costs=costs)
+        scores += [replace(score, kind=kind) for score in found if score.kind == ALL]
         on_progress(f"generalisation, {kind}", len(scores) / len(methods) / len(COMBINATIONS))
     return scores
 

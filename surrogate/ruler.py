@@ -2,18 +2,42 @@
 
 A face whose bones p scales moves by millimetres, and nearly all of that is bone. So errors are measured against
 T - carried(S): simulated skin T less blendshapes S carried along by the scaled bones (`carry_skin`).
+
+Frames are told apart by kind of p and by strength of the expression. A kind is named for the effect in p, or "several";
+materials may differ in each, and "materials" are the faces in which nothing else differs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
+from ..reference import Parameters
+from ..reference.face.settling import carry_skin
+from .modal.features import STATIC
 
 MOVES = 0.05
 """[mm] A vertex counts as moving where |T - carried(S)| is larger."""
+BONES = tuple(f"{bone}_scale_{axis}" for bone in ("cranium", "mandible") for axis in "xyz")
+EFFECTS = {
+    "gravity": ("gravity", "gravity_x", "gravity_y", "gravity_z"),
+    "volume and growth": ("soft_volume", "muscle_volume", "skin_growth"),
+    "bones": BONES,
+    "palsy": ("paralysis_left", "paralysis_right"),
+}
+"""The parameters of each kind of effect; all other static ones are materials."""
+DEFAULT, MATERIALS, SEVERAL = "default", "materials", "several"
+KINDS = (DEFAULT, MATERIALS, *EFFECTS, SEVERAL)
+STRENGTHS = {
+    "largest weight below 0.4": (0.0, 0.4),
+    "largest weight 0.4 to 0.7": (0.4, 0.7),
+    "largest weight above 0.7": (0.7, np.inf),
+}
+"""Classes of expressions, by their largest weight."""
 
 
 @dataclass(frozen=True)
@@ -41,3 +65,44 @@ def measure(error: Floats, motion: Floats) -> Ruler:
     left, moved = error[moves], float(motion[moves].mean())
     mean = float(left.mean())
     return Ruler(mean, float(np.percentile(left, 95.0)), float(left.max()), moved, mean / moved, int(moves.sum()))
+
+
+def measure_skin(skin: Floats, truth: Floats, blended: Floats, head: LayeredHead, parameters: Parameters) -> Ruler:
+    """Measure a skin against the simulated one, `truth`; all [mm], shape (..., skin vertices, 3).
+
+    blended: the same expressions by blendshapes, S, of the head without p.
+    """
+    carried = blended + carry_skin(head, parameters)
+    return measure(np.linalg.norm(skin - truth, axis=-1), np.linalg.norm(truth - carried, axis=-1))
+
+
+def kind_of(names: Iterable[str]) -> str:
+    """Name the kind, of KINDS, of a face by the static parameters that differ from their default."""
+    differing = set(names)
+    effects = [kind for kind, of in EFFECTS.items() if differing & set(of)]
+    if not effects:
+        return MATERIALS if differing else DEFAULT
+    return effects[0] if len(effects) == 1 else SEVERAL
+
+
+def kind_of_parameters(parameters: Parameters) -> str:
+    """Name the kind, of KINDS, of a face under `parameters`."""
+    return kind_of(
+        name for name in STATIC if np.any(np.asarray(getattr(parameters, name)) != Parameters.info(name).default)
+    )
+
+
+def kind_of_coefficients(coefficients: Floats) -> str:
+    """Name the kind, of KINDS, of a face of a corpus by its coefficients of STATIC, shape (P, 1 + WAVES)."""
+    return kind_of(name for name, row in zip(STATIC, coefficients, strict=True) if not _is_default(name, row))
+
+
+def strength_of(weights: Floats) -> str:
+    """Name the class, of STRENGTHS, of an expression's weights (52,)."""
+    largest = float(np.max(weights))
+    return next(name for name, (low, high) in STRENGTHS.items() if low <= largest < high)
+
+
+def _is_default(name: str, row: Floats) -> bool:
+    info = Parameters.info(name)
+    return not np.any(row[1:]) and bool(np.float32(row[0]) == np.float32(info.normalise(info.default)))

@@ -57,6 +57,8 @@ CONTRADICTORY = (
 
 MOVED, HELD, MEET = (0.15, 0.6), (0.1, 0.4), 0.3  # [s], [s], share of a fall in which the next begins to rise
 JAW_SHARE, SYMMETRIC_SHARE, MORE_UNITS = 0.6, 0.8, 2.0
+HARD_SHAPES, HARD_RANGES = (2, 5), ((0.2, 1.0), (0.1, 0.5))
+"""Shapes of a hard expression, and the range of their weights in either half of all."""
 
 
 @checked
@@ -104,6 +106,27 @@ def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
         weights = np.maximum(weights, (part * part * (3.0 - 2.0 * part))[:, None] * expression)
         start, expression = there + held + (1.0 - MEET) * falls, sample_weights(rng)
     weights[:, index("mouthClose")] = np.minimum(weights[:, index("mouthClose")], weights[:, index("jawOpen")])
+    return weights
+
+
+@checked
+def hard_expressions(rng: np.random.Generator, frames: int) -> Floats:
+    """Draw weights without order in time, shape (frames, 52), in [0, 1]: two to five random shapes at once, one-sided.
+
+    Half of the frames have weights of 0.2 to 1, half of 0.1 to 0.5. No two shapes contradict each other, and
+    mouthClose never exceeds jawOpen. Raises InputError for fewer than one frame.
+    """
+    check_frames(frames, 1.0)
+    weights = np.zeros((frames, len(ARKIT)))
+    for row in weights:
+        while not row.any():
+            count, span = rng.integers(HARD_SHAPES[0], HARD_SHAPES[1] + 1), HARD_RANGES[rng.integers(2)]
+            active: list[str] = []
+            for name in rng.permutation(ARKIT):
+                if len(active) < count and not any(contradict(name, other) for other in active):
+                    active.append(str(name))
+                    row[index(str(name))] = rng.uniform(*span)
+            row[index("mouthClose")] = min(row[index("mouthClose")], row[index("jawOpen")])
     return weights
 
 

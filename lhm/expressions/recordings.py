@@ -1,7 +1,7 @@
 """A pool of takes to draw expressions from: recorded, spoken, made up. A corpus is split by them, not by their frames.
 
 Each is known by its name alone: "real/FILE" is read from a folder, "speech/07" is the eighth of the shipped sentences,
-"conversation/3" and "random/3" follow from their number and length. All are given at one rate.
+"conversation/3", "random/3" and "hard/3" follow from their number and length. All are given at one rate.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from ..bounds import RECORDED_FILES, RECORDINGS
 from ..checked import checked
 from ..errors import InputError
 from ..mesh import Ints
-from .combinations import combinations
+from .combinations import combinations, hard_expressions
 from .conversation import conversation_take
 from .speech import PACE, speech, texts
 from .take import Take, check_frames, resampled
 from .take_file import read_take
 
-Kind = Literal["real", "speech", "conversation", "random"]
+Kind = Literal["real", "speech", "conversation", "random", "hard"]
 RATE = 60.0
 SECONDS = 60.0
 SUFFIXES = (".csv", ".json")
@@ -64,19 +64,20 @@ def recordings(
     spoken: Sequence[str] | None = None,
     conversations: int = 8,
     random: int = 8,
+    hard: int = 0,
     seconds: float = SECONDS,
     rate: float = RATE,
     pace: float = PACE,
 ) -> dict[str, Recording]:
-    """Recordings by their names, in a fixed order: real ones, speech, conversations, random combinations.
+    """Recordings by their names, in a fixed order: real ones, speech, conversations, random combinations, hard ones.
 
     `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
-    `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`: how many, each of `seconds`.
-    Raises InputError for a folder that is not there or has no take, counts beyond `bounds.RECORDINGS`, and what
-    `speech` and the makers raise.
+    `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`, `hard`: how many, each of
+    `seconds`; frames of a hard one have no order in time. Raises InputError for a folder that is not there or has no
+    take, counts beyond `bounds.RECORDINGS`, and what `speech` and the makers raise.
     """
-    RECORDINGS.check("conversations", conversations)
-    RECORDINGS.check("random", random)
+    for name, count in (("conversations", conversations), ("random", random), ("hard", hard)):
+        RECORDINGS.check(name, count)
     check_frames(seconds * rate, rate)
     frames = round(seconds * rate)
     found = [] if folder is None else _real(Path(folder), rate)
@@ -87,6 +88,7 @@ def recordings(
         found.append(Recording(f"speech/{number:02d}", "speech", count, rate, text, pace))
     found += [Recording(f"conversation/{k}", "conversation", frames, rate, str(k)) for k in range(conversations)]
     found += [Recording(f"random/{k}", "random", frames, rate, str(k)) for k in range(random)]
+    found += [Recording(f"hard/{k}", "hard", frames, rate, str(k)) for k in range(hard)]
     return {recording.name: recording for recording in found}
 
 
@@ -133,4 +135,6 @@ def _made(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Tak
     rng, times = np.random.default_rng(int(origin)), np.arange(frames) / rate
     if kind == "conversation":
         return conversation_take(rng, frames, rate=rate)
+    if kind == "hard":
+        return Take(hard_expressions(rng, frames), rate, times, synthetic="hard expressions")
     return Take(combinations(rng, frames, rate=rate), rate, times, synthetic="random combinations")

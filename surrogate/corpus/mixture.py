@@ -6,6 +6,7 @@
 | materials | stiffnesses of soft tissue, muscle, skin and targets, volume ratios; a strain limit in a tenth of all    |
 | effects   | two to four of: weight, muscle volume, growing skin, mandible, cranium, gravity on lean tissue, palsy  |
 | both      | materials, and effects                                                                                  |
+| single    | one of these effects alone                                                                              |
 
 Frequency and damping differ in all but the few. What is `local` is one number, or a smooth random field in the share of
 sets that the plan gives. Ranges are those of `Parameters`, but for these, where the energy would have several minima:
@@ -24,7 +25,7 @@ from ...lhm.mesh import Floats, Surface
 from ...reference import Parameters
 from .fields import WAVES, on_faces, on_wraps
 
-KINDS = ("few", "materials", "effects", "both")
+KINDS = ("few", "materials", "effects", "both", "single")
 NAMES = tuple(info.name for info in Parameters.infos())
 INFOS = {info.name: info for info in Parameters.infos()}
 MATERIALS: dict[str, tuple[float, float]] = {
@@ -96,9 +97,9 @@ def draw(rng: np.random.Generator, kind: str, *, field: bool) -> ParameterSet:
         return ParameterSet(kind, drawn.varied, drawn.coefficients)
     if kind in ("materials", "both"):
         _materials(drawn)
-    if kind in ("effects", "both"):
-        names = list(EFFECTS)
-        for name in sorted(rng.choice(names, 2 + rng.integers(3), replace=False)):
+    if kind in ("effects", "both", "single"):
+        count = 1 if kind == "single" else 2 + rng.integers(3)
+        for name in sorted(rng.choice(list(EFFECTS), count, replace=False)):
             EFFECTS[name](drawn)
     drawn.settle_skin()
     for name in ("frequency", "damping"):

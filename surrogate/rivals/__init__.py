@@ -3,7 +3,8 @@
 | file          | method                                             | needs the simulator at bind |
 |---------------|----------------------------------------------------|-----------------------------|
 | blendshapes   | T = S                                              | no                          |
-| linearised    | the simulator's offset and 52 responses            | yes                         |
+| carried       | T = S carried along by the bones that p scales     | no, but a head              |
+| linearised    | the settled neutral face, or with 52 responses     | yes                         |
 | responses     | both learned by kernel ridge regression            | no                          |
 | ridge         | ridge regression of frames, raw or dimensionless   | no                          |
 | softsmpl      | one perceptron of w, p and h to all vertices       | no                          |
@@ -14,6 +15,6 @@
 | modal         | the shipped network, alone or with exact responses | no, or yes                  |
 """
 
-from .protocol import Bound, Method
+from .protocol import Bound, Method, Takes
 
-__all__ = ["Bound", "Method"]
+__all__ = ["Bound", "Method", "Takes"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..modal.faces import Face, Faces
-from .protocol import Bound
+from .protocol import Bound, Takes
 
 
 class Blendshapes:
@@ -13,6 +13,7 @@ class Blendshapes:
 
     name = "blendshapes (T = S)"
     simulates = False
+    takes: Takes = "nothing"
 
     def fit(self, faces: Faces) -> None:
         """Nothing to learn."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..modal.faces import Face, Faces
-from .protocol import Bound
+from .protocol import Bound, Takes
 
 
 class Linearised:
@@ -15,6 +15,7 @@ class Linearised:
 
     def __init__(self, *, responses: bool = True):
         self._responses = responses
+        self.takes: Takes = "derivatives" if responses else "settled"
         self.name = "linearised simulator" if responses else "settled neutral face + blendshapes"
 
     def fit(self, faces: Faces) -> None:

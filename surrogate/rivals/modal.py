@@ -8,7 +8,7 @@ from ..modal.compressed import compressed
 from ..modal.faces import Face, Faces
 from ..modal.rig import Modal
 from ..modal.weights import ModalWeights
-from .protocol import Bound
+from .protocol import Bound, Takes
 
 
 class ModalMethod:
@@ -16,6 +16,7 @@ class ModalMethod:
 
     def __init__(self, weights: ModalWeights, *, exact: bool = False):
         self._modal, self.simulates = Modal(weights), exact
+        self.takes: Takes = "derivatives" if exact else "nothing"
         self.name = "network + simulator at bind" if exact else "network"
 
     def fit(self, faces: Faces) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from ...lhm.errors import InputError
 from ...lhm.mesh import Floats, Floats32
 from ..modal.faces import Face, Faces, Inputs
-from .protocol import Bound
+from .protocol import Bound, Takes
 
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 """Of the kernel, over the median distance of training faces."""
@@ -21,6 +21,7 @@ class LearnedResponses:
 
     name = "learned responses (kernel ridge)"
     simulates = False
+    takes: Takes = "nothing"
 
     def fit(self, faces: Faces) -> None:
         """Keep all training faces; InputError for fewer than ten."""

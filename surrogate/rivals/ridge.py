@@ -10,7 +10,7 @@ from ...lhm.mesh import Floats
 from ..modal.faces import Face, Faces, Inputs
 from ..modal.features import STATIC
 from ..modal.principal import principal
-from .protocol import Bound
+from .protocol import Bound, Takes
 
 FRAMES = 6000
 PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
@@ -23,6 +23,7 @@ class Ridge:
     """Features "raw": w, and the summary of p and h; "dimensionless" adds w (soft/target stiffness)^q of three q."""
 
     simulates = False
+    takes: Takes = "nothing"
 
     def __init__(self, features: Literal["raw", "dimensionless"] = "raw", components: int = 128):
         self._features, self._components = features, components

@@ -9,7 +9,7 @@ import numpy as np
 from ...lhm.mesh import Floats32, Ints
 from ..learning import nn, torch
 from ..modal.faces import Face, Faces, Inputs
-from .protocol import Bound
+from .protocol import Bound, Takes
 
 FRAMES, STEPS, BATCH, VERTICES, RATE = 6000, 1500, 32, 512, 2e-3
 SEED = 7
@@ -31,6 +31,7 @@ class Trained(ABC):
     """
 
     simulates = False
+    takes: Takes = "nothing"
     name: str
 
     def __init__(self, steps: int = STEPS):

@@ -81,7 +81,7 @@ def test_plans_from_files(tmp_path):
         ("identities = 1", "identities: 1 people; expected 2 to 99,999"),
         ("identities = 2.5", "identities"),
         ("colour = 3", "unknown option 'colour'"),
-        ('preset = "huge"', "there are tiny, study, small, neutral, paper"),
+        ('preset = "huge"', "there are tiny, study, fresh, small, neutral, paper"),
         ("[kinds]\nzombies = 1.0", "kinds: expected shares in"),
         ("[sources]\nspeech = 0.0", "all shares are zero"),
         ("responses = 1.5", "responses: expected a share"),

@@ -18,11 +18,12 @@ from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters, settled
 from softdeca.reference.face.linearised import linearised
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.carried import Heads
 from softdeca.surrogate.corpus.fields import WAVES
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.evaluate import VARYING, evaluate
+from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.modal.faces import Faces
 from softdeca.surrogate.modal.features import STATIC, Features
 from softdeca.surrogate.modal.looseness import Looseness
@@ -39,9 +40,11 @@ from softdeca.surrogate.rivals.responses import LearnedResponses
 from softdeca.surrogate.rivals.ridge import Ridge
 from softdeca.surrogate.rivals.softsmpl import SoftSMPL
 from softdeca.surrogate.rivals.vertices_only import VerticesOnly
+from softdeca.surrogate.ruler import KINDS, STRENGTHS
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
+HEADS = Heads(OfSpace(SPACE, SPACE.mean, SPACE.fit))
 N = len(SPACE.mean.vertices)
 PLAN = CorpusPlan(
     identities=20, groups=4, frames=5, sequences=0, references=0, parameter_responses=0.0,
@@ -94,28 +97,30 @@ def bound(surrogate, **changes):
 
 def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weights, faces):
     methods = [ModalMethod(weights), ModalMethod(weights, exact=True), Linearised(), Blendshapes()]
-    scores = {score.method: score for score in evaluate(methods, faces["test"]) if score.kind == "all"}
-    assert scores["blendshapes (T = S)"].share == pytest.approx(1.0)
-    assert scores["network"].share < 0.5
+    scores = {score.method: score for score in evaluate(methods, faces["test"], HEADS) if score.kind == "all"}
+    assert scores["network"].everywhere < 0.5 * scores["blendshapes (T = S)"].everywhere
     # Small spheres answer all but linearly: what is left is float16's rounding.
-    assert scores["network + simulator at bind"].mean < 1.2 * scores["linearised simulator"].mean < 0.01
+    hybrid, linearised_alone = scores["network + simulator at bind"], scores["linearised simulator"]
+    assert hybrid.everywhere < 1.2 * linearised_alone.everywhere < 0.01
     assert not scores["network"].simulates and scores["network + simulator at bind"].simulates
 
 
 def test_rivals_that_learn_are_scored_by_kind(faces):
-    methods = [LearnedResponses(), Ridge("raw"), Ridge("dimensionless")]
-    scores = evaluate(methods, faces["test"], faces["train"])
-    assert {score.kind for score in scores} == {"all", "both", "effects", VARYING}
+    methods = [LearnedResponses(), Ridge("raw"), Ridge("dimensionless"), Blendshapes()]
+    scores = evaluate(methods, faces["test"], HEADS, faces["train"])
+    assert {score.kind for score in scores} <= {"all", UNSCALED, VARYING, *KINDS, *STRENGTHS}
     overall = [score for score in scores if score.kind == "all"]
     assert [score.method for score in overall] == [method.name for method in methods]
-    assert overall[0].share < 0.85 and all(np.isfinite(score.mean) and score.fit_seconds > 0 for score in overall)
+    assert overall[0].everywhere < 0.85 * overall[-1].everywhere
+    assert all(np.isfinite(score.mean) and score.fit_seconds > 0 for score in overall)
 
 
 def test_networks_of_others_learn_and_are_bound(faces):
     methods = [SoftSMPL("small", 150), SoftSMPL("large", 150), VerticesOnly(150), FaceWise(150)]
-    scores = [score for score in evaluate(methods, faces["train"], faces["train"]) if score.kind == "all"]
+    found = evaluate([*methods, Blendshapes()], faces["train"], HEADS, faces["train"])
+    *scores, nothing = [score for score in found if score.kind == "all"]
     assert [score.method for score in scores] == [method.name for method in methods]
-    assert all(score.share < 0.95 and score.fit_seconds > 0 for score in scores)
+    assert all(score.everywhere < 0.95 * nothing.everywhere and score.fit_seconds > 0 for score in scores)
     # Bound or not, a network is the same function of w, p and h.
     method, face, w = methods[2], faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
     summary = (method._inputs.summary_of(face) - method._mean) / method._scale

@@ -1,0 +1,185 @@
+"""The ruler of skins: what counts as moving, kinds of p, bones carried, and gates that no trivial rival passes."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softdeca.benchmarks.surrogate_gates import BOUNDS, HYBRID, LINEARISED, NETWORK, TRIVIAL, defeats, surrogate_gates
+from softdeca.benchmarks.surrogates import told_first
+from softdeca.lhm.errors import InputError
+from softdeca.reference import Parameters
+from softdeca.reference.face.bones import scaled_skull
+from softdeca.reference.face.settling import carry_skin
+from softdeca.surrogate.carried import Heads, measure_binds
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.people import people_of
+from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
+from softdeca.surrogate.evaluate import ALL, UNSCALED, Score, evaluate
+from softdeca.surrogate.modal.faces import Faces, static_of
+from softdeca.surrogate.modal.features import STATIC
+from softdeca.surrogate.rivals.carried import BonesCarried
+from softdeca.surrogate.rivals.linearised import Linearised
+from softdeca.surrogate.ruler import (
+    MOVES,
+    STRENGTHS,
+    kind_of,
+    kind_of_coefficients,
+    kind_of_parameters,
+    measure,
+    measure_skin,
+    strength_of,
+)
+
+PEOPLE = people_of("spheres:1")
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results" / "surrogate"
+
+
+def test_only_vertices_that_move_count():
+    motion = np.array([[0.0, MOVES, 0.1, 0.3]])
+    ruler = measure(np.array([[9.0, 9.0, 0.02, 0.06]]), motion)
+    assert ruler.vertices == 2 and ruler.moved == pytest.approx(0.2)
+    assert ruler.mean == pytest.approx(0.04) and ruler.largest == 0.06 and ruler.share == pytest.approx(0.2)
+    still = measure(motion, 0.1 * motion)
+    assert still.vertices == 0 and np.isnan(still.share)
+
+
+def test_bones_alone_explain_nothing_of_the_ruler_s_motion(sphere_head):
+    """Carried blendshapes leave all of it; the truth leaves none; and skin over bone goes where bone goes."""
+    parameters = Parameters(mandible_scale_y=1.1)
+    skin, rng = sphere_head.skin.vertices, np.random.default_rng(0)
+    bumps = 0.2 * rng.normal(size=(3, *skin.shape))
+    carried = carry_skin(sphere_head, parameters)
+    truth = skin + carried + bumps
+    assert measure_skin(skin + carried, truth, skin, sphere_head, parameters).share == pytest.approx(1.0)
+    assert measure_skin(truth, truth, skin, sphere_head, parameters).largest == 0.0
+    assert measure_skin(skin, truth, skin, sphere_head, parameters).share > 1.05
+    on_bone = sphere_head.bone == 2
+    moved = scaled_skull(sphere_head, parameters) - sphere_head.skull_wrap.vertices
+    np.testing.assert_allclose(carried[on_bone], moved[on_bone], atol=1e-9)
+    assert np.abs(moved[on_bone]).max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changed", "kind"),
+    [
+        ({}, "default"),
+        ({"soft_stiffness": 3.0, "skin_bending": 1.0}, "materials"),
+        ({"gravity": 3.0, "soft_stiffness": 2.0}, "gravity"),
+        ({"gravity_x": 0.5}, "gravity"),
+        ({"skin_growth": np.full(80, 1.2), "skin_bending": 5.0}, "volume and growth"),
+        ({"soft_volume": 1.2, "muscle_volume": 0.9}, "volume and growth"),
+        ({"mandible_scale_x": 0.9, "cranium_scale_y": 1.01}, "bones"),
+        ({"paralysis_left": 1.0, "target_stiffness": 3.0}, "palsy"),
+        ({"paralysis_left": 1.0, "soft_volume": 1.2}, "several"),
+        ({"frequency": 3.0, "damping": 0.2}, "default"),
+    ],
+)
+def test_a_kind_follows_from_what_differs_in_p(changed, kind):
+    assert kind_of_parameters(Parameters(**changed)) == kind
+    assert kind_of(set(changed) & set(STATIC)) == kind
+
+
+def test_a_corpus_face_has_the_kind_of_its_parameters():
+    head = PEOPLE.head(PEOPLE.person(np.random.default_rng(0)))
+    for number in range(60):
+        drawn = PRESETS["fresh"].parameter_set(number)
+        kind = kind_of_coefficients(static_of(drawn.coefficients))
+        assert kind == kind_of_parameters(drawn.parameters(head, PEOPLE.mean))
+        assert (kind == "materials") == (drawn.kind == "materials")
+
+
+def test_each_expression_has_one_strength():
+    names = [strength_of(np.eye(52)[3] * weight) for weight in (0.0, 0.39, 0.4, 0.69, 0.7, 1.0)]
+    assert names == [name for name in STRENGTHS for _ in range(2)]
+
+
+@pytest.mark.parametrize("preset", ["study", "fresh"])
+def test_the_plans_have_frames_of_every_kind_that_a_gate_judges(preset):
+    plan = PRESETS[preset]
+    sets = [static_of(plan.parameter_set(k).coefficients) for k in range(plan.identities * plan.groups)]
+    kinds = [kind_of_coefficients(coefficients) for coefficients in sets]
+    assert set(BOUNDS) - {ALL, UNSCALED} <= set(kinds) and {"gravity", "volume and growth"} <= set(kinds)
+    assert kinds.count("materials") >= 0.25 * len(kinds)
+    drawn = [plan.static(0, k) for k in range(plan.groups * plan.frames)]
+    assert {static.recording.split("/")[0] for static in drawn} == {"conversation", "hard"}
+
+
+@pytest.fixture(scope="module")
+def faces(tmp_path_factory):
+    plan = CorpusPlan(
+        identities=4, groups=3, frames=3, sequences=0, references=0, parameter_responses=0.0, varying=0.3,
+        kinds={"materials": 0.3, "single": 0.7}, sources={"hard": 1.0}, conversations=0, random=0, hard=3, seconds=2.0,
+    )  # fmt: skip
+    corpus = Corpus(tmp_path_factory.mktemp("corpus"), plan, PEOPLE)
+    corpus.generate()
+    return Faces(corpus.folder, None)
+
+
+def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces):
+    heads = Heads(PEOPLE)
+    costs = measure_binds(heads, [faces.face(0)])
+    methods = [BonesCarried(heads), Linearised(responses=False), Linearised()]
+    scores = {(score.method, score.kind): score for score in evaluate(methods, faces, heads, costs=costs)}
+    kinds = {kind for _, kind in scores}
+    assert {ALL, UNSCALED, "materials", *STRENGTHS} <= kinds
+    for kind in kinds:
+        assert scores["bones carried", kind].share == pytest.approx(1.0)
+    settled = scores["settled neutral face + blendshapes", "materials"]
+    # Without an effect nothing settles, so that rival is blendshapes.
+    assert settled.share == pytest.approx(1.0, abs=0.02) and 0.0 < settled.mean < settled.p95 < settled.largest
+    assert sum(scores["bones carried", name].frames for name in STRENGTHS) == scores["bones carried", ALL].frames
+    linear = scores["linearised simulator", ALL]
+    assert linear.bind_ms >= 1e3 * costs.derivatives and linear.head_ms == 1e3 * costs.head > 0.0
+    assert scores["bones carried", ALL].bind_ms == 1e3 * costs.carried
+
+
+def test_a_face_with_scaled_bones_and_no_head_is_refused_by_name(faces):
+    scaled = next(faces.face(k) for k in range(len(faces)) if Heads(PEOPLE).carry(faces.face(k)).any())
+    with pytest.raises(InputError, match="bones carried: a head of each person is needed, but nobody"):
+        Heads(None).carry(scaled)
+    plain = replace(scaled, coefficients=scaled.coefficients.copy())
+    for k, name in enumerate(STATIC):
+        plain.coefficients[k] = 0.0
+        plain.coefficients[k, 0] = np.float32(Parameters.info(name).normalise(Parameters.info(name).default))
+    assert not Heads(None).carry(plain).any()
+
+
+def _committed() -> list[Score]:
+    return [Score(**row) for row in json.loads((RESULTS / "study.json").read_text())["scores"]]
+
+
+def test_the_network_passes_its_gates_with_at_most_a_quarter_to_spare():
+    scores = _committed()
+    gates = surrogate_gates(scores)
+    assert len(gates) == len(BOUNDS) + 1 and all(gate["passed"] for gate in gates)
+    for gate in gates:
+        assert float(gate["bound"].removeprefix("at most ")) <= 1.25 * gate["value"], gate["what"]
+    lost = {kind for kind, *_ in defeats(scores)}
+    assert not lost & set(BOUNDS) and all(kind in told_first(scores) for kind in lost)
+
+
+@pytest.mark.parametrize("rival", TRIVIAL)
+def test_no_trivial_rival_passes_a_gate_of_the_network(rival):
+    scores = _committed()
+    planted = [score for score in scores if score.method != NETWORK]
+    planted += [replace(score, method=NETWORK) for score in scores if score.method == rival]
+    by_kind = surrogate_gates(planted)[:-1]
+    assert len(by_kind) == len(BOUNDS) and not any(gate["passed"] for gate in by_kind)
+
+
+@pytest.mark.parametrize("rival", [*TRIVIAL, LINEARISED])
+def test_derivatives_without_a_network_fail_the_gate_of_both(rival):
+    scores = _committed()
+    planted = [score for score in scores if score.method != HYBRID]
+    planted += [replace(score, method=HYBRID) for score in scores if score.method == rival]
+    assert not surrogate_gates(planted)[-1]["passed"]
+
+
+def test_where_the_network_loses_is_said_first():
+    shares = {(NETWORK, "gravity"): 0.2, (TRIVIAL[1], "gravity"): 0.1, (NETWORK, ALL): 0.3, (TRIVIAL[1], ALL): 0.5}
+    scores = [Score(method=method, kind=kind, share=share) for (method, kind), share in shares.items()]
+    assert defeats(scores) == [("gravity", TRIVIAL[1], 0.2, 0.1)]
+    assert told_first(scores).startswith("The network loses to a rival without learning on: gravity")
