@@ -32,7 +32,7 @@ WIDEST = 45.0
 
 @checked
 def open_jaw_scene(
-    head: LayeredHead, parameters: Parameters, *, angle: float = 15.0, hinge: Floats | None = None
+    head: LayeredHead, parameters: Parameters, *, angle: float = 12.0, hinge: Floats | None = None
 ) -> Scene:
     """Build the scene of a jaw that its bone opens by an angle [degrees], 0 to 45, with a cranium that stays.
 
