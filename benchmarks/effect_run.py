@@ -21,9 +21,15 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class EffectResult:
-    """Figures for the results file, and skins [mm], shape (skin vertices, 3), for pictures."""
+    """PD's answer to an effect: figures, the settled face, and the expression's scene and solution.
+
+    neutral, without and with_it are skins [mm], shape (skin vertices, 3).
+    """
 
     record: dict
+    at_rest: Settled
+    scene: Scene
+    solution: Solution
     neutral: Floats
     without: Floats
     with_it: Floats
@@ -43,10 +49,10 @@ class Solved:
     seconds: float
 
 
-def solved(scene: Scene, targets: Floats, start: Floats, *, solver: str = "projective", tolerance=TOLERANCE) -> Solved:
+def solved(scene: Scene, targets: Floats, start: Floats, *, tolerance: float = TOLERANCE) -> Solved:
     """Solve a scene cold."""
     begin = time.perf_counter()
-    solution = prepare(scene, solver=solver).solve(start=start, tolerance=tolerance)
+    solution = prepare(scene).solve(start=start, tolerance=tolerance)
     return Solved(scene, targets, start, solution, time.perf_counter() - begin)
 
 
@@ -59,10 +65,10 @@ def with_effect(head: LayeredHead, effect: Effect, expression: Floats) -> tuple[
     return at_rest, solved(at_rest.scene(expression), at_rest.targets(expression), at_rest.positions)
 
 
-def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, reference: str | None = None) -> EffectResult:
-    """Solve an effect's scenes and compare the answer with a tight run from another start, and with `reference`.
+def run_effect(head: LayeredHead, effect: Effect, expression: Floats) -> EffectResult:
+    """Solve an effect's scenes by PD and compare the answer with a tight run from another start.
 
-    expression [mm], shape (skin vertices, 3), is that of the head without the effect; reference, a solver's name.
+    expression [mm], shape (skin vertices, 3), is that of the head without the effect.
     """
     at_rest, ended = with_effect(head, effect, expression)
     plain_scene = facial_scene(head, effect.without(head), expression, bones="rigid")
@@ -70,7 +76,6 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
     answer = ended.solution.positions
     other = solved(ended.scene, ended.targets, displaced(head, ended.targets), tolerance=TIGHT).solution
     near = solved(ended.scene, ended.targets, answer, tolerance=TIGHT / TOLERANCE).solution
-    compared = None if reference is None else _compared(ended, reference)
     skins = [head.skin_after(plain.targets, plain.solution.positions[: len(head.bone)])]
     skins.append(at_rest.skin_after(expression, answer))
     change = distances(*skins)
@@ -86,11 +91,10 @@ def run_effect(head: LayeredHead, effect: Effect, expression: Floats, *, referen
         "to_own_limit_mm": float(distances(answer, near.positions).max()),
         "to_other_start_mm": float(distances(answer, other.positions).max()),
         "other_start": {"iterations": other.iterations, "converged": other.converged, "energy": other.energy},
-        "reference": compared,
         "change_mm": {"mean": float(change.mean()), "max": float(change.max())},
         "neutral_change_mm": float(distances(at_rest.skin, head.skin.vertices).max()),
     }
-    return EffectResult(record, at_rest.skin, *skins)
+    return EffectResult(record, at_rest, ended.scene, ended.solution, at_rest.skin, *skins)
 
 
 def displaced(head: LayeredHead, targets: Floats) -> Floats:
@@ -117,17 +121,4 @@ def _figures(head: LayeredHead, scene: Scene, solution: Solution) -> dict:
         "inverted_tets": int(np.count_nonzero(solution.volume_ratio <= 0)),
         "smallest_volume_ratio": float(solution.volume_ratio.min()),
         "soft_volume_percent": float(100.0 * (solution.volume_ratio[soft] @ volumes / volumes.sum() - 1.0)),
-    }
-
-
-def _compared(ended: Solved, reference: str) -> dict:
-    """The distance to another solver's answer from the same start, and what that took."""
-    against = solved(ended.scene, ended.targets, ended.start, solver=reference, tolerance=TIGHT)
-    return {
-        "solver": reference,
-        "mm": float(distances(ended.solution.positions, against.solution.positions).max()),
-        "iterations": against.solution.iterations,
-        "seconds": against.seconds,
-        "converged": against.solution.converged,
-        "energy": against.solution.energy,
     }

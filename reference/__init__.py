@@ -4,6 +4,7 @@ from ..lhm.errors import MissingDependencyError, SceneError
 from . import materials, ranks, terms
 from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
 from .face.facial import facial_scene, hyperelastic_scene, neo_hookean_scene
+from .face.free_scenes import open_jaw_scene, push_cheek_scene
 from .face.minimal import FacialModel, Smallest, smallest_facial_scene, smallest_scene
 from .face.nested import nested_start
 from .face.parameters import ParameterInfo, Parameters
@@ -43,7 +44,9 @@ __all__ = [
     "materials",
     "neo_hookean_scene",
     "nested_start",
+    "open_jaw_scene",
     "prepare",
+    "push_cheek_scene",
     "ranks",
     "settled",
     "smallest_facial_scene",

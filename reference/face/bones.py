@@ -32,11 +32,11 @@ def scaled(head: LayeredHead, parameters: Parameters, bone: int, points: Floats)
     wrap = head.skull_wrap.vertices[head.bone == bone]
     if not len(wrap) or np.all(scale == 1.0):
         return points
-    centre = wrap.mean(axis=0) if bone == CRANIUM else _condyles(wrap)
+    centre = wrap.mean(axis=0) if bone == CRANIUM else condyles(wrap)
     return centre + scale * (points - centre)
 
 
-def _condyles(mandible: Floats) -> Floats:
+def condyles(mandible: Floats) -> Floats:
     """The middle of a mandible's highest part behind its own middle [mm], about which it turns."""
     behind = mandible[mandible[:, 2] <= np.median(mandible[:, 2])]
     highest = behind[np.argsort(behind[:, 1])[-max(3, int(CONDYLE * len(mandible))) :]]

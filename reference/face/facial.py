@@ -17,6 +17,7 @@ from ...lhm.errors import SceneError
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from ...lhm.mesh import Floats, Ints
 from .. import terms
+from ..added import added_laws
 from ..materials import Material, NeoHookean
 from ..scene import Scene
 from ..terms import StrainRule
@@ -42,6 +43,12 @@ GAP = 0.1
 """What contact leaves between surfaces [mm]: where it may be nothing, touching triangles still cross by rounding."""
 FARTHEST = 200.0
 """[mm] that an expression may be from the neutral skin: a chin goes down by some 50."""
+PD_ENERGY = "PD"
+"""The law that is projective dynamics' own energy, Strain and Volume."""
+LAWS: dict[str, Callable[[float, float], Material]] = {"neo-Hookean": NeoHookean}
+"""Hyperelastic laws of a face by name, made of Lamé's moduli mu and lmbda [kPa]."""
+FaceLaw = str | Callable[[float, float], Material]
+"""PD_ENERGY, a name of LAWS or of `add_law`, or a law's function of Lamé's moduli."""
 WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
@@ -282,6 +289,22 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
         raise SceneError(f"without {without!r}: expected some of {', '.join(PARTS)}")
     if bones == "soft" and any(thing.bone in (CRANIUM, MANDIBLE) for thing in attached):
         raise SceneError("soft bones are the skull wrap itself: attach eyes to it, but no bone")
+
+
+@checked
+def scene_under(scene: Scene, law: FaceLaw) -> Scene:
+    """Return a facial scene under a law; PD_ENERGY leaves it as it is, others are those of `hyperelastic_scene`.
+
+    Raises SceneError for an unknown name, and what `hyperelastic_scene` raises.
+    """
+    if not isinstance(law, str):
+        return hyperelastic_scene(scene, law)
+    if law == PD_ENERGY:
+        return scene
+    laws = LAWS | {name: added.of_moduli for name, added in added_laws().items()}
+    if law not in laws:
+        raise SceneError(f"law {law!r}: there are {', '.join((PD_ENERGY, *laws))}")
+    return hyperelastic_scene(scene, laws[law])
 
 
 @checked

@@ -4,6 +4,9 @@ The paper is silent about how targets, which hold the old surface, give way to a
 face settles first, with the bones at their scaled rest: where it is fleshy its flesh hangs on bone and on the face
 around alone, held by no target; elsewhere skin is held where the bones carry it. That displacement is then added to
 every target, so an expression moves the settled face.
+
+A face settles under a law. Answers of two laws are compared where each face has settled by its own law: targets that
+hold one law's settled face hide most of what the other law changes.
 """
 
 from __future__ import annotations
@@ -25,13 +28,15 @@ from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import prepare
 from .bones import scaled_skull
-from .facial import checked_targets, facial_scene
+from .facial import PD_ENERGY, FaceLaw, checked_targets, facial_scene, scene_under
 from .palsy import kept_of_skin
 from .parameters import Parameters
 from .stack import Stack
 
 TOLERANCE = 1e-6
 """Gradient norm relative to its start."""
+ROUGH = 1e-4
+"""Gradient norm relative to its start of PD's answer, from which another law starts."""
 FOR_TARGETS: dict[str, Any] = {"tolerance": 1e-4, "max_iterations": 2000}
 """Options of a face that only targets follow: it need be no more exact than they are."""
 GROWING = ("soft_volume", "muscle_volume", "skin_growth")
@@ -44,7 +49,8 @@ class Settled:
 
     positions (scene's vertices, 3) [mm]: where the tets come to rest; displacement (skin vertices, 3) [mm]: by how much
     the neutral skin moved. `solution` is None where p leaves the neutral face as it is. `choices` are those of
-    `facial_scene`, less the bones, which hang free in the expressions' scenes unless these say otherwise.
+    `facial_scene`, less the bones, which hang free in the expressions' scenes unless these say otherwise. `law` is the
+    one by which it settled, and by which `scene` moves it.
     """
 
     head: LayeredHead
@@ -53,6 +59,7 @@ class Settled:
     displacement: Floats
     solution: Solution | None = None
     choices: dict[str, Any] = field(default_factory=dict)
+    law: FaceLaw = PD_ENERGY
 
     @property
     def skin(self) -> Floats:
@@ -86,9 +93,13 @@ class Settled:
         return self.head.skin_after(goal, positions[: len(self.head.bone)])
 
     def scene(self, expression: Floats, **choices: Any) -> Scene:
-        """The scene of an expression [mm], shape (skin vertices, 3), of the settled face; see `facial_scene`."""
+        """Return the scene of an expression [mm], shape (skin vertices, 3), of the settled face under its law.
+
+        See `facial_scene` and `scene_under`.
+        """
         given = {"neutral": self.skin} | self.choices | choices
-        return facial_scene(self.head, self.parameters, self.targets(checked_targets(self.head, expression)), **given)
+        targets = self.targets(checked_targets(self.head, expression))
+        return scene_under(facial_scene(self.head, self.parameters, targets, **given), self.law)
 
 
 @checked
@@ -96,28 +107,41 @@ def settled(
     head: LayeredHead,
     parameters: Parameters,
     *,
-    solver: str = "projective",
+    law: FaceLaw = PD_ENERGY,
+    solver: str | None = None,
     tolerance: float = TOLERANCE,
     max_iterations: int | None = None,
     **choices: Any,
 ) -> Settled:
-    """The neutral face under p, solved for only where p changes it.
+    """Settle the neutral face under p by a law; solve only where p changes it.
 
+    `law` is "PD" for projective dynamics' own energy, "neo-Hookean", the name of a law that was added, or a function of
+    Lamé's moduli (see `hyperelastic_scene`). `solver` is by default "projective" for PD's energy and "fenicsx" for
+    another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
     `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
-    answer that has not converged says so by `reason`. Raises what `facial_scene` and the solver raise.
+    answer that has not converged says so by `reason`. Raises what `facial_scene`, `scene_under` and the solver raise.
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
     stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
     if not changes_neutral(parameters):
-        kept = facial_scene(head, parameters, head.skin.vertices, **choices)
-        return Settled(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices)
+        kept = scene_under(facial_scene(head, parameters, head.skin.vertices, **choices), law)
+        return Settled(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices, law)
     scene = neutral_scene(head, parameters, **choices)
     start = np.array(scene.vertices)
     start[: len(stack.vertices)] = carried_by_bones(head, parameters, stack)
-    solution = prepare(scene, solver=solver).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
+    if law != PD_ENERGY:
+        start, scene = _start_of_law(scene, start), scene_under(scene, law)
+    by = solver or ("projective" if law == PD_ENERGY else "fenicsx")
+    solution = prepare(scene, solver=by).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
     moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
-    return Settled(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices)
+    return Settled(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)
+
+
+def _start_of_law(scene: Scene, start: Floats) -> Floats:
+    """Return PD's answer to a scene [mm], or `start` where PD inverts a tet: there a law's energy may be infinite."""
+    by_pd = prepare(scene).solve(start=start, tolerance=ROUGH)
+    return by_pd.positions if by_pd.converged and by_pd.volume_ratio.min() > 0.0 else start
 
 
 def changes_neutral(parameters: Parameters) -> bool:

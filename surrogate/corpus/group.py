@@ -84,6 +84,16 @@ class Group:
         """The settled face."""
         return self.linear.face
 
+    def neutral_under(self, law: str) -> Settled:
+        """Settle the face by another law; each law once."""
+        if law not in self._by_law:
+            self._by_law[law] = settled(self.head, self.neutral.parameters, law=law, **FOR_TARGETS)
+        return self._by_law[law]
+
+    @cached_property
+    def _by_law(self) -> dict[str, Settled]:
+        return {}
+
     @property
     def exact(self) -> bool:
         """Whether the derivatives are by the energy's own Hessian."""

@@ -1,4 +1,4 @@
-"""What FEniCSx says of a frame that projective dynamics simulated: on the same energy, and with the neo-Hookean law."""
+"""FEniCSx' answers to a frame that projective dynamics simulated: on the same energy, and with the neo-Hookean law."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import SoftdecaError
+from ...lhm.errors import SceneError, SoftdecaError
 from ...lhm.mesh import Floats
-from ...reference import neo_hookean_scene, prepare
+from ...reference import prepare
+from ...reference.face.facial import PD_ENERGY
 from ...reference.face.linearised import spring_norm
 from .group import Answer, Group
 from .shard import ACCEPTED
 
-FEM_LAWS = ("PD", "neo-Hookean")
+FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 SMALL = 1e-2
 """[mm] Targets' distance whose springs' force is asked for relative to, at the least."""
 TOLERANCE = 1e-6
@@ -30,21 +31,30 @@ class Reference:
 
 
 def references(group: Group, weights: Floats, answer: Answer) -> list[Reference]:
-    """A frame by FEniCSx with each of FEM_LAWS; it starts at the answer of projective dynamics."""
+    """Solve a frame by FEniCSx with each of FEM_LAWS, each on the neutral face that has settled by that law.
+
+    FEniCSx starts at the answer of projective dynamics, or at the settled face where that answer has inverted tets.
+    """
     positions = group.solve(weights).positions
     return [_reference(group, weights, positions, answer, law) for law in FEM_LAWS]
 
 
 def _reference(group: Group, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
     none = np.zeros(answer.corrected.shape, dtype=np.float16)
+    expression = group.expression(weights)
     try:
-        scene = group.scene(weights)
-        prepared = prepare(scene if law == FEM_LAWS[0] else neo_hookean_scene(scene), solver="fenicsx")
+        neutral = group.neutral if law == PD_ENERGY else group.neutral_under(law)
+        if not neutral.converged:
+            raise SceneError(f"settling: {neutral.reason}")
+        scene = neutral.scene(expression)
+        prepared = prepare(scene, solver="fenicsx")
+        start = neutral.positions if law != PD_ENERGY and answer.inverted else positions
         # Relative to rest, or to small targets where that is the answer: at PD's own the gradient is rounding already.
         rest = prepared.solve(max_iterations=0).history.gradient_norm[0]
-        solution = prepared.solve(start=positions, absolute=TOLERANCE * max(rest, SMALL * spring_norm(scene)))
+        solution = prepared.solve(start=start, absolute=TOLERANCE * max(rest, SMALL * spring_norm(scene)))
     except SoftdecaError as error:
         return Reference(none, f"fenicsx: {error}")
     if not solution.converged:
         return Reference(none, f"fenicsx: {solution.reason}", solution.iterations)
-    return Reference(group.corrected(weights, solution.positions).astype(np.float16), ACCEPTED, solution.iterations)
+    corrected = neutral.skin_after(expression, solution.positions) - expression
+    return Reference(corrected.astype(np.float16), ACCEPTED, solution.iterations)

@@ -37,7 +37,7 @@ from .shard import (
     texts,
 )
 
-GENERATOR = 7
+GENERATOR = 8
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
 
 

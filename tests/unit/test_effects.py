@@ -10,6 +10,7 @@ from scipy.spatial.distance import cdist
 from softdeca.benchmarks import effect_fan
 from softdeca.benchmarks.effect_cases import EFFECTS, Effect, named_effects
 from softdeca.benchmarks.effect_fan import SUSPECTS, fan
+from softdeca.benchmarks.effect_laws import BLENDED, CARRIED, LAW, PD, compare_laws, rule_skins
 from softdeca.benchmarks.effect_run import run_effect, with_effect
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.effects import STARTS, Effects
@@ -224,14 +225,31 @@ def record() -> dict:
         "runs": {"with": solved_run(), "without": solved_run()},
         "to_own_limit_mm": 0.001,
         "to_other_start_mm": 0.002,
-        "reference": {"solver": "fenicsx", "mm": 0.003, "seconds": 9.0},
         "change_mm": {"mean": 0.1, "max": 2.0},
         "neutral_change_mm": 0.5,
     }
 
 
+def figures(mean: float) -> dict:
+    return {"skin_mean": mean, "skin_max": 10.0 * mean, "share": mean}
+
+
+def by_laws(**changes) -> dict:
+    stress = {law: {layer: {"mean": 0.3, "p95": 1.0} for layer in ("soft", "muscle")} for law in (PD, LAW)}
+    load = {"force": 4.0, "torque": 500.0}
+    inside = {
+        "vertices": {"mean": 0.05, "max": 0.625},
+        "stress": stress,
+        "mandible": {"mm": 0.1, "degrees": 0.2},
+        "held_at_pd": load,
+        "prescribed": {PD: load},
+    }
+    found = {"same_mm": 0.003, "done": True, "inside": inside, "law_mean_mm": 0.04, "law_max_mm": 0.5}
+    return found | {"to_pd": {LAW: figures(0.04)}, "to_law": {PD: figures(0.04), CARRIED: figures(0.3)}} | changes
+
+
 def rows_of(*records, spread=None) -> list[Row]:
-    values = [(record["name"], record) for record in records]
+    values = [(record.get("name", "jaw"), record) for record in records]
     if spread is not None:
         values.append((STARTS, {"spread_mm": spread, "starts": [start()], "suspects": {"no skin": 1e-5}}))
     return [Row(case, "PD", "done", "", found, 1.0, None, 0.0, "") for case, found in values]
@@ -244,22 +262,54 @@ def start() -> dict:
 
 def test_gates_miss_what_is_missed(record):
     study = Effects()
-    assert all(gate["passed"] for gate in study.gates(rows_of(record, spread=1e-4)))
+    assert all(gate["passed"] for gate in study.gates(rows_of(record, by_laws(), spread=1e-4)))
     worse = copy.deepcopy(record)
     worse["runs"]["without"] |= {"gradient_ratio": 2e-6, "monotone": False}
-    worse["to_other_start_mm"] = worse["reference"]["mm"] = 0.02
-    gates = study.gates(rows_of(record, worse, spread=0.5))
-    assert len(gates) == 5 and not any(gate["passed"] for gate in gates)
-    alone = record | {"reference": None}
-    assert len(study.gates(rows_of(alone))) == 3
+    worse["to_other_start_mm"] = 0.02
+    gates = study.gates(rows_of(record, worse, by_laws(), by_laws(same_mm=0.02, done=False), spread=0.5))
+    assert len(gates) == 6 and not any(gate["passed"] for gate in gates)
+    assert len(study.gates(rows_of(record))) == 3
 
 
-def test_scenes_and_starts_are_told(record):
-    rows = rows_of(record | {"max_mm": 2.0}, spread=0.25)
-    scenes, starts, suspects = Effects().tables(rows)
+def test_methods_insides_scenes_and_starts_are_told(record):
+    rows = rows_of(record | {"max_mm": 2.0, "to_pd": {CARRIED: figures(0.2)}}, by_laws(), spread=0.25)
+    methods, inside, jaw, scenes, starts, suspects = Effects().tables(rows)
+    assert [row[1:] for row in methods.rows] == [
+        (PD, None, None, None, 0.04, 0.4, 0.04),
+        (LAW, 0.04, 0.4, 0.04, None, None, None),
+        (CARRIED, 0.2, 2.0, 0.2, 0.3, 3.0, 0.3),
+    ]
+    assert inside.rows == [("jaw", 0.05, 0.625, *(0.3, 1.0) * 4)]
+    assert jaw.rows == [("jaw", 0.1, 0.2, 4.0, 500.0, 4.0, None, 500.0, None)]
     assert [row[:2] for row in scenes.rows] == [("jaw", "with"), ("jaw", "without")]
     assert starts.rows[0][1] == "waves" and suspects.rows == [("no skin", 1e-5)]
-    assert "jaw changes the expression most, by 2.0 mm" in Effects().words(rows)
+    words = Effects().words(rows)
+    assert "jaw changes the expression most, by 2.0 mm" in words
+    # The largest over all vertices stands beside the skin's, which targets hold.
+    assert "0.500 mm at most, all vertices by 0.050 mm on average and 0.625 mm at most" in words
+
+
+def test_an_effect_by_both_laws(head):
+    """FEniCSx finds PD's answer to the same energy, and the law's is that of scikit-fem."""
+    pytest.importorskip("dolfinx")
+    effect = Effect("weight", "", {}, lambda head: Parameters(soft_volume=1.3))
+    shape = head.skin.vertices + [0.0, 1.0, 0.0]
+    result = run_effect(head, effect, shape)
+    others = rule_skins(head, shape, result.at_rest)
+    np.testing.assert_allclose(others[CARRIED], shape)
+    np.testing.assert_allclose(others[BLENDED], shape + result.at_rest.displacement)
+    found = compare_laws(head, effect, shape, result, "fenicsx", others)
+    assert found["done"] and found["same_mm"] < 1e-3 and found["another_minimum_mm"] is None
+    neutral = settled(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)
+    other = solve(neutral.scene(shape), solver="skfem", start=result.solution.positions, tolerance=1e-9)
+    apart = np.linalg.norm(neutral.skin_after(shape, other.positions) - result.with_it, axis=1)
+    law = found["to_pd"][LAW]
+    np.testing.assert_allclose([law["skin_mean"], law["skin_max"]], [apart.mean(), apart.max()], rtol=1e-3)
+    motion = np.linalg.norm(result.with_it - shape, axis=1)
+    assert law["share"] == pytest.approx(apart[motion > 0.05].mean() / motion[motion > 0.05].mean(), rel=1e-3)
+    assert found["to_law"][PD]["skin_max"] == law["skin_max"]
+    inside = found["inside"]
+    assert inside["vertices"]["max"] >= law["skin_max"] and inside["held_at_pd"]["force"] > 0.0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,139 @@
+"""Scenes in which no target holds the face: a jaw that opens by its bone, and a cheek that is pushed.
+
+Targets of an expression pin the skin, and hide there what one law changes against another. Here bones and loads move
+the flesh, and skin goes where the tissue below takes it. Only what lines mouth and eyes is held: the model has no bone
+behind it. It goes where the bones carry it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...lhm.checked import checked
+from ...lhm.errors import SceneError
+from ...lhm.flesh import cheeks
+from ...lhm.head import FREE, MANDIBLE, LayeredHead
+from ...lhm.mesh import Floats, Ints
+from ...lhm.wraps.harmonic import harmonic
+from .. import terms
+from ..scene import Scene
+from .bones import condyles, scaled_skull
+from .facial import facial_scene
+from .parameters import Parameters
+
+LINING = ("mouth", "teeth", "eyes")
+"""Regions behind which there is no bone; lips belong to the mouth and are left free."""
+WIDEST = 45.0
+"""[degrees] to which a jaw may be opened."""
+
+
+@checked
+def open_jaw_scene(
+    head: LayeredHead, parameters: Parameters, *, angle: float = 12.0, hinge: Floats | None = None
+) -> Scene:
+    """Build the scene of a jaw that its bone opens by an angle [degrees], 0 to 45, with a cranium that stays.
+
+    The mandible turns about the x axis through `hinge` [mm], shape (3,), by default `jaw_hinge`. Gravity and the
+    tissues' stiffnesses are those of p. Raises SceneError for an angle or a hinge out of range, and for a head without
+    a mandible.
+    """
+    if not 0.0 <= angle <= WIDEST:
+        raise SceneError(f"angle: expected 0 to {WIDEST:g} degrees, got {angle:g}")
+    jaw = head.bone == MANDIBLE
+    if not jaw.any():
+        raise SceneError("open_jaw_scene: the head has no mandible")
+    about = jaw_hinge(head) if hinge is None else np.asarray(hinge, dtype=np.float64)
+    if about.shape != (3,) or not np.isfinite(about).all():
+        raise SceneError(f"hinge: expected three finite numbers, got {hinge!r}")
+    skull = scaled_skull(head, parameters)
+    turn = Rotation.from_euler("x", angle, degrees=True).as_matrix()
+    skull[jaw] = about + (skull[jaw] - about) @ turn.T
+    return _scene_of_bones(head, parameters, skull)
+
+
+@checked
+def push_cheek_scene(
+    head: LayeredHead,
+    parameters: Parameters,
+    *,
+    pressure: float = 0.5,
+    radius: float = 15.0,
+    centre: Floats | None = None,
+) -> Scene:
+    """Build the scene of a cheek that a traction pushes in, with both bones at rest.
+
+    pressure [kPa] acts on the skin wrap's triangles within `radius` [mm] of `centre` [mm], shape (3,), along their mean
+    normal at rest; the centre is by default the middle of the left cheek. Raises SceneError for a negative pressure and
+    a patch without triangles, and InputError for a head without the regions that tell where its cheeks are.
+    """
+    if not (np.isfinite(pressure) and pressure >= 0.0):
+        raise SceneError(f"pressure: expected at least 0 kPa, got {pressure:g}")
+    about = _left_cheek(head) if centre is None else np.asarray(centre, dtype=np.float64)
+    if about.shape != (3,) or not np.isfinite(about).all():
+        raise SceneError(f"centre: expected three finite numbers, got {centre!r}")
+    patch = _patch(head, about, radius)
+    if not len(patch):
+        raise SceneError(f"radius {radius:g} mm: no triangle of the skin wrap lies so near {np.round(about, 1)}")
+    x = head.skin_wrap.vertices[patch]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
+    push = terms.Traction(patch, -pressure * normal / np.linalg.norm(normal))
+    scene = _scene_of_bones(head, parameters, scaled_skull(head, parameters))
+    return replace(scene, terms=(*scene.terms, push))
+
+
+def jaw_hinge(head: LayeredHead) -> Floats:
+    """Return a point [mm], shape (3,), of the axis about which a jaw opens: midway between the ears.
+
+    A jaw's joints lie about a centimetre in front of that. A head without ears has `condyles` in their place.
+    """
+    ears = head.regions.get("ears")
+    if ears is not None and ears.any():
+        middle: Floats = head.skin_wrap.vertices[ears].mean(axis=0)
+        return middle
+    return condyles(head.skull_wrap.vertices[head.bone == MANDIBLE])
+
+
+def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) -> Scene:
+    """Hold both bones where the skull wrap `skull` [mm], shape (n, 3), has them, and springs on the lining alone."""
+    scene = facial_scene(head, parameters, head.skin.vertices, bones="prescribed")
+    moved = skull - head.skull_wrap.vertices
+    bone = head.bone != FREE
+    carried = head.skin_wrap.vertices + (
+        harmonic(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
+    )
+    lining = _lining(head)
+
+    def changed(term: terms.Term) -> terms.Term:
+        if isinstance(term, terms.Fixed):
+            return replace(term, values=skull[bone])
+        if isinstance(term, terms.Target):
+            return replace(term, positions=carried, stiffness=term.stiffness * lining)
+        return term
+
+    return replace(scene, terms=tuple(changed(term) for term in scene.terms))
+
+
+def _lining(head: LayeredHead) -> np.ndarray:
+    """Mask the skin wrap's vertices (n,) that line mouth and eyes; none on a head without these regions."""
+    none = np.zeros(len(head.bone), dtype=bool)
+    inside = np.any([head.regions.get(name, none) for name in LINING], axis=0)
+    return inside & ~head.regions.get("lips", none)
+
+
+def _left_cheek(head: LayeredHead) -> Floats:
+    """Return the skin wrap's vertex [mm], shape (3,), that is nearest to the middle of the left cheek."""
+    x = head.skin_wrap.vertices
+    share = cheeks(head) * (x[:, 0] > 0.0)
+    middle = share @ x / share.sum()
+    nearest: Floats = x[np.argmin(np.linalg.norm(x - middle, axis=1))]
+    return nearest
+
+
+def _patch(head: LayeredHead, centre: Floats, radius: float) -> Ints:
+    """Return the skin wrap's triangles (k, 3) whose corners are all within `radius` [mm] of a point."""
+    near = np.linalg.norm(head.skin_wrap.vertices - centre, axis=1) <= radius
+    triangles = head.skin_wrap.triangles
+    return triangles[near[triangles].all(axis=1)]
