@@ -32,6 +32,8 @@ from .person import OfPerson, Person, person
 PRISMS, FREE, MIRRORED = "split prisms", "free tets (gmsh)", "mirrored loads"
 MEAN = ", mean head"
 SUB_LAYERS = (1, 2, 4)
+FINER_LAYERS = (1, 2)
+"""Sub-layers on a level above the study's own, where four take a minute."""
 WITH_PRESSURE = 0.49
 """Poisson's ratio from which on the reference has a pressure."""
 LINEAR_TOLERANCE, REFERENCE_TOLERANCE, MIXED_TOLERANCE = 1e-7, 2e-3, 1e-6
@@ -107,7 +109,9 @@ class Locking(OfPerson):
             return {"rows": self._mirrored(int(task.case.removeprefix("level ").removesuffix(MEAN)))}
         level, text = _read(task.case)
         problem = _problem(self, level, _poisson(text))
-        return {"rows": problem.on_prisms() if task.method == PRISMS else problem.on_free_tets(self.size)}
+        if task.method == FREE:
+            return {"rows": problem.on_free_tets(self.size)}
+        return {"rows": problem.on_prisms(SUB_LAYERS if level == self.level else FINER_LAYERS)}
 
     def mean_person(self, level: int) -> Person:
         """Make the mean head, whose skin is its own mirror image."""
@@ -171,7 +175,8 @@ class Locking(OfPerson):
             if row.method == PRISMS:
                 found = row.values["rows"]
                 figures = [f"{line['mean']:.4f} / {line['max']:.3f} / {line['over_all']:.2f}" for line in found]
-                lines.append((row.case, row.values["rows"][0]["reference"], *figures))
+                figures += [""] * (len(SUB_LAYERS) - len(found))
+                lines.append((row.case, found[0]["reference"], *figures))
         titles = ["case", "reference", *(_layers(count) for count in SUB_LAYERS)]
         caption = "Linear tets to the reference: mean [mm] / max [mm] / times mean |T - carried(S)|"
         return [Table(caption, titles, lines)] if lines else []
@@ -187,7 +192,11 @@ class Locking(OfPerson):
         ):
             for number, count in enumerate(SUB_LAYERS):
                 for level, style in ((self.level, "o-"), (DEFAULT_LEVEL, "s:")):
-                    points = sorted((float(text), lines[number][key]) for (of, text), lines in prisms if of == level)
+                    points = sorted(
+                        (float(text), lines[number][key])
+                        for (of, text), lines in prisms
+                        if of == level and number < len(lines)
+                    )
                     if points and not (level == DEFAULT_LEVEL == self.level and style == "s:"):
                         label = f"{_layers(count)}, level {level}"
                         axis.plot(*_by_distance(points), style, color=f"C{number}", ms=4, label=label)
@@ -211,10 +220,10 @@ class _Problem:
         self.quadratic = _quadratic(head, shape, poisson, self.element, self.linear)
         self.motion = distances(self.quadratic["skin"], shape)
 
-    def on_prisms(self) -> list[dict]:
-        """Compare linear tets of one, two and four sub-layers with the reference."""
+    def on_prisms(self, counts: Sequence[int]) -> list[dict]:
+        """Compare linear tets with the reference; `counts` of sub-layers begin with one."""
         answers = {1: self.linear}
-        for count in SUB_LAYERS[1:]:
+        for count in counts[1:]:
             answers[count] = _linear(self.head, self.shape, self.poisson, (count, count))
         of_reference = {"reference": self.element, "reference_iterations": self.quadratic["iterations"]}
         reference = self.quadratic["skin"]

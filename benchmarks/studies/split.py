@@ -80,6 +80,7 @@ class Split(OfPerson):
         Column("share", "surrogate's share of |T - carried(S)|"),
         Column("share_carried", f"share of {RIVALS['carried']}"),
         Column("share_settled", f"share of {RIVALS['settled']}"),
+        Column("share_linearised", "share of the linearised simulator"),
         Column("fenicsx", "check: PD - FEniCSx, same energy, max [mm]"),
     )
     note = (
@@ -135,6 +136,8 @@ class Split(OfPerson):
         carried = shape + carry_skin(head, parameters)
         motion = distances(converged, carried)
         rivals = {"carried": carried, "settled": shape + linear.face.displacement + linear.offset}
+        moved = shape - head.skin.vertices
+        rivals["linearised"] = rivals["settled"] + linear.of_expressions(moved[None])[0] - moved
         shares = {f"share_{key}": measure(distances(skin, converged), motion).share for key, skin in rivals.items()}
         return {
             "moved": float(motion.mean()),
