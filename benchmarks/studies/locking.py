@@ -44,8 +44,8 @@ PAIRED = 1e-3
 """Distance [mm] within which a mirrored skin vertex meets its partner."""
 LOCKS = 1.2
 """Least growth of the error of linear tets from the lowest to the highest Poisson's ratio."""
-FREE_APART = 1.0
-"""Bound of split prisms to free tets, over the distance of either to quadratic tets."""
+TWO_MESHES = 0.5
+"""Bound of quadratic tets' distance between the two meshes, over that of linear to quadratic tets on one mesh."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class Locking(OfPerson):
         return rows
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Linear tets lock, sub-layers alone do not cure it, and the split of prisms adds less than linear tets do."""
+        """Check that linear tets lock, and that quadratic tets on two independent meshes are a reference for them."""
         prisms = {_read(row.case): row.values["rows"] for row in rows if row.method == PRISMS}
         at_level = {float(text): lines for (level, text), lines in prisms.items() if level == self.level}
         gates = []
@@ -142,13 +142,13 @@ class Locking(OfPerson):
             low, high = (at_level[nu][0]["over_all"] for nu in (min(at_level), max(at_level)))
             gates.append(above("error of linear tets, highest over lowest Poisson's ratio", high / low, LOCKS))
         apart = [
-            row.values["rows"][0]["mean"] / at_level[float(text)][0]["mean"]
+            row.values["rows"][1]["mean"] / at_level[float(text)][0]["mean"]
             for row in rows
             if row.method == FREE and float(text := _read(row.case)[1]) in at_level
         ]
         if apart:
-            what = "split prisms to free tets over linear to quadratic tets, worst"
-            gates.append(at_most(what, max(apart), FREE_APART))
+            what = "quadratic tets on two independent meshes, over linear to quadratic tets, worst"
+            gates.append(at_most(what, max(apart), TWO_MESHES))
         return gates
 
     def words(self, rows: Sequence[Row]) -> str:
