@@ -67,7 +67,7 @@ class Mixed(OfPerson):
     alone = True
 
     expressions: tuple[str, ...] = field(
-        default=("jawOpen*0.5", "mouthSmileLeft*0.6+mouthSmileRight*0.6"),
+        default=("jawOpen*0.5", "mouthPucker"),
         metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
     )
     laws: tuple[str, ...] = field(

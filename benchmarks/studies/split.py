@@ -100,7 +100,7 @@ class Split(OfPerson):
     )
     seed: int = field(default=1_000_003, metadata={"help": "of the person"})
     refined: tuple[str, ...] = field(
-        default=(),
+        default=("defaults", "40 % more soft tissue"),
         metadata={"help": "an effect with quadratic tets on the study's own level, first expression: minutes each"},
     )
 

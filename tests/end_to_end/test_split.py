@@ -46,6 +46,15 @@ def test_quadratic_tets_of_one_level_are_their_own_estimate(measured):
     assert _ratios(measured[0].rows) == [1.0]
 
 
+def test_the_costly_rows_are_tasks_of_their_own_after_all_others():
+    tasks = Split(expressions=("mouthPucker", "cheekPuff"), effects=("defaults",), refined=("softer, 2 g",)).tasks()
+    assert [(task.case, task.method) for task in tasks] == [
+        ("defaults", "mouthPucker"),
+        ("defaults", "cheekPuff"),
+        ("softer, 2 g", f"mouthPucker{FINE}"),
+    ]
+
+
 def frame(effect, text, **values):
     return Row(effect, text, "done", "", values, 1.0, None, 0.0, "")
 
