@@ -49,7 +49,8 @@ def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Asked]:
     ]
     if learned and not agreement.weights:
         frames = ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
-        split = Split(identities=whose, expressions=frames, effects=("defaults", "40 % more soft tissue"))
+        effects = ("defaults", "40 % more soft tissue")
+        split = Split(identities=whose, expressions=frames, effects=effects, refined=())
         found.append((split, ""))
     if learned:
         found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))

@@ -32,7 +32,7 @@ html_copy_source = False
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_sidebars = dict.fromkeys(
-    ("index", "concepts", "glossary", "surrogate", "corpus-small", "paper", "scaling"),
+    ("index", "concepts", "glossary", "surrogate", "corpus-small", "paper", "scaling", "bounds", "gates"),
     [],
 )
 html_theme_options = {

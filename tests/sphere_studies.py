@@ -11,6 +11,7 @@ from softdeca.benchmarks.studies.agreement import Agreement
 from softdeca.benchmarks.studies.convergence import Convergence
 from softdeca.benchmarks.studies.dynamics import Dynamics
 from softdeca.benchmarks.studies.effects import Effects
+from softdeca.benchmarks.studies.locking import Locking
 from softdeca.benchmarks.studies.minimal import Minimal
 from softdeca.benchmarks.studies.mixed import Mixed
 from softdeca.benchmarks.studies.person import Person
@@ -113,6 +114,12 @@ class SphereRanks(OfSphere, Ranks):
 @dataclass(frozen=True)
 class SphereMixed(OfSphere, Mixed):
     pass
+
+
+@dataclass(frozen=True)
+class SphereLocking(OfSphere, Locking):
+    def mean_person(self, level):
+        return sphere(1)
 
 
 class Drawn(SimpleNamespace):

@@ -21,7 +21,7 @@ from .tables import latex, markdown
 
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "Is projective dynamics right?": ("agreement", "verification", "effects", "dynamics"),
-    "Where is it not?": ("hard", "material", "convergence", "shapes"),
+    "Where is it not?": ("hard", "material", "convergence", "locking", "shapes"),
     "How far is the surrogate from a reference, and why?": ("split", "surrogate"),
     "What does it cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
     "What may be left out?": ("minimal",),

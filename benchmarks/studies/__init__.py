@@ -23,6 +23,7 @@ STUDIES = {
     "minimal": "minimal:Minimal",
     "unknowns": "unknowns:Unknowns",
     "convergence": "convergence:Convergence",
+    "locking": "locking:Locking",
     "effects": "effects:Effects",
     "dynamics": "dynamics:Dynamics",
     "ranks": "ranks:Ranks",

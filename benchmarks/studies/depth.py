@@ -27,12 +27,17 @@ from ...lhm.regressor.files import check_inside, read_skin, read_skull
 from ...lhm.wraps.depth import LANDMARKS
 from ...lhm.wraps.landmarks import Mask
 from ..depth_pictures import depth_comparison, depth_error
+from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Table, Task, Values
 from ..published import SKULL_PLACES
 
 LEAST_MEASURED = 0.1
 """Of the face's vertices at least this share must see bone, or there is nothing to compare."""
+PUBLISHED = float(np.mean([mark.depth for mark in LANDMARKS]))
+"""Mean [mm] of the published depths: the rival that gives every vertex the same depth."""
+BETTER = 0.95
+"""Bound of the face's error over that rival's, whose own is 1; 0.81 on the one head at hand."""
 UNDER = -0.6
 """A landmark is on no skin whose normal [up] is below this: seen from the front the throat is as near to it as the
 chin."""
@@ -55,14 +60,18 @@ class Depth(Study):
         Column("quantile_95", "95 % [mm]"),
         Column("bias", "bias [mm]"),
         Column("mean_by_area", "mean by area [mm]"),
+        Column("one_depth", f"one depth of {PUBLISHED:.1f} mm everywhere, mean [mm]"),
+        Column("own_median", "the measured median everywhere, mean [mm]"),
     )
+    version = 2
     note = (
         "One head is no statistics: it shows what this regressor does on this head, not how large its errors are on "
         "others. Measured: along the skin wrap's smoothed inward normals to the first bone. Vertices whose ray meets "
         "none (eye sockets, the nose's tip, the mouth), or only bone far behind the closest, are left out, and grey in "
         "pictures, whose colours end at the 99 % quantile. Bias: predicted minus measured; below zero the prediction "
         "is too shallow. The scalp is all above the face. Each vertex counts once but for the mean by area; the wrap "
-        "is densest at lips and lids."
+        "is densest at lips and lids. Two rivals give every vertex one depth: the published landmarks' mean, and the "
+        "region's own median, which nobody knows without the skull."
     )
 
     skin: str = field(
@@ -120,6 +129,13 @@ class Depth(Study):
     def _skull(self) -> Surface:
         return read_skull([Path(path) for path in self.skulls], unit=self.unit)
 
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Check that predicted depths of the face beat one published depth everywhere."""
+        faces = [of for row in rows for of in row.values["rows"] if of["region"] == "face"]
+        shares = [face["mean"] / face["one_depth"] for face in faces]
+        what = "error of the face's depths over that of one published depth everywhere"
+        return [at_most(what, max(shares), BETTER)] if shares else []
+
     def words(self, rows: Sequence[Row]) -> str:
         """The face's figures, what the regressor has learned from, and how far off the skin's registration is."""
         (values,) = (row.values for row in rows)
@@ -127,7 +143,9 @@ class Depth(Study):
         wrap, registered = face["skull_wrap"], values["registered_off"]
         return (
             f"One head (n = 1): over its face the predicted depth is {face['mean']:.2f} mm from the measured one on "
-            f"average (95 %: {face['quantile_95']:.2f}), with a bias of {face['bias']:+.2f}; the fitted skull wrap is "
+            f"average (95 %: {face['quantile_95']:.2f}), with a bias of {face['bias']:+.2f}; "
+            f"one published depth everywhere is {face['one_depth']:.2f} mm off, the measured median everywhere "
+            f"{face['own_median']:.2f}. The fitted skull wrap is "
             f"{wrap['mean']:.2f} mm from the skull (95 %: {wrap['quantile_95']:.2f}). Depths are trained on: "
             f"{values['trained_on']}, {values['pairs']} pairs. "
             + (f"The skin was registered, its face {registered:.2f} mm off on average. " if registered else "")
@@ -233,6 +251,8 @@ class DepthCheck:
                         "predicted_mean": float(predicted.mean()),
                         **asdict(DepthErrors.between(predicted, measured)),
                         "mean_by_area": float(np.average(np.abs(predicted - measured), weights=areas)),
+                        "one_depth": float(np.abs(PUBLISHED - measured).mean()),
+                        "own_median": float(np.abs(np.median(measured) - measured).mean()),
                         "fitted_mean": float(self.fitted[at].mean()),
                         "skull_wrap": {
                             "mean": float(off.mean()),

@@ -5,8 +5,10 @@ import pytest
 
 pytest.importorskip("dolfinx")
 
-from softdeca.benchmarks.studies.mixed import Mixed, solved
+from softdeca.benchmarks.harness import Row
+from softdeca.benchmarks.studies.mixed import Mixed, around_vertices, solved, volumes_kept
 from softdeca.lhm import InputError
+from softdeca.reference import Scene
 
 
 @pytest.mark.parametrize("law", ["incompressible", "0.499"])
@@ -18,6 +20,42 @@ def test_a_sphere_keeps_its_volume(spheres, law):
     values = solved(head, shape, law, 1e-6)
     assert values["reason"] == "CONVERGED" and values["factorisations"] > 0
     assert values["volume"] == pytest.approx(1.0, abs=5e-3)
+    # Around each vertex a compressible law keeps volume less well.
+    assert values["least_J"] <= values["J_1"] <= values["J_5"] <= values["J_95"] <= values["J_99"]
+    assert values["around"] < values["around_default"]
+    assert 0.0 < values["linear_mean"] <= values["linear_max"] < 2.0
+    row = Row("push", law, "done", "", values, 1.0, 100.0, 0.0, "")
+    assert all(gate["passed"] for gate in Mixed().gates([row]))
+
+
+def test_a_law_that_keeps_no_volume_fails_the_gate():
+    """The default law's answer in the place of the mixed element's."""
+    values = {"reason": "CONVERGED", "around": 0.02, "around_default": 0.02}
+    gates = Mixed().gates([Row("push", "0.499", "done", "", values, 1.0, 100.0, 0.0, "")])
+    assert [gate["passed"] for gate in gates] == [True, False, True]
+
+
+def test_volumes_are_summed_up_by_what_points_stand_for():
+    J, weights = np.array([1.1, 0.8, 1.0]), np.array([1.0, 2.0, 97.0])
+    kept = volumes_kept(J, weights)
+    assert kept["least_J"] == 0.8
+    assert kept["volume_error"] == pytest.approx((0.1 * 1.0 + 0.2 * 2.0) / 100.0)
+    # Two hundredths of the volume are at .8, in whose middle lies the first percentile.
+    assert kept["J_1"] == pytest.approx(0.8) and kept["J_5"] == pytest.approx(0.8 + 0.2 * 0.04 / 0.495)
+
+
+def test_a_linear_field_is_averaged_to_its_value_where_a_vertex_has_its_weight():
+    """The average of a linear field by a hat over one tet: (sum of all corners + the own corner) / 5."""
+    corners = np.array([[0.0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]])
+    scene = Scene(corners, np.array([[0, 1, 2, 3]]), [])
+    # The rule of degree 2: points with one barycentric coordinate of .585 and three of .138.
+    near = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0
+    points = (np.full((4, 4), (1.0 - near) / 3.0) + np.eye(4) * (near - (1.0 - near) / 3.0)) @ corners
+    field = np.array([1.0, -2.0, 4.0, 7.0])
+    values = np.linalg.solve(np.column_stack([np.ones(4), corners]), field)
+    at_points = np.column_stack([np.ones(4), points]) @ values
+    found = around_vertices(scene, points, np.full(4, 0.25), at_points)
+    assert found == pytest.approx((field.sum() + field) / 5.0)
 
 
 @pytest.mark.parametrize(
