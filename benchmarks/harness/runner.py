@@ -90,9 +90,10 @@ def run(
 ) -> Results:
     """Do the tasks of a study that are not done yet; write OUT/rows.jsonl, results.json and index.html.
 
-    Rows of the same options, study version and package versions are kept: `only` "failed" does those that failed again, "all" every one.
-    `match` chooses tasks by a part of their names. `workers` processes side by side, by default all processors, and
-    one where seconds are compared. Raises InputError where nothing matches and where the folder is in use.
+    Rows of the same options, study version and package versions are kept: `only` "failed" does those that failed
+    again, "all" every one. `match` chooses tasks by a part of their names. `workers` processes side by side, by default
+    all processors, and one where seconds are compared. Raises InputError where nothing matches and where the folder is
+    in use.
     """
     (found,) = run_together([Asked(study, out, match)], only=only, workers=workers, progress=progress)
     if isinstance(found, SoftdecaError):
