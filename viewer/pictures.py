@@ -146,7 +146,7 @@ def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), le
     drawn = Image.fromarray(np.asarray(plotter.screenshot(None, return_img=True)))
     plotter.close()
     width = drawn.width // len(captions)
-    size = max(12, width // 22)
+    size = max(12, width // 18)
     font = ImageFont.load_default(size)
     lines = [_wrapped(caption, font.getlength, 0.94 * width) for caption in captions]
     above = (max(len(each) for each in lines)) * round(1.3 * size) + size // 2

@@ -30,7 +30,10 @@ PNG = b"\x89PNG"
 
 @dataclass(frozen=True)
 class Row:
-    """A task and how it ended ("done", "skipped", "failed"); seconds of all of it, memory [MB], and the load then."""
+    """A task and how it ended ("done", "skipped", "failed").
+
+    `seconds` are wall time, `cpu` is processor time [s], None where nobody measured it; memory [MB]; the load then.
+    """
 
     case: str
     method: str
@@ -41,6 +44,7 @@ class Row:
     memory_mb: float | None
     load: float
     of: str = field(repr=False)
+    cpu: float | None = None
 
     @property
     def done(self) -> bool:
@@ -64,6 +68,12 @@ class Results:
     def passed(self) -> bool:
         """Whether every gate holds that asks for a right answer; those of speed hang on the machine."""
         return all(gate["passed"] for gate in self.gates if gate["answer"])
+
+    @property
+    def cpu(self) -> float | None:
+        """Processor time [s] of all rows that measured it; None where none did."""
+        measured = [row.cpu for row in self.rows if row.cpu is not None]
+        return sum(measured) if measured else None
 
     def json(self) -> dict[str, Any]:
         """For a results file."""
@@ -184,7 +194,7 @@ class _Rows:
         status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
         row = Row(
             task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
-            machine.load(), self._of,
+            machine.load(), self._of, None if one.cpu is None else round(one.cpu, 4),
         )  # fmt: skip
         self.found[task] = row
         self._records.add(asdict(row))

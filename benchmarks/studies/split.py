@@ -43,6 +43,7 @@ class Split(OfPerson):
     """The error of the shipped network on a person it has not seen, part by part; expressions by effects."""
 
     name = "split"
+    heading = "Where does the network's error come from?"
     question = (
         "Where does the surrogate's error to a refined hyperelastic reference come from: the network, the tolerance of "
         "what it learned from, projective dynamics' energy in place of a hyperelastic law, or the mesh?"
