@@ -13,10 +13,10 @@ from ..lhm.geometry.quality import smallest_dihedrals
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, facial_scene, solve
-from ..viewer.pictures import MUSCLE, SOFT, VIEW, coloured, cut_away, views
+from ..viewer.pictures import MUSCLE, SIDE, SOFT, VIEW, coloured, cut_away, views
 from .plots import png, subplots
 
-FRONT, SIDE = (0.0, 0.05, 1.0), (1.0, 0.05, 0.15)
+FRONT = (0.0, 0.05, 1.0)
 VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
 WORST = 300
 LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour

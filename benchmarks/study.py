@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +17,7 @@ from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.schedule import processors, schedule
 from .harness import Asked, Results, Study, run_together
+from .harness.apart import cpu_seconds
 from .harness.report import Made, write
 from .harness.runner import Only
 from .studies.agreement import Agreement
@@ -28,7 +30,7 @@ from .studies.throughput import ITERATION, Throughput
 from .studies.verification import Verification
 from .studies.work_precision import FACE, WorkPrecision
 
-TITLE = "is projective dynamics right, and how far is the surrogate?"
+TITLE = "is the fast simulator right, and how far is the network from it?"
 PLAN = PRESETS["study"]
 """Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
 
@@ -65,11 +67,12 @@ def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Asked]:
 
 @dataclass(frozen=True)
 class Done:
-    """What the studies gave, why others could not be run, by name, and the report's files."""
+    """What the studies gave, why others could not be run, by name, the report's files, and a sentence on the cost."""
 
     results: Sequence[Results]
     failed: Sequence[tuple[str, str]]
     written: Sequence[Path]
+    spent: str
 
     @property
     def passed(self) -> bool:
@@ -84,6 +87,7 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
     is complete. Raises InputError for a space or an expression that cannot be read, before anything is run.
     """
     agreement.tasks()
+    begin, processor = time.perf_counter(), cpu_seconds()
     with alone_in(out, "study"):
         template = load_template(identities.from_text(agreement.identities), progress=progress)
         corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
@@ -98,8 +102,12 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
                     failed.append((each.study.name, str(results)))
                 else:
                     made.append(Made(each.study, results, each.out))
-        written = write(made, out, TITLE, failed)
-    return Done([each.results for each in made], failed, written)
+        spent = (
+            f"This run took {cpu_seconds() - processor:.0f} s of processor time in "
+            f"{time.perf_counter() - begin:.0f} s, rows of earlier runs not counted."
+        )
+        written = write(made, out, TITLE, failed, spent)
+    return Done([each.results for each in made], failed, written, spent)
 
 
 def _simulate(whose: str, template, folder: Path, progress: OnProgress) -> None:

@@ -53,4 +53,5 @@ def study(identities: str, out: Path, expressions: str, surrogate: Path | None, 
             click.echo(f"FAILED {name}: {why}")
         for path in done.written:
             click.echo(f"wrote {path}")
+        click.echo(done.spent)
     return 0 if done.passed else 1

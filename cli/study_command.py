@@ -59,7 +59,8 @@ class Studies(click.Group):
 def listed() -> int:
     """What each study asks."""
     for name in names():
-        click.echo(f"{name:<14} {study_of(name).question}")
+        kind = study_of(name)
+        click.echo(f"{name:<14} {kind.heading or kind.question}")
     return 0
 
 
@@ -92,7 +93,7 @@ def changes(before: Path, after: Path) -> int:
 
 @click.command("report")
 @click.argument("results", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--title", default="PD, FEniCSx and a surrogate: the studies", help="of the page")
+@click.option("--title", default="the fast simulator, finite elements and the network", help="of the page")
 @click.option("--out", type=WrittenFolder(), default="out/report", help="folder of the report")
 def report(results: tuple[Path, ...], title: str, out: Path) -> int:
     """One report of many studies: OUT/index.html, report.md, report.json and tables.tex (booktabs).

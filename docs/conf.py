@@ -32,7 +32,17 @@ html_copy_source = False
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_sidebars = dict.fromkeys(
-    ("index", "concepts", "glossary", "surrogate", "corpus-small", "paper", "scaling", "bounds", "gates"),
+    (
+        "index",
+        "concepts",
+        "glossary",
+        "surrogate",
+        "corpus-small",
+        "paper",
+        "scaling",
+        "bounds",
+        "gates",
+    ),
     [],
 )
 html_theme_options = {

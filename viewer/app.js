@@ -67,10 +67,25 @@ class Rig {
   }
 }
 
-/** Eyes and teeth of a skin: bodies that follow the affine motion of some of its vertices; the eyes turn. */
+/** The rotation of a motion, three rows each, by Newton's iteration for the polar factor; and the cube root of its volume. */
+function turnAndScale(motion) {
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  let rows = motion.slice(0, 3);
+  const scale = Math.cbrt(dot(rows[0], cross(rows[1], rows[2])));
+  for (let step = 0; step < 20; step++) {
+    const cofactors = [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])];
+    const volume = dot(rows[0], cofactors[0]);
+    rows = rows.map((row, k) => row.map((value, c) => 0.5 * (value + cofactors[k][c] / volume)));
+  }
+  return [rows, scale];
+}
+
+/** Eyes and teeth of a skin: bodies that follow the affine motion of some of its vertices; the eyes turn and stay round. */
 class Within {
   constructor(content, arrays, expressions) {
     this.turn = content.turn;
+    this.back = content.back;
     this.expressions = expressions;
     this.bodies = content.bodies.map((body) => ({
       ...body, points: arrays[body.points], carriers: arrays[body.carriers], fit: arrays[body.fit],
@@ -95,9 +110,12 @@ class Within {
       const motion = [0, 1, 2, 3].map((row) => [0, 1, 2].map((c) =>
         carriers.reduce((sum, vertex, k) => sum + fit[row * carriers.length + k] * skin[3 * vertex + c], 0)));
       const turned = this.rotation(side, weights);
+      const [rows, scale] = side ? turnAndScale(motion) : [motion, 1];
+      const place = [0, 1, 2].map((c) => motion[3][c] + centre.reduce((sum, value, k) => sum + value * motion[k][c], 0));
       for (let i = 0; i < points.length; i += 3) {
-        const own = turned.map((row, c) => row[0] * points[i] + row[1] * points[i + 1] + row[2] * points[i + 2] + centre[c]);
-        for (let c = 0; c < 3; c++) out[at++] = own[0] * motion[0][c] + own[1] * motion[1][c] + own[2] * motion[2][c] + motion[3][c];
+        const own = turned.map((row) => row[0] * points[i] + row[1] * points[i + 1] + row[2] * points[i + 2]);
+        if (side) own[2] -= this.back;
+        for (let c = 0; c < 3; c++) out[at++] = scale * (own[0] * rows[0][c] + own[1] * rows[1][c] + own[2] * rows[2][c]) + place[c];
       }
     }
     return out;

@@ -23,7 +23,7 @@ from ..lhm.mesh import Floats, Floats32, Surface
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
 from .shading import INSIDE, colour, linear_light, lit
-from .within import TURN, within
+from .within import BACK, TURN, within
 
 FINEST = 1 / 32767
 """Of the largest number of a row: what a 16-bit number tells apart."""
@@ -165,6 +165,7 @@ def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
     return {
         "bodies": bodies,
         "turn": TURN,
+        "back": BACK,
         "triangles": packed.add("within triangles", found.triangles.astype(np.uint32)),
         "colours": packed.add("within colours", linear_light(found.colours).astype(np.float32)),
     }

@@ -1,10 +1,14 @@
-"""Rendered heads, off screen: light skin, errors as colours, layers cut open. PNG as bytes."""
+"""Rendered heads, off screen: light skin, errors as colours, layers cut open. PNG as bytes.
+
+Captions and colour bars stand in bands of their own above and below the heads. A PNG names the number of its panels in
+the text chunk PANELS, so that a page can lay them out one by one.
+"""
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +26,11 @@ MUSCLE = "#b5413b"
 BONE = "#e8e4d8"
 VIEW = (0.45, 0.08, 1.0)
 """From the front, a little from the subject's left; x is the subject's left, y up, z forward."""
+PANELS, VALUES = "panels", "viridis"
+"""Name of the text chunk, and colour map of distances."""
+SIDE = (1.0, 0.05, 0.15)
+MARGIN = 1.06
+"""Height of a picture over that of what it frames."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +109,98 @@ def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
 
 
-def _png(plotter) -> bytes:
-    buffer = io.BytesIO()
-    plotter.screenshot(buffer)
+@dataclass(frozen=True)
+class Bar:
+    """A colour bar: a colour map of Matplotlib, the values at its ends, and a title with the unit."""
+
+    cmap: str
+    low: float
+    high: float
+    title: str
+
+
+def framing(
+    surfaces: Sequence[Floats], view: Sequence[float], framed: Floats | None = None, aspect: float = 1.0
+) -> tuple[Floats, float]:
+    """Centre (3,) [mm] and height [mm] of a picture, `aspect` times as wide, seen from the direction `view`.
+
+    It shows all points of the surfaces, each (n, 3) [mm]. With `framed` (k, 3) [mm] it shows these points and all above
+    them, since a crown is never cut off.
+    """
+    ahead = np.asarray(view, dtype=np.float64) / np.linalg.norm(view)
+    right = np.cross((0.0, 1.0, 0.0), ahead)
+    right /= np.linalg.norm(right)
+    up = np.cross(ahead, right)
+    points = np.vstack(surfaces)
+    shown = points if framed is None else framed
+    x, low, high = shown @ right, (shown @ up).min(), (points @ up).max()
+    centre = 0.5 * (x.min() + x.max()) * right + 0.5 * (low + high) * up + shown.mean(axis=0) @ ahead * ahead
+    return centre, MARGIN * float(max(high - low, np.ptp(x) / aspect))
+
+
+def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), legend: str = "") -> bytes:
+    """Close a plotter of panels side by side; PNG of them with captions above, and bars and a legend below."""
+    from PIL import Image, ImageDraw, ImageFont
+    from PIL.PngImagePlugin import PngInfo
+
+    drawn = Image.fromarray(np.asarray(plotter.screenshot(None, return_img=True)))
     plotter.close()
+    width = drawn.width // len(captions)
+    size = max(12, width // 18)
+    font = ImageFont.load_default(size)
+    lines = [_wrapped(caption, font.getlength, 0.94 * width) for caption in captions]
+    above = (max(len(each) for each in lines)) * round(1.3 * size) + size // 2
+    below = 3 * size if any(bars) else 0
+    listed = legend.splitlines()
+    last = (len(listed) + 1) * round(1.3 * size) if listed else 0
+    sheet = Image.new("RGB", (drawn.width, above + drawn.height + below + last), "white")
+    sheet.paste(drawn, (0, above))
+    draw = ImageDraw.Draw(sheet)
+
+    def write(text: str, x: float, y: float, anchor: str = "mt") -> None:
+        draw.text((x, y), text, fill="black", font=font, anchor=anchor)
+
+    for column, each in enumerate(lines):
+        for k, line in enumerate(each):
+            write(line, (column + 0.5) * width, size // 3 + k * round(1.3 * size))
+    for column, bar in enumerate(bars):
+        if bar is not None:
+            left, top = round((column + 0.1) * width), above + drawn.height + size // 2
+            sheet.paste(_gradient(bar.cmap, round(0.8 * width), round(0.8 * size)), (left, top))
+            under = top + size
+            write(f"{bar.low:.3g}", left, under, "lt")
+            write(bar.title, left + 0.4 * width, under)
+            write(f"{bar.high:.3g}", left + 0.8 * width, under, "rt")
+    for k, line in enumerate(listed):
+        write(line, size, above + drawn.height + below + k * round(1.3 * size), "lt")
+    buffer, notes = io.BytesIO(), PngInfo()
+    # A legend of all panels is no part of one.
+    notes.add_text(PANELS, str(1 if legend else len(captions)))
+    sheet.save(buffer, "PNG", pnginfo=notes)
     return buffer.getvalue()
+
+
+def _wrapped(text: str, length: Callable[[str], float], width: float) -> list[str]:
+    """A caption in lines of at most `width` [pixels], where its words allow it."""
+    lines: list[str] = []
+    for paragraph in text.splitlines() or [""]:
+        line = ""
+        for word in paragraph.split():
+            longer = f"{line} {word}".strip()
+            if line and length(longer) > width:
+                lines.append(line)
+                longer = word
+            line = longer
+        lines.append(line)
+    return lines
+
+
+def _gradient(cmap: str, width: int, height: int):
+    from matplotlib import colormaps
+    from PIL import Image
+
+    colours = np.round(255 * colormaps[cmap](np.linspace(0.0, 1.0, width))[:, :3]).astype(np.uint8)
+    return Image.fromarray(np.repeat(colours[None], height, axis=0))
 
 
 def strip(
@@ -117,17 +213,15 @@ def strip(
 ) -> bytes:
     """Panels side by side at one scale, with a colour bar under each coloured one.
 
-    Captions of coloured panels say what the bar's end stands for. The picture is as high as the points `framed` [mm],
-    shape (k, 3), by default all of the first surface's. What is hidden in `rest`, the head at rest, is drawn dark.
+    The picture frames the points `framed` [mm], shape (k, 3), and the crown, by default all of the surfaces. Hidden
+    parts of `rest`, the head at rest, are drawn dark.
     """
     pyvista = load_pyvista()
     colours = None if rest is None else shades(rest)
-    plotter = pyvista.Plotter(
-        off_screen=True, shape=(1, len(panels)), window_size=(size * len(panels), int(size * 1.3)), border=False
-    )
-    points = panels[0].surface.vertices if framed is None else framed
-    tall = np.ptp(points[:, 1])
-    centre, height = (points.max(0) + points.min(0)) / 2 + [0.0, 0.08 * tall, 0.0], 1.28 * tall  # captions above
+    window = (size * len(panels), int(size * 1.2))
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(panels)), window_size=window, border=False)
+    plotter.set_background("white", all_renderers=True)
+    centre, height = framing([panel.surface.vertices for panel in panels], view, framed, 1.0 / 1.2)
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
         mesh = poly(pyvista, panel.surface.vertices, panel.surface.triangles)
@@ -137,25 +231,11 @@ def strip(
             if colours is not None:
                 behind(plotter, panel.surface)
         else:
-            bar = {
-                "title": f"mm, {column + 1}",
-                "n_labels": 0,
-                "title_font_size": 1,
-            }
-            bar |= {"width": 0.7, "height": 0.05, "position_x": 0.15, "position_y": 0.02, "color": "black"}
-            plotter.add_mesh(
-                mesh,
-                scalars=panel.values,
-                cmap="viridis",
-                clim=(0.0, panel.top),
-                smooth_shading=True,
-                scalar_bar_args=bar,
-            )
-        caption = panel.caption if panel.values is None else f"{panel.caption}\n0 to {panel.top:.2g} mm"
-        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
-        plotter.set_background("white")
+            how = {"cmap": VALUES, "clim": (0.0, panel.top), "show_scalar_bar": False}
+            plotter.add_mesh(mesh, scalars=panel.values, smooth_shading=True, **how)
         look(plotter, centre, height, view)
-    return _png(plotter)
+    bars = [None if panel.values is None else Bar(VALUES, 0.0, panel.top, "mm") for panel in panels]
+    return _sheet(plotter, [panel.caption for panel in panels], bars)
 
 
 def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 520) -> bytes:
@@ -163,9 +243,8 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     pyvista = load_pyvista()
     vertices = head.vertices if positions is None else positions
     plotter = pyvista.Plotter(off_screen=True, shape=(1, 3), window_size=(3 * size, size), border=False)
-    skin = head.skin_wrap.vertices
-    centre, height = (skin.max(0) + skin.min(0)) / 2, 1.4 * np.ptp(skin[:, 1])
-    middle = vertices[head.tets].mean(axis=1)[:, 0] < centre[0]
+    across = head.skin_wrap.vertices[:, 0]
+    middle = vertices[head.tets].mean(axis=1)[:, 0] < 0.5 * (across.min() + across.max())
     layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
     plotter.subplot(0, 0)
     for which, colour in ((0, SOFT), (1, MUSCLE)):
@@ -173,12 +252,9 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
         cells = np.hstack([np.full((len(tets), 1), 4), tets]).ravel()
         grid = pyvista.UnstructuredGrid(cells, np.full(len(tets), pyvista.CellType.TETRA), np.asarray(vertices))
         plotter.add_mesh(grid, color=colour, show_edges=True, edge_color="#55443a", line_width=0.5)
-    plotter.add_text("soft tissue and muscle,\ncut at the mid-plane", position="upper_edge", font_size=9, color="black")
-    look(plotter, centre, height, (1.0, 0.05, 0.15))
+    look(plotter, *framing([vertices], SIDE), SIDE)
     n = len(head.bone)
-    for column, (name, colours) in enumerate(
-        (("skin wrap", np.zeros(n)), ("skull wrap: cranium white,\nmandible blue, rest free", head.bone)), start=1
-    ):
+    for column, colours in enumerate((np.zeros(n), head.bone), start=1):
         plotter.subplot(0, column)
         first = 0 if column == 1 else 2 * n
         mesh = poly(pyvista, vertices[first : first + n], head.skin_wrap.triangles)
@@ -194,10 +270,10 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
             show_scalar_bar=False,
             interpolate_before_map=False,
         )
-        plotter.add_text(name, position="upper_edge", font_size=9, color="black")
-        look(plotter, centre, height, VIEW)
+        look(plotter, *framing([vertices], VIEW), VIEW)
     plotter.set_background("white", all_renderers=True)
-    return _png(plotter)
+    words = ("soft tissue and muscle, cut at the mid-plane", "skin wrap")
+    return _sheet(plotter, [*words, "skull wrap: cranium white, mandible blue, rest free"])
 
 
 def views(
@@ -215,9 +291,8 @@ def views(
     colours = None if rest is None else shades(rest)
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
-    x = panels[0][1].vertices if framed is None else framed
-    centre, height = (x.max(0) + x.min(0)) / 2, 1.15 * np.ptp(x[:, 1])
-    for column, (caption, surface, view) in enumerate(panels):
+    surfaces = [surface.vertices for _, surface, _ in panels]
+    for column, (_, surface, view) in enumerate(panels):
         plotter.subplot(0, column)
         mesh = poly(pyvista, surface.vertices, surface.triangles)
         mesh.point_data.active_normals = surface.vertex_normals
@@ -226,10 +301,9 @@ def views(
         if colours is not None:
             behind(plotter, surface)
         actor.prop.interpolation = "Phong"
-        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
-        look(plotter, centre, height, view)
+        look(plotter, *framing(surfaces, view, framed), view)
     plotter.set_background("white", all_renderers=True)
-    return _png(plotter)
+    return _sheet(plotter, [caption for caption, _, _ in panels])
 
 
 def coloured(
@@ -247,26 +321,22 @@ def coloured(
     pyvista = load_pyvista()
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
-    x = panels[0][1].vertices
-    centre, height = (x.max(0) + x.min(0)) / 2, 1.3 * np.ptp(x[:, 1])
-    bar = {"title": title, "n_labels": 5, "fmt": "%.3g", "title_font_size": 16, "label_font_size": 14, "color": "black"}
-    bar |= {"width": 0.8, "height": 0.08, "position_x": 0.1, "position_y": 0.02}
-    for column, (caption, surface, values, view) in enumerate(panels):
+    surfaces = [surface.vertices for _, surface, _, _ in panels]
+    how = {"cmap": VALUES if points is None else "inferno", "clim": limits, "show_scalar_bar": False}
+    for column, (_, surface, values, view) in enumerate(panels):
         plotter.subplot(0, column)
         mesh = poly(pyvista, surface.vertices, surface.triangles)
-        how = {"cmap": "viridis", "clim": limits, "show_scalar_bar": column == len(panels) // 2, "scalar_bar_args": bar}
         if values is not None:
             plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
         else:
             plotter.add_mesh(mesh, color=SKIN, opacity=0.25, smooth_shading=True)
         if points is not None:
-            how["cmap"] = "inferno"
             dots = pyvista.PolyData(np.asarray(points[0]))
             plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
-        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
-        look(plotter, centre, height, view)
+        look(plotter, *framing(surfaces, view), view)
     plotter.set_background("white", all_renderers=True)
-    return _png(plotter)
+    bar = Bar(how["cmap"], *limits, title)
+    return _sheet(plotter, [caption for caption, _, _, _ in panels], [bar] * len(panels))
 
 
 def labelled(
@@ -277,13 +347,15 @@ def labelled(
     framed: Floats,
     size: int = 560,
 ) -> bytes:
-    """A surface from several views (caption, direction), with points [mm] by name, numbered; `framed` as in `strip`."""
+    """A surface from several views (caption, direction), with points [mm] by name, numbered; `framed` as in `strip`.
+
+    The names are listed below.
+    """
     pyvista = load_pyvista()
     window = (size * len(views), size)
     plotter = pyvista.Plotter(off_screen=True, shape=(1, len(views)), window_size=window, border=False)
-    centre, height = (framed.max(0) + framed.min(0)) / 2, 1.12 * np.ptp(framed[:, 1])
     places = np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
-    for column, (caption, view) in enumerate(views):
+    for column, (_, view) in enumerate(views):
         plotter.subplot(0, column)
         mesh = poly(pyvista, surface.vertices, surface.triangles)
         plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
@@ -299,10 +371,7 @@ def labelled(
             render_points_as_spheres=True,
             always_visible=True,
         )
-        plotter.add_text(caption, position="upper_edge", font_size=9, color="black")
-        if column == 0:
-            text = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
-            plotter.add_text(text, position="lower_left", font_size=7, color="black")
-        look(plotter, centre, height, view)
+        look(plotter, *framing([surface.vertices], view, framed), view)
     plotter.set_background("white", all_renderers=True)
-    return _png(plotter)
+    legend = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
+    return _sheet(plotter, [caption for caption, _ in views], legend=legend)

@@ -2,7 +2,7 @@
 
 Lids and lips are simulated as if they were not there. They lie where MakeHuman (CC0) has them, and follow the parts of
 the skin that no expression moves around the eyes, and of the mouth's lining that the jaw alone does: identity, jaw and
-effects carry them. The eyes turn by the eyeLook weights.
+effects carry them. The eyes stay round and turn by the eyeLook weights.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ BANDS = ((8.2, PUPIL), (22.2, IRIS), (24.8, LIMBUS), (181, WHITE))
 """Up to so many degrees, which colour."""
 BLUNT = 0.55
 """Exponent of a crown's superellipsoid: 1 is an ellipsoid, 0 a box."""
-SMALLER = 0.97
-"""Of the radius of MakeHuman's eyeball: lids lie on the skin's own surface, which cuts a little into it."""
+SMALLER, BACK = 0.93, 1.5
+"""Factor on the radius of MakeHuman's eyeball, and how far [mm] it is set back: blendshapes move lids along straight
+lines, which cut into a ball that touches them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """What moves as one: points (k, 3) [mm] in the mean skin, those of an eye from its `centre` (3,).
 
-    `carriers` (c,): vertices of the skin whose affine motion it follows, by `fit` (4, c), which gives that motion of
-    where they are; of an eye, `side` is Left or Right.
+    `carriers` (c,) are vertices of the skin. `fit` (4, c) gives their affine motion from their positions. Teeth follow
+    that motion; an eye, whose `side` is Left or Right, follows its rotation, its change of volume and its translation.
     """
 
     points: Floats
@@ -50,8 +51,11 @@ class Body:
     def at(self, skin: Floats, weights: Floats | None) -> Floats:
         """Where it is [mm], shape (k, 3)."""
         motion = self.fit @ skin[self.carriers]
-        points = self.points if self.side == "" else self.points @ turned(self.side, weights).T + self.centre
-        return points @ motion[:3] + motion[3]
+        if self.side == "":
+            return self.points @ motion[:3] + motion[3]
+        left, stretch, right = np.linalg.svd(motion[:3])
+        gaze = self.points @ turned(self.side, weights).T - [0.0, 0.0, BACK]
+        return np.cbrt(stretch.prod()) * gaze @ left @ right + self.centre @ motion[:3] + motion[3]
 
 
 @dataclass(frozen=True, eq=False)

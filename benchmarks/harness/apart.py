@@ -29,6 +29,12 @@ def apart(work: Callable[..., Result], *arguments) -> Result:
             raise SoftdecaError(f"{work.__module__}.{work.__qualname__}: its process died") from None
 
 
+def cpu_seconds() -> float:
+    """Processor time [s] of this process, and of those it has started that have ended."""
+    own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime
+
+
 def peak_megabytes() -> float:
     """The most memory [MB] that this process has held since its start, or since `forget_peak`."""
     # Not ru_maxrss alone: through exec it keeps what the parent held.

@@ -20,7 +20,7 @@ from ...lhm.errors import MissingDependencyError, SoftdecaError
 from ...reference.added import NotModelledError, add_file, added_files
 from ...reference.ranks import followers
 from ...surrogate.schedule import without_interrupts
-from .apart import forget_peak, peak_megabytes
+from .apart import cpu_seconds, forget_peak, peak_megabytes
 from .study import Study, Task, Values
 
 
@@ -39,13 +39,18 @@ class Job:
 
 @dataclass(frozen=True)
 class Measured:
-    """How a task ended: "done" with values, "skipped" or "failed" with a reason; seconds, and peak memory [MB]."""
+    """How a task ended: "done" with values, "skipped" or "failed" with a reason; its costs.
+
+    `seconds` of wall time; `cpu` [s], of its process and of those that it started, None where it was killed; peak
+    memory [MB].
+    """
 
     job: Job
     status: str
     reason: str = ""
     values: Values = field(default_factory=dict)
     seconds: float = 0.0
+    cpu: float | None = None
     memory_mb: float | None = None
 
 
@@ -158,7 +163,7 @@ def _end_with_the_first() -> None:
 
 def _measure(job: Job) -> Measured:
     forget_peak()
-    begin = time.perf_counter()
+    begin, spent = time.perf_counter(), cpu_seconds()
     try:
         with threadpool_limits(1):
             values = job.study.measure(job.task)
@@ -166,6 +171,8 @@ def _measure(job: Job) -> Measured:
         return Measured(job, "skipped", str(error))
     except (Exception, SystemExit) as error:  # a SystemExit of a study that a file adds would end the command
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
-        return Measured(job, "failed", " ".join(reason.split()), seconds=time.perf_counter() - begin)
+        seconds, cpu = time.perf_counter() - begin, cpu_seconds() - spent
+        return Measured(job, "failed", " ".join(reason.split()), seconds=seconds, cpu=cpu)
+    seconds, cpu = time.perf_counter() - begin, cpu_seconds() - spent
     memory = peak_megabytes() if job.study.alone else None
-    return Measured(job, "done", values=values, seconds=time.perf_counter() - begin, memory_mb=memory)
+    return Measured(job, "done", values=values, seconds=seconds, cpu=cpu, memory_mb=memory)

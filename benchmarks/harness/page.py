@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from ..plots import narrow
 from .machine import is_dirty
 from .runner import Results, Row
 from .study import Study, Table
@@ -23,7 +24,8 @@ CHANGED = "Caution: the code that measured this is in no commit, so its figures 
 
 def page(study: Study, results: Results, folder: Path) -> str:
     """Self-contained HTML; pictures of rows are those in the folder of the results."""
-    return rendered("study.html", {"title": study.name}, study=shown(study, results, folder))
+    content = shown(study, results, folder)
+    return rendered("study.html", {"title": content["heading"]}, study=content)
 
 
 def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
@@ -31,12 +33,13 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
     done = [row for row in results.rows if row.done]
     return {
         "name": study.name,
+        "heading": study.heading or study.question,
         "question": study.question,
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
         "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
-        "figures": study.pictures(done) if done else {},
-        "pictures": {caption: _webp(png) for row in done for caption, png in _drawn(row, folder, ".png")},
-        "pages": {caption: page.decode() for row in done for caption, page in _drawn(row, folder, ".html")},
+        "figures": figures(lambda: study.pictures(done)) if done else {},
+        "pictures": {caption: panels_of(png) for row in done for caption, png in drawn(row, folder, ".png")},
+        "pages": {caption: page.decode() for row in done for caption, page in drawn(row, folder, ".html")},
         "tables": study.tables(done) if done else [],
         "rows": rows_table(study, done),
         "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
@@ -45,20 +48,25 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
     }
 
 
+def figures(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, str]]:
+    """Figures by caption, drawn for a wide screen and for a phone."""
+    wide = draw()
+    with narrow():
+        return {caption: (wide[caption], svg) for caption, svg in draw().items()}
+
+
 def rows_table(study: Study, done: Sequence[Row]) -> Table:
     """A line for each that a row gives; columns that none fills are left out."""
-    costs = ["all of it [s]"] + (["peak memory [MB]"] if study.alone else [])
+    costs = {"all of it [s]": "seconds", "processor time [s]": "cpu", "peak memory [MB]": "memory_mb"}
+    costs = {title: key for title, key in costs.items() if any(getattr(row, key) is not None for row in done)}
     lines = [(row, values) for row in done for values in study.lines(row.values)]
     columns = [c for c in study.columns if any(values.get(c.key) is not None for _, values in lines)]
     rows = [
-        [row.case, row.method, *(one(values.get(column.key)) for column in columns), *_costs(study, row)]
+        [row.case, row.method, *(one(values.get(column.key)) for column in columns),
+         *(getattr(row, key) for key in costs.values())]
         for row, values in lines
-    ]
+    ]  # fmt: skip
     return Table("All rows", ["case", "method", *(column.title for column in columns), *costs], rows, study.note)
-
-
-def _costs(study: Study, row: Row) -> list[float | None]:
-    return [row.seconds, row.memory_mb] if study.alone else [row.seconds]
 
 
 def one(value: Any) -> Any:
@@ -68,20 +76,31 @@ def one(value: Any) -> Any:
     return value
 
 
-def _drawn(row: Row, folder: Path, kind: str) -> Iterator[tuple[str, bytes]]:
+def drawn(row: Row, folder: Path, kind: str) -> Iterator[tuple[str, bytes]]:
     """The pictures or the pages of a row by caption."""
     for key, name in row.values.items():
         if isinstance(name, str) and name.endswith(kind) and (folder / name).is_file():
             yield f"{row.case}, {row.method}: {key}", (folder / name).read_bytes()
 
 
-def _webp(png: bytes) -> str:
-    """A picture in base64 for a page: a fourth of the PNG's bytes, and no difference is seen. Its file stays."""
+def panels_of(png: bytes) -> list[str]:
+    """The panels of a picture, each in base64 for a page, where their number is written in it; else the whole.
+
+    As WebP they have a fourth of the PNG's bytes, and no difference is seen. The file stays.
+    """
     from PIL import Image
 
-    buffer = io.BytesIO()
-    Image.open(io.BytesIO(png)).convert("RGB").save(buffer, "WEBP", quality=QUALITY)
-    return base64.b64encode(buffer.getvalue()).decode()
+    from ...viewer.pictures import PANELS
+
+    image = Image.open(io.BytesIO(png))
+    count = int(image.info.get(PANELS, 1))
+    width, encoded = image.width // count, []
+    for column in range(count):
+        buffer = io.BytesIO()
+        panel = image.crop((column * width, 0, (column + 1) * width, image.height))
+        panel.convert("RGB").save(buffer, "WEBP", quality=QUALITY)
+        encoded.append(base64.b64encode(buffer.getvalue()).decode())
+    return encoded
 
 
 def rendered(template: str, results: Mapping, **more) -> str:

@@ -30,8 +30,9 @@ PNG = b"\x89PNG"
 
 @dataclass(frozen=True)
 class Row:
-    """A task and how it ended ("done", "skipped", "failed"); seconds of all of it, memory [MB], and the load then.
+    """A task and how it ended ("done", "skipped", "failed").
 
+    `seconds` are wall time, `cpu` is processor time [s], None where nobody measured it; memory [MB]; the load then.
     commit: of the code that measured it, which a later run may have kept; empty in results of older versions.
     """
 
@@ -45,6 +46,7 @@ class Row:
     load: float
     of: str = field(repr=False)
     commit: str = ""
+    cpu: float | None = None
 
     @property
     def done(self) -> bool:
@@ -73,6 +75,12 @@ class Results:
     def commits(self) -> list[str]:
         """Of the last run, and of runs before it whose rows were kept."""
         return machine.commits_of(self.machine, [{"commit": row.commit} for row in self.rows])
+
+    @property
+    def cpu(self) -> float | None:
+        """Processor time [s] of all rows that measured it; None where none did."""
+        measured = [row.cpu for row in self.rows if row.cpu is not None]
+        return sum(measured) if measured else None
 
     def json(self) -> dict[str, Any]:
         """For a results file."""
@@ -193,7 +201,7 @@ class _Rows:
         status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
         row = Row(
             task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
-            machine.load(), self._of, machine.commit(),
+            machine.load(), self._of, machine.commit(), None if one.cpu is None else round(one.cpu, 4),
         )  # fmt: skip
         self.found[task] = row
         self._records.add(asdict(row))

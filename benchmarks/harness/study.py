@@ -54,6 +54,8 @@ class Study(ABC):
     """
 
     name: ClassVar[str]
+    heading: ClassVar[str] = ""
+    """The question as a heading of a page, in few words; by default `question`."""
     question: ClassVar[str]
     columns: ClassVar[tuple[Column, ...]]
     note: ClassVar[str] = ""

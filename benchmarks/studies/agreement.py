@@ -47,6 +47,7 @@ class Agreement(Study):
     """Expressions, and a face under more gravity without one, of the mean head of a space."""
 
     name = "agreement"
+    heading = "Does the fast simulator agree with finite elements?"
     question = (
         "Do projective dynamics, FEniCSx and scikit-fem find the same face, and how far from it are a hyperelastic "
         "law, the surrogate and plain blendshapes?"

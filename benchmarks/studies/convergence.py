@@ -43,6 +43,7 @@ class Convergence(OfPerson):
     """Expressions of one head; `quadratic`: also P2 tets by FEniCSx on the head's mesh."""
 
     name = "convergence"
+    heading = "Is the head's mesh fine enough?"
     question = (
         "How far is what a head's own mesh (one layer of prisms per tissue) gives from the limit of ever finer ones?"
     )

@@ -40,6 +40,7 @@ class Dynamics(OfPerson):
     """Frames at 60 per second of one head; marches of a motion are compared frame by frame, so they are one task."""
 
     name = "dynamics"
+    heading = "Does a moving face swing alike by every method?"
     question = "Do Eq. 9, projective dynamics and FEM's time steps move a face alike, and what do they lose?"
     columns = (
         Column("name", "march"),

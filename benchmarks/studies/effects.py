@@ -48,6 +48,7 @@ class Effects(OfPerson):
     """Effects on one head; `fan` random starts of a broad smile without an effect; beside another solver."""
 
     name = "effects"
+    heading = "What do palsy, weight and the other effects do to a face?"
     question = "Palsy, weight, jaw, zombie, gravity, wrinkles: what do they do to a face, and is the answer the answer?"
     columns = (
         Column("shown", "what the paper shows"),

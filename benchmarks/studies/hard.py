@@ -20,6 +20,7 @@ class Hard(Study):
     """Random starts, collapse, crush, twist, slivers, long steps."""
 
     name = "hard"
+    heading = "Do the solvers survive hard cases?"
     question = "Where solvers are pushed hard: are they right, do they say why they stop, or are they silently wrong?"
     columns = (
         Column("criterion", "what is compared"),

@@ -39,6 +39,7 @@ class Heads(OfPerson):
     """Random identities, of seeds from the study's on; a code of 2.5 standard deviations is scaled to `sigma`."""
 
     name = "heads"
+    heading = "Does every person get a valid head?"
     question = "Does every identity get a valid head, in how long, and what does it look like when it moves?"
     columns = (
         Column("error", "could not be fitted because"),

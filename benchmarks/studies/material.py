@@ -48,6 +48,7 @@ class Material(Study):
     """Poisson's ratios and modes of deformation by law."""
 
     name = "material"
+    heading = "Which material does the fast simulator stand for?"
     question = "Which hyperelastic law does projective dynamics' energy stand for, and up to what strain?"
     columns = (
         Column("tiny", "differs at 0.5 % strain, max [%]"),

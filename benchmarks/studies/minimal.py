@@ -53,6 +53,7 @@ class Minimal(OfPerson):
     """Three expressions and two effects, the whole scene and each with a piece more or less."""
 
     name = "minimal"
+    heading = "What can a scene leave out?"
     question = "What does each term, layer, region and contact cost, and what is the face wrong by without it?"
     columns = (
         Column("tets", "tets"),

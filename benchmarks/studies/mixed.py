@@ -39,6 +39,7 @@ class Mixed(OfPerson):
     """Expressions of the default head by laws: "incompressible" or a Poisson's ratio as text."""
 
     name = "mixed"
+    heading = "What does an incompressible head cost?"
     question = "What do incompressible heads cost by quadratic tets with a pressure (FEniCSx, P2-P1)? Minutes each."
     columns = (
         Column("tets", "tets"),

@@ -34,6 +34,7 @@ class Parts(Study):
     """Counts of processes, the first of which is 1, and sizes of the block."""
 
     name = "parts"
+    heading = "Do more processes need less memory each?"
     question = "How do time and memory fall with processes, where none has the whole mesh?"
     columns = (
         Column("processes", "processes"),

@@ -34,6 +34,7 @@ class Ranks(OfPerson):
     """Counts of processes, the first of which is 1, on both energies of one head."""
 
     name = "ranks"
+    heading = "How much faster is FEniCSx on several processes?"
     question = "What do several processes of mpirun gain FEniCSx, phase by phase, and do their answers agree?"
     columns = (
         Column("processes", "processes"),

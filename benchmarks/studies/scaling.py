@@ -36,6 +36,7 @@ class Scaling(OfPerson):
     """Levels of the template by solver, lengths of a sequence, and processes that simulate side by side."""
 
     name = "scaling"
+    heading = "How does the cost grow with mesh, frames and processes?"
     question = "How do time and memory grow with tets, with frames and with processes?"
     columns = (
         Column("size", "size"),

@@ -33,6 +33,7 @@ class Shapes(OfPerson):
     """Random identities, of seeds from the study's on, in every shape that their space has."""
 
     name = "shapes"
+    heading = "Which expressions turn tetrahedra inside out?"
     question = "Which ARKit shapes at full weight invert tets of soft tissue, and how far do lids and lips stay off?"
     columns = (
         Column("shape", "shape"),

@@ -68,6 +68,7 @@ class Split(OfPerson):
 
     name = "split"
     version = 2
+    heading = "Where does the network's error come from?"
     question = (
         "Where does the surrogate's error to a refined hyperelastic reference come from: the network, the tolerance of "
         "what it learned from, projective dynamics' energy in place of a hyperelastic law, or the mesh?"

@@ -30,6 +30,7 @@ class SurrogateOnCorpus(Study):
     """Static frames of people that training has not seen, by kind of parameters and strength of expression."""
 
     name = "surrogate"
+    heading = "How good is the network on people it has not seen?"
     question = (
         "How far is the surrogate from the simulator on people and parameters it has not seen, beside its rivals?"
     )

@@ -54,6 +54,7 @@ class Throughput(OfPerson):
     """Cold frames of several heads and materials; talk on one head; memory; bytes."""
 
     name = "throughput"
+    heading = "How many frames does one core simulate in an hour?"
     question = "How many frames an hour does a core simulate to 0.01 mm, in what memory, how far from its floor?"
     columns = (
         Column("what", "what"),

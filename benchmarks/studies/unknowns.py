@@ -70,6 +70,7 @@ class Unknowns(OfPerson):
     """Meshes of at most so many unknowns, by energy."""
 
     name = "unknowns"
+    heading = "How large a mesh can FEniCSx solve?"
     question = "How do FEniCSx' time and memory grow with the unknowns, and how far are they from what memory allows?"
     columns = (
         Column("unknowns", "unknowns"),

@@ -25,6 +25,7 @@ class Verification(Study):
     """Closed forms, published values, another code on a head; with `fine` orders of convergence and locking too."""
 
     name = "verification"
+    heading = "Do the solvers give the answers that are known?"
     question = "Do the solvers give closed forms, published values and theory's orders of convergence?"
     columns = (
         Column("problem", "problem"),

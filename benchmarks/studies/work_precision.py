@@ -59,6 +59,7 @@ class WorkPrecision(OfPerson):
     """Expressions of one head by solver and energy."""
 
     name = "work-precision"
+    heading = "How long does each method take to be right?"
     question = "How near to the answer is each method after how much time, and after how many iterations?"
     columns = (
         Column("prepare_s", "prepare or bind [s]", cost=True),

@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -17,19 +16,6 @@ from softdeca.viewer.within import within
 
 SPACE = identities.Anny()
 CODE = np.zeros(SPACE.code_size)
-DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("chromium is not installed; tools/set-up does")
-    sync_api = pytest.importorskip("playwright.sync_api")
-    with sync_api.sync_playwright() as play:
-        started = play.chromium.launch(executable_path=chromium, args=DRAWS)
-        yield started
-        started.close()
 
 
 class Opened:

@@ -28,12 +28,37 @@ def test_a_report_of_studies_says_what_they_found(made, command, tmp_path):
     assert ended.status == 0 and len(ended.out.splitlines()) == 4
     text = (tmp_path / "index.html").read_text()
     assert "mine &amp; &lt;yours&gt;" in text and "4 of 4 values by skfem are within their bounds." in text
-    assert "Is projective dynamics right?" in text and "All that was asked is reached." in text
+    assert "Is the fast simulator right?" in text and "Every statement holds within its bound." in text
     assert not re.search(r"<(script|link|iframe|object)|@import|(src|href)=\"(?!#|data:)", text)
-    assert "**Is projective dynamics right?** 4 of 4" in (tmp_path / "report.md").read_text()
+    heading = Verification.heading
+    assert f'<h2 id="verification">{heading}</h2>' in text
+    lines = (tmp_path / "report.md").read_text().splitlines()
+    assert lines.index("## Is the fast simulator right?") < lines.index(f"### {heading}")
     assert json.loads((tmp_path / "report.json").read_text())["verification"]["options"]["solvers"] == ["skfem"]
     tables = (tmp_path / "tables.tex").read_text()
     assert tables.count(r"\begin{table}") == tables.count(r"\bottomrule") == 1 and r"\label{tab:verification" in tables
+
+
+def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(made, tmp_path):
+    file = tmp_path / "results.json"
+    found = json.loads((made / "results.json").read_text())
+    rows = found["rows"]
+    # Another process measured each row: its processor time is at most what one thread can spend, and some margin.
+    assert all(0.0 < row["cpu"] < row["seconds"] + 0.5 for row in rows)
+    for row in rows:
+        row["cpu"] = 2.5
+    for commit, clean in (("abc1234", "<span class=yes>yes</span>"), ("abc1234-dirty", "<span class=no>NO</span>")):
+        found["machine"] |= {"commit": commit, "load": 0.25}
+        file.write_text(json.dumps(found))
+        text = write([read(file, study_of)], tmp_path / "out", "cost", spent="This run took no time.")[0].read_text()
+        (line,) = re.findall(rf"<tr><td class=text>Do the solvers give.*{commit}<.*</tr>", text)
+        assert clean in line and ">0.25<" in line and ">10<" in line
+        assert "4 of 4 rows took 10 s of processor time together. This run took no time." in text
+    # Results of before rows had a processor time can still be reported.
+    for row in rows:
+        del row["cpu"]
+    file.write_text(json.dumps(found))
+    assert "of processor time together" not in write([read(file, study_of)], tmp_path / "o", "old")[0].read_text()
 
 
 def test_results_that_are_none_are_named(made, command, tmp_path):

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import Surface, expressions, identities
+from softdeca.lhm.geometry.bvh import TriangleTree
 from softdeca.lhm.geometry.closing import openings
-from softdeca.viewer.pictures import Panel, strip
+from softdeca.lhm.geometry.rays import first_hits
+from softdeca.lhm.identities.space import OUTSIDE
+from softdeca.viewer.pictures import VIEW, Panel, strip
 from softdeca.viewer.within import _default, turned, within
 
 SPACE = identities.Anny()
@@ -94,3 +97,34 @@ def test_a_picture_shows_the_white_of_the_eyes():
 
     other = Surface(SPACE.mean.vertices, SPACE.mean.triangles[:, [1, 2, 0]])
     assert bright(SPACE.mean) > 20 and bright(other) == 0  # irises are blue, skin is not
+
+
+def through_lids(skin, ball, triangles, view):
+    """The area [mm²], seen from `view`, in which a ball hides the outside of a lid that lies behind its front."""
+    ahead = -np.asarray(view, dtype=float) / np.linalg.norm(view)
+    across = np.cross([0.0, 1.0, 0.0], ahead)
+    across /= np.linalg.norm(across)
+    grid = np.arange(-18.0, 18.0, 0.5)
+    plane = grid[:, None, None] * across + grid[None, :, None] * np.cross(ahead, across)
+    origins = ball.mean(axis=0) + plane.reshape(-1, 3) - 60.0 * ahead
+    directions = np.tile(ahead, (len(origins), 1))
+    _, front = first_hits(TriangleTree(ball, triangles), origins, directions, 200.0)
+    hit, behind = first_hits(TriangleTree(skin, SPACE.triangles), origins, directions, 200.0)
+    a, b, c = (skin[SPACE.triangles[:, k]] for k in range(3))
+    outside = (SPACE.parts[SPACE.triangles] == OUTSIDE).all(axis=1) & (np.cross(b - a, c - a) @ ahead < 0)
+    return 0.25 * np.count_nonzero((hit >= 0) & outside[hit] & (front < behind))
+
+
+@pytest.mark.parametrize("seed", [None, 3, 6])
+def test_no_eyeball_comes_through_a_lid(seed):
+    """Seed 3 has long sockets, seed 6 is a child; an eye that was stretched with its socket covered 59 mm² of lid."""
+    code = None if seed is None else SPACE.sample(np.random.default_rng(seed))[0]
+    found = _default()
+    triangles = found.triangles[(found.triangles < EYE.stop).all(axis=1)]
+    for named in ({}, {"eyeBlinkLeft": 0.5}, {"eyeSquintLeft": 1.0}, {"eyeLookDownLeft": 1.0}):
+        skin, points = shown(named, code)
+        ball = points[EYE]
+        radii = np.linalg.norm(ball - (ball[0] + ball[EYE.stop - 1]) / 2, axis=1)
+        assert np.ptp(radii) < 1e-9
+        for view in ((0.0, 0.0, 1.0), VIEW):
+            assert through_lids(skin, ball, triangles, view) < 5.0
