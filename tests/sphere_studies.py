@@ -76,6 +76,9 @@ class SphereConvergence(OfSphere, Convergence):
 
 @dataclass(frozen=True)
 class SphereMinimal(OfSphere, Minimal):
+    # A sphere has no flesh that hangs.
+    needed = 0.0
+
     def tasks(self):
         # A sphere has no face with lips.
         return [task for task in super().tasks() if "face" not in task.method and "lips" not in task.method]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,8 +45,6 @@ LEFT_OUT: Mapping[str, Change] = {
 }
 ADDED_GRAVITY = "without gravity beyond the scan's"
 """Only of a case that has some."""
-NEEDED = 0.8
-"""[mm] 3 g moves the settled face by 1 mm; a study that lets targets hold the face finds .02."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +76,8 @@ class Minimal(OfPerson):
     timed = True
     alone = True
     version = 2
+    needed: ClassVar[float] = 0.8
+    """[mm] 3 g moves the settled face by 1 mm; a study that lets targets hold the face finds .02."""
 
     expressions: tuple[str, ...] = field(
         default=(
@@ -137,7 +138,7 @@ class Minimal(OfPerson):
         found += [at_most("change by the smallest scene [mm]", max(chosen), self.within)] if chosen else []
         floating = [row.values["max_mm"] for row in rows if row.method == ADDED_GRAVITY]
         what = "change of the skin where a face under more gravity goes without it, largest [mm]"
-        return found + ([at_least(what, min(floating), NEEDED)] if floating else [])
+        return found + ([at_least(what, min(floating), self.needed)] if floating else [])
 
     def words(self, rows: Sequence[Row]) -> str:
         """What may go, and what it saves."""

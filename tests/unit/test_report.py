@@ -49,6 +49,8 @@ def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(made, tmp_pat
         row["cpu"] = 2.5
     for commit, clean in (("abc1234", "<span class=yes>yes</span>"), ("abc1234-dirty", "<span class=no>NO</span>")):
         found["machine"] |= {"commit": commit, "load": 0.25}
+        for row in rows:
+            row["commit"] = commit
         file.write_text(json.dumps(found))
         text = write([read(file, study_of)], tmp_path / "out", "cost", spent="This run took no time.")[0].read_text()
         (line,) = re.findall(rf"<tr><td class=text>Do the solvers give.*{commit}<.*</tr>", text)
