@@ -28,10 +28,10 @@ RESULTS = ROOT / "benchmarks" / "results"
 MAP = ROOT / "docs" / "figures.toml"
 NUMBER = r"-?(?:\d{1,3}(?:,\d{3})+(?:\.\d+)?|\d+(?:\.\d+)?|\.\d+)(?:e-?\d+)?"
 UNITS = (
-    "mm|%|s|ms|µs|seconds?|minutes?|hours?|min|core-hours|GB|MB|kB|kPa|Hz|points|"
+    "mm[²³]?|%|°|mN|s|ms|µs|seconds?|minutes?|hours?|min|core-hours|GB|MB|kB|kPa|Hz|points|"
     "iterations|factorisations|times|frames|vertices|people|pairs|tets|unknowns"
 )
-MEASURE = re.compile(rf"(?<![\w.,/*-])({NUMBER})[ \n-]*(?:{UNITS})(?![\w/])")
+MEASURE = re.compile(rf"(?<![\w.,/*-])({NUMBER})[ \n-]*(?:(?:k|million)\s+)?(?:{UNITS})(?![\w/])")
 WORDS = re.compile(
     r"\b(half an?|two|three|four|five|six|eight|ten|fifteen|twenty|thirty|forty)\s+"
     r"(?:seconds?|minutes?|hours?|millimetres?|gigabytes?)\b"

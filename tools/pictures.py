@@ -195,16 +195,23 @@ def stale() -> dict[str, str]:
     return found
 
 
-def make(names: Iterable[str], scan: Path) -> None:
-    """Draw pictures into docs and record what they are of."""
+def make(names: Iterable[str], scan: Path) -> int:
+    """Draw pictures into docs and record what they are of; exit status 1 if one could not be drawn."""
+    status = 0
     for name in names:
-        png = PICTURES[name][0](scan)
+        try:
+            png = PICTURES[name][0](scan)
+        except SystemExit as why:
+            print(why, file=sys.stderr)
+            status = 1
+            continue
         (DOCS / name).write_bytes(png)
         record = recorded() | {name: {"inputs": digest_of(name), "png": hashlib.sha256(png).hexdigest()[:16]}}
         lines = ["# Written by tools/pictures.py: what each picture was drawn from, and its file."]
         lines += [f'["{name}"]\ninputs = "{of["inputs"]}"\npng = "{of["png"]}"' for name, of in sorted(record.items())]
         RECORD.write_text("\n\n".join(lines) + "\n")
         print(f"wrote {DOCS / name}", flush=True)
+    return status
 
 
 def main() -> int:
@@ -217,8 +224,7 @@ def main() -> int:
     if unknown := set(asked.names) - set(PICTURES):
         parser.error(f"no picture {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
     if not asked.stale:
-        make(asked.names or PICTURES, asked.scan)
-        return 0
+        return make(asked.names or PICTURES, asked.scan)
     for name, why in stale().items():
         print(f"{name}: {why}")
     return 1 if stale() else 0

@@ -14,7 +14,8 @@ from typing import Any
 
 DIRTY = "-dirty"
 """At the end of a commit: the code had changes that it does not hold."""
-_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", ":(exclude)docs", ":(exclude)benchmarks/results")
+_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", "*.npz", "*.safetensors")
+_CODE += (":(exclude)docs", ":(exclude)tests", ":(exclude)tools", ":(exclude)benchmarks/results")
 """What a figure can depend on; texts and results of other studies may change while one is measured."""
 _PACKAGES = ("softdeca", "numpy", "scipy", "numba", "cholespy", "scikit-fem", "torch", "anny", "fenics-dolfinx")
 
@@ -79,8 +80,8 @@ def commits_of(machine: Mapping[str, Any], rows: Iterable[Mapping[str, Any]] = (
 
 
 def is_dirty(commit: str) -> bool:
-    """Whether figures of a commit cannot be made again: it is unknown, or does not hold all code."""
-    return commit.endswith(DIRTY) or not commit or " " in commit
+    """Whether the code had changes that a commit does not hold, so that its figures cannot be made again."""
+    return commit.endswith(DIRTY)
 
 
 def lacks(results: Any) -> list[str]:
@@ -95,7 +96,7 @@ def lacks(results: Any) -> list[str]:
     machine = results.get("machine") or {}
     missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
     commits = commits_of(machine, results.get("rows", ()))
-    if any(map(is_dirty, commits)):
-        missing.append("clean tree" if any(commit.endswith(DIRTY) for commit in commits) else "commit")
+    missing += ["commit"] if any(not commit or " " in commit for commit in commits) else []
+    missing += ["clean tree"] if any(map(is_dirty, commits)) else []
     missing += [] if machine.get("versions") else ["versions"]
     return missing + ([] if "options" in results or "plan" in results else ["options"])

@@ -125,7 +125,7 @@ def test_ctrl_c_ends_the_workers_of_a_corpus_and_leaves_whole_shards(tmp_path):
     assert process.returncode != 0 and rest.rstrip().endswith("KeyboardInterrupt") and rest.count("Traceback") == 1
     assert seconds < 20
     left = sorted(p.name for p in (tmp_path / "corpus").iterdir())
-    left = [name for name in left if not name.startswith(".")]
+    left = [name for name in left if not name.startswith(".") and not re.fullmatch(r"person-\d+\.json", name)]
     assert left[0] == "corpus.json" and left[-1] == "template.npz" and 3 < len(left) < 60
     for name in left[1:-1]:
         assert name.startswith("person-")
@@ -167,8 +167,7 @@ def test_a_cluster_one_of_whose_processes_is_killed_makes_the_same_corpus(tmp_pa
     one, other = (sorted((tmp_path / name).glob("person-*.h5")) for name in ("one", "other"))
     assert len(one) == len(other) == 60
     for a, b in zip(one, other, strict=True):
-        with h5py.File(a) as first, h5py.File(b) as second:
-            assert first.attrs["checksum"] == second.attrs["checksum"]
+        assert a.read_bytes() == b.read_bytes()
 
 
 def test_a_full_disk_is_named_and_leaves_nothing(tmp_path):
