@@ -205,7 +205,7 @@ def figure(rows: Rows) -> str:
         axis.plot(point.each, point.error, shape, mec=colour, mfc="white", ms=8)
         axis.plot(point.first, point.error, shape, color=colour, ms=8, label=name)
     for row in rows.get("work-precision", ()):
-        name = NAMES.get(row.values["label"])
+        name = NAMES.get(row.values["label"], "")
         if name in found and name in SOLVERS and FACE_ENERGY in row.values["energy"]:
             seconds = np.median(row.values["prepare_s"]) + np.array(row.values["seconds"])
             axis.plot(seconds, row.values["error_mm"], color=MARKS[name][1], lw=0.8, ls=":")

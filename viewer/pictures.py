@@ -149,7 +149,7 @@ def _sheet(plotter, captions: Sequence[str], bars: Sequence[Bar | None] = (), le
     size = max(12, width // 18)
     font = ImageFont.load_default(size)
     lines = [_wrapped(caption, font.getlength, 0.94 * width) for caption in captions]
-    above = (max(len(each) for each in lines)) * round(1.3 * size) + size // 2
+    above = max(len(each) for each in lines) * round(1.3 * size) + size // 2
     below = 3 * size if any(bars) else 0
     listed = legend.splitlines()
     last = (len(listed) + 1) * round(1.3 * size) if listed else 0
@@ -314,7 +314,7 @@ def coloured(
     points: tuple[Floats, Floats] | None = None,
     size: int = 520,
 ) -> bytes:
-    """Surfaces side by side at one scale, (caption, surface, values (n,) or None, view), with one colour bar.
+    """Surfaces side by side at one scale, (caption, surface, values (n,) or None, view), each with a colour bar.
 
     A surface without values is faded, and `points` (k, 3) [mm] with values (k,) are drawn in it, for all panels.
     """
@@ -322,7 +322,8 @@ def coloured(
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
     surfaces = [surface.vertices for _, surface, _, _ in panels]
-    how = {"cmap": VALUES if points is None else "inferno", "clim": limits, "show_scalar_bar": False}
+    bar = Bar(VALUES if points is None else "inferno", *limits, title)
+    how = {"cmap": bar.cmap, "clim": limits, "show_scalar_bar": False}
     for column, (_, surface, values, view) in enumerate(panels):
         plotter.subplot(0, column)
         mesh = poly(pyvista, surface.vertices, surface.triangles)
@@ -335,7 +336,6 @@ def coloured(
             plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
         look(plotter, *framing(surfaces, view), view)
     plotter.set_background("white", all_renderers=True)
-    bar = Bar(how["cmap"], *limits, title)
     return _sheet(plotter, [caption for caption, _, _, _ in panels], [bar] * len(panels))
 
 

@@ -145,7 +145,7 @@ def test_the_study_of_a_sphere(sphere, tmp_path):
     assert [(row.case, row.method) for row in results.rows] == asked
     assert results.passed and len(results.gates) == 7 and "in all 2 scenes" in results.words
     text = unescape((tmp_path / "index.html").read_text())
-    assert text.count("<iframe") == 1 and "three.js" in text and text.count("data:image/webp") == 3
+    assert text.count("<iframe") == 1 and "three.js" in text and text.count('<div class="panels">') == 3
     blends = next(row for row in results.rows if row.method == BLENDSHAPES)
     assert [line["compared"] for line in blends.values["compared"]] == [
         what + SKIN for what in (TO_PD, TO_FENICSX, TO_NEO)
