@@ -1,5 +1,6 @@
 """Plans: splits that share nothing, parameter sets as the mixture says, and files that are checked."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,15 @@ def test_a_plan_is_the_same_each_time_and_another_seed_makes_another():
     again = CorpusPlan(identities=30, groups=3, frames=4, conversations=10, random=10, seconds=10.0)
     assert again.digest == PLAN.digest != replace(PLAN, seed=1).digest
     assert again.static(3, 2) == PLAN.static(3, 2) and again.sequence(3, 0) == PLAN.sequence(3, 0)
+
+
+@pytest.mark.parametrize(
+    "kinds", [{"materials": 0.3, "single": 0.35, "effects": 0.15, "both": 0.2}, {"few": 0.3, "both": 0.4}]
+)
+def test_a_plan_read_from_its_own_text_is_the_same(kinds):
+    plan = CorpusPlan(kinds=kinds)
+    content = {key: value for key, value in json.loads(plan.to_json()).items() if key != "recordings"}
+    assert CorpusPlan(**content).digest == plan.digest
 
 
 def test_parameter_sets_are_of_their_kind_and_within_their_ranges():
