@@ -295,17 +295,17 @@ class _Run:
     linear_iterations: float | None
 
 
-def _binds(of: Person) -> Mapping[str, Callable[[], Callable[[Floats], Floats]]]:
+def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
     from ...surrogate import Surrogate, linearised_rig
     from ...surrogate.carried import neutral_at_rest
 
     head, parameters, network = of.head, Parameters(), Surrogate.load()
     shapes = of.space.expression_deltas(of.code)
-    given = {"skin": head.skin, "code": of.code, "parameters": parameters, "expressions": shapes}
+    given: dict = {"skin": head.skin, "code": of.code, "parameters": parameters, "expressions": shapes}
     blend = network.bind(**given).blend
 
-    def moved(by: Callable[[], Floats]) -> Callable[[Floats], Floats]:
+    def moved(by: Callable[[], Floats]) -> Callable:
         offset = by().astype(np.float32)
         return lambda weights: blend(weights) + offset
 

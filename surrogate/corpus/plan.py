@@ -314,7 +314,9 @@ def _shares(name: str, given: Any, known: tuple[str, ...]) -> dict[str, float]:
     total = sum(given.values())
     if total <= 0:
         raise InputError(f"corpus plan {name}: all shares are zero")
-    return {item: given.get(item, 0.0) / total for item in known}
+    # Shares that add up to 1 but for rounding stay, so that a plan read from its own text is the same plan.
+    scale = 1.0 if abs(total - 1.0) < 1e-9 else total
+    return {item: given.get(item, 0.0) / scale for item in known}
 
 
 PRESETS: dict[str, CorpusPlan] = {

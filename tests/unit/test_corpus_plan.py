@@ -1,5 +1,6 @@
 """Plans: splits that share nothing, parameter sets as the mixture says, and files that are checked."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ from softdeca.reference import Parameters
 from softdeca.reference.face.settling import changes_neutral
 from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan, read_plan
+from softdeca.surrogate.modal.faces import static_of
+from softdeca.surrogate.ruler import EFFECTS, kind_of_coefficients
 from softdeca.surrogate.sphere import Spheres
 
 PLAN = CorpusPlan(identities=30, groups=3, frames=4, conversations=10, random=10, seconds=10.0)
@@ -39,6 +42,15 @@ def test_a_plan_is_the_same_each_time_and_another_seed_makes_another():
     again = CorpusPlan(identities=30, groups=3, frames=4, conversations=10, random=10, seconds=10.0)
     assert again.digest == PLAN.digest != replace(PLAN, seed=1).digest
     assert again.static(3, 2) == PLAN.static(3, 2) and again.sequence(3, 0) == PLAN.sequence(3, 0)
+
+
+@pytest.mark.parametrize(
+    "kinds", [{"materials": 0.3, "single": 0.35, "effects": 0.15, "both": 0.2}, {"few": 0.3, "both": 0.4}]
+)
+def test_a_plan_read_from_its_own_text_is_the_same(kinds):
+    plan = CorpusPlan(kinds=kinds)
+    content = {key: value for key, value in json.loads(plan.to_json()).items() if key != "recordings"}
+    assert CorpusPlan(**content).digest == plan.digest
 
 
 def test_parameter_sets_are_of_their_kind_and_within_their_ranges():
@@ -86,6 +98,7 @@ def test_plans_from_files(tmp_path):
         ("[sources]\nspeech = 0.0", "all shares are zero"),
         ("responses = 1.5", "responses: expected a share"),
         ("sequences = 9", "sequences: 9 for 3 groups"),
+        ("sequences = 1\nhard = 4\n[sources]\nhard = 1.0", "sequences need another source than hard"),
         ("tolerance = nan", "tolerance"),
         ("seconds = 1e9", "seconds"),
         ("= 1", "not a TOML file"),
@@ -96,6 +109,17 @@ def test_plans_from_files(tmp_path):
         assert str(path) in str(raised.value)
     with pytest.raises(InputError, match="no such file"):
         read_plan(tmp_path / "none.toml")
+
+
+def test_a_single_effect_is_alone_and_hard_expressions_are_in_no_sequence():
+    plan = CorpusPlan(
+        identities=30, groups=3, sequences=2, kinds={"single": 1.0}, sources={"conversation": 0.2, "hard": 0.8},
+        conversations=4, random=0, hard=4, seconds=5.0,
+    )  # fmt: skip
+    assert {kind_of_coefficients(static_of(plan.parameter_set(k).coefficients)) for k in range(90)} == set(EFFECTS)
+    drawn = [plan.static(identity, k).recording for identity in range(20) for k in range(6)]
+    assert 0.6 < np.mean([name.startswith("hard") for name in drawn]) < 0.95
+    assert all(plan.sequence(identity, k)[0].startswith("conversation") for identity in range(20) for k in range(2))
 
 
 def test_one_recording_of_a_source_cannot_be_split(tmp_path):

@@ -8,7 +8,7 @@ from scipy.signal import find_peaks
 
 from softdeca.lhm import InputError
 from softdeca.lhm.expressions import ARKIT, combinations, index, recordings, sample_weights, speech, starts
-from softdeca.lhm.expressions.combinations import contradict
+from softdeca.lhm.expressions.combinations import contradict, hard_expressions
 from softdeca.lhm.expressions.speech import texts
 from softdeca.lhm.expressions.take import Take, resampled
 
@@ -117,6 +117,21 @@ def test_the_pool_names_each_recording_and_gives_it_again(data, tmp_path):
         np.testing.assert_array_equal(take.weights, recording.take().weights)
         assert bool(take.synthetic) == (recording.kind != "real")
     assert np.abs(pool["conversation/0"].take().weights - pool["conversation/1"].take().weights).max() > 0.1
+
+
+def test_hard_expressions_have_two_to_five_shapes_up_to_full_weight():
+    weights = hard_expressions(np.random.default_rng(0), 400)
+    counts, largest = np.count_nonzero(weights, axis=1), weights.max(axis=1)
+    # mouthClose alone of an open jaw's shapes may be drawn and closed to nothing.
+    assert counts.max() == 5 and counts.min() >= 1 and np.mean(counts >= 2) > 0.95
+    assert weights.max() > 0.99 and weights.max() <= 1.0 and 0.35 < np.mean(largest > 0.5) < 0.55
+    for row in weights:
+        active = [ARKIT[k] for k in np.flatnonzero(row)]
+        assert not any(contradict(a, b) for a in active for b in active)
+        assert row[index("mouthClose")] <= row[index("jawOpen")]
+    np.testing.assert_array_equal(weights, hard_expressions(np.random.default_rng(0), 400))
+    pool = recordings(spoken=(), conversations=0, random=0, hard=2, seconds=1.0)
+    assert list(pool) == ["hard/0", "hard/1"] and pool["hard/1"].take().weights.shape == (60, 52)
 
 
 def test_files_that_are_no_takes_are_left_out_by_name(tmp_path):
