@@ -58,6 +58,8 @@ QUADRATIC = 0.1
 
 Two expressions on level 1, solved to the end, moved the skin by another 3 and 5 % of the distance to linear tets.
 """
+QUADRATIC_NEUTRAL = 0.02
+"""The same of the neutral face, whose tissue grows: some two steps as well, where .1 would stop after one."""
 ORDER = 1.0
 """Order of quadratic tets' answers by level, assumed: levels differ in where the skin is tied, too."""
 
@@ -308,7 +310,7 @@ def _by_quadratic_tets(study: Split, effect: str, level: int) -> Settled:
     if face.solution is None:
         return face
     scene = scene_under(neutral_scene(face.head, face.parameters), LAW)
-    positions = _fem(scene, face.positions, QUADRATIC, "P2")
+    positions = _fem(scene, face.positions, QUADRATIC_NEUTRAL, "P2")
     moved = positions[: len(face.head.bone)] - face.head.skin_wrap.vertices
     return replace(face, positions=positions, displacement=face.head.skin_from_wrap @ moved)
 
