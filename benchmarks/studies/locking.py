@@ -191,7 +191,7 @@ class Locking(OfPerson):
             return {}
         figure, axes = subplots(1, 2, figsize=(8.8, 3.4))
         for axis, key, what in zip(
-            axes, ("mean", "over_all"), ("mean [mm]", "times mean |T - carried(S)|"), strict=True
+            axes, ("mean", "over_all"), ("mean error [mm]", "mean error / mean |T - carried(S)|"), strict=True
         ):
             for number, count in enumerate(SUB_LAYERS):
                 for level, style in ((self.level, "o-"), (DEFAULT_LEVEL, "s:")):
@@ -203,11 +203,14 @@ class Locking(OfPerson):
                     if points and not (level == DEFAULT_LEVEL == self.level and style == "s:"):
                         label = f"{_layers(count)}, level {level}"
                         axis.plot(*_by_distance(points), style, color=f"C{number}", ms=4, label=label)
-            axis.set(xlabel="1/2 - Poisson's ratio", ylabel=f"linear to quadratic tets, {what}", xscale="log")
+            axis.set(xlabel="Poisson's ratio", ylabel=what, xscale="log")
+            shown = sorted({text for (_, text), _ in prisms}, key=float)
+            axis.set_xticks([0.5 - float(text) for text in shown], shown, fontsize=8)
+            axis.minorticks_off()
             axis.set_ylim(bottom=0.0)
             axis.invert_xaxis()
         axes[0].legend(fontsize=8)
-        return {"Error of linear tets as tissue nears incompressibility (to the right).": svg(figure)}
+        return {"Distance of linear to quadratic tets by Poisson's ratio.": svg(figure)}
 
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -199,7 +199,7 @@ class Split(OfPerson):
         if ratios:
             low, middle, high = (coarse * ratio for ratio in (min(ratios), float(np.mean(ratios)), max(ratios)))
             means["mesh"] = middle
-            band = f"between {low:.3f} and {high:.3f}; {len(ratios)} rows measured, the others estimated"
+            band = f"between {low:.3f} and {high:.3f}; measured in {len(ratios)} of the rows, else estimated"
             parts.append(f"{PARTS['mesh']} {middle:.3f} mm ({100.0 * middle / moved:.1f} %; {band})")
         largest = max(means, key=lambda key: means[key])
         said.append(f"Parts: {', '.join(parts)}. Most is {PARTS[largest]}.")
@@ -247,7 +247,7 @@ class Split(OfPerson):
         axis.set_yticks(places, [f"{row.case}, {row.method}" for row in frames], fontsize=8)
         axis.invert_yaxis()
         axis.set_xlabel("mean over the skin's vertices [mm]")
-        axis.legend(frameon=True)
+        figure.legend(loc="outside upper center", ncol=3)
         axis.grid(False, axis="y")
         return {"Mean distances, one after another; | is what simulation moves.": svg(figure)}
 
