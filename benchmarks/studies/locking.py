@@ -42,8 +42,11 @@ ONE_SIDED = "mouthSmileLeft*0.6"
 """Expression that is mirrored."""
 PAIRED = 1e-3
 """Distance [mm] within which a mirrored skin vertex meets its partner."""
-LOCKS = 1.2
-"""Least growth of the error of linear tets from the lowest to the highest Poisson's ratio."""
+LOCKS = 5.5
+"""Least growth of linear tets' error, over the motion, from the lowest to the highest Poisson's ratio.
+
+Measured on level 1 from nu 0.45 to 0.499: 6.0.
+"""
 TWO_MESHES = 0.08
 """Bound of quadratic tets' distance between the two meshes, over that of linear to quadratic tets on one mesh.
 
@@ -143,7 +146,9 @@ class Locking(OfPerson):
         gates = []
         if len(at_level) > 1:
             low, high = (at_level[nu][0]["over_all"] for nu in (min(at_level), max(at_level)))
-            gates.append(above("error of linear tets, highest over lowest Poisson's ratio", high / low, LOCKS))
+            gates.append(
+                above("error of linear tets over the motion, highest over lowest Poisson's ratio", high / low, LOCKS)
+            )
         apart = [
             row.values["rows"][1]["mean"] / at_level[float(text)][0]["mean"]
             for row in rows
