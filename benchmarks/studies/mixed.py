@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -147,7 +148,7 @@ def solved(head: LayeredHead, shape: Floats, law: str, tolerance: float) -> Valu
     poisson = _poisson(law)
     scene = law_scene(head, shape, poisson)
     wall, cpu = time.perf_counter(), time.process_time()
-    prepared = prepare(scene, solver="fenicsx", element="P2P1")
+    prepared: Any = prepare(scene, solver="fenicsx", element="P2P1")
     solution = prepared.solve(tolerance=tolerance)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     fields = prepared.fields(POINTS)
