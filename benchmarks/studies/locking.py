@@ -42,8 +42,11 @@ ONE_SIDED = "mouthSmileLeft*0.6"
 """Expression that is mirrored."""
 PAIRED = 1e-3
 """Distance [mm] within which a mirrored skin vertex meets its partner."""
-LOCKS = 1.2
-"""Least growth of the error of linear tets from the lowest to the highest Poisson's ratio."""
+LOCKS = 6.3
+"""Least growth of linear tets' error, over the motion, from the lowest to the highest Poisson's ratio.
+
+Measured on level 1 from nu 0.38 to 0.499: 7.8.
+"""
 TWO_MESHES = 0.08
 """Bound of quadratic tets' distance between the two meshes, over that of linear to quadratic tets on one mesh.
 
@@ -143,7 +146,9 @@ class Locking(OfPerson):
         gates = []
         if len(at_level) > 1:
             low, high = (at_level[nu][0]["over_all"] for nu in (min(at_level), max(at_level)))
-            gates.append(above("error of linear tets, highest over lowest Poisson's ratio", high / low, LOCKS))
+            gates.append(
+                above("error of linear tets over the motion, highest over lowest Poisson's ratio", high / low, LOCKS)
+            )
         apart = [
             row.values["rows"][1]["mean"] / at_level[float(text)][0]["mean"]
             for row in rows
@@ -191,7 +196,7 @@ class Locking(OfPerson):
             return {}
         figure, axes = subplots(1, 2, figsize=(8.8, 3.4))
         for axis, key, what in zip(
-            axes, ("mean", "over_all"), ("mean [mm]", "times mean |T - carried(S)|"), strict=True
+            axes, ("mean", "over_all"), ("mean error [mm]", "mean error / mean |T - carried(S)|"), strict=True
         ):
             for number, count in enumerate(SUB_LAYERS):
                 for level, style in ((self.level, "o-"), (DEFAULT_LEVEL, "s:")):
@@ -203,11 +208,14 @@ class Locking(OfPerson):
                     if points and not (level == DEFAULT_LEVEL == self.level and style == "s:"):
                         label = f"{_layers(count)}, level {level}"
                         axis.plot(*_by_distance(points), style, color=f"C{number}", ms=4, label=label)
-            axis.set(xlabel="1/2 - Poisson's ratio", ylabel=f"linear to quadratic tets, {what}", xscale="log")
+            axis.set(xlabel="Poisson's ratio", ylabel=what, xscale="log")
+            shown = sorted({text for (_, text), _ in prisms}, key=float)
+            axis.set_xticks([0.5 - float(text) for text in shown], shown, fontsize=8)
+            axis.minorticks_off()
             axis.set_ylim(bottom=0.0)
             axis.invert_xaxis()
         axes[0].legend(fontsize=8)
-        return {"Error of linear tets as tissue nears incompressibility (to the right).": svg(figure)}
+        return {"Distance of linear to quadratic tets by Poisson's ratio.": svg(figure)}
 
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -76,7 +76,7 @@ def test_a_rows_part_of_the_mesh_is_estimated_between_the_ratios_measured():
     assert lines[1][4] == "estimated" and lines[1][2:4] == pytest.approx((0.4, 0.16))
     assert lines[1][5:] == pytest.approx((0.12, 0.2))
     # Their mean coarse part is .3: .12 mm, from .09 to .15.
-    assert "0.120 mm (12.0 %; between 0.090 and 0.150; 2 rows measured" in study.words(rows)
+    assert "0.120 mm (12.0 %; between 0.090 and 0.150; measured in 2 of the rows" in study.words(rows)
 
 
 @pytest.mark.parametrize("rival", RIVALS)

@@ -15,7 +15,7 @@ def line(what, mean, over_all=1.0):
     return {"what": what, "mean": mean, "max": 1.0, "over_all": over_all, "reference": "P2"}
 
 
-def rows(*, lowest=1.0, highest=3.6, linear=0.018, free_linear=0.01, free_quadratic=0.001):
+def rows(*, lowest=1.0, highest=6.9, linear=0.018, free_linear=0.01, free_quadratic=0.001):
     return [
         row("level 1, nu 0.38", PRISMS, line("P1, 1 sub-layer", linear, lowest)),
         row("level 1, nu 0.45", PRISMS, line("P1, 1 sub-layer", linear, lowest)),
@@ -52,7 +52,7 @@ def test_one_law_at_every_ratio_and_linear_tets_as_the_reference_fail():
 def test_tables_and_words_are_of_the_rows():
     study = Locking()
     (table,) = study.tables(rows())
-    assert table.rows[2][:3] == ("level 1, nu 0.499", "P2", "0.0180 / 1.000 / 3.60")
+    assert table.rows[2][:3] == ("level 1, nu 0.499", "P2", "0.0180 / 1.000 / 6.90")
     assert "level 1, nu 0.499: linear tets are 0.018 mm from quadratic ones" in study.words(rows())
     assert "<svg" in "".join(study.pictures(rows()).values())
 

@@ -22,7 +22,7 @@ CHEAP = {
     "SphereThroughput": {"level": 1, "people": 1, "frames": 13},
     "SphereEffects": {"level": 3, "effects": ("bells-palsy",), "fan": 1},
     "SphereMixed": {"level": 1, "expressions": ("jawOpen",), "laws": ("incompressible",)},
-    "SphereLocking": {"level": 1, "poisson": ("0.45", "0.49"), "finer": (), "free": ("0.45",), "size": 20.0},
+    "SphereLocking": {"level": 1, "poisson": ("0.45", "0.499"), "finer": (), "free": ("0.45",), "size": 20.0},
     "SphereShapes": {"count": 1},
     "SphereDynamics": {"frames": 8},
     "SphereRanks": {"level": 1, "rounds": 1, "repeats": 1},
