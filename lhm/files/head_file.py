@@ -112,7 +112,7 @@ def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarr
 def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
     """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
     parts = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-    weights = validate.sparse_rows(name, *parts, rows, columns)
+    weights = validate.sparse_rows(name, *parts, rows=rows, columns=columns)
     validate.in_range(f"{name}_data", weights.data, -1.0, 2.0)
     sums = np.asarray(weights.sum(axis=1)).ravel()
     off = np.flatnonzero(np.abs(sums - 1.0) > ROW_TOLERANCE)
@@ -157,7 +157,6 @@ class HeadParts:
     def head(self) -> LayeredHead:
         """The head; MeshError where tets are inverted."""
         ties = (self.wrap_from_skin, self.skin_from_wrap)
-        more = {"muscles": self.muscles, "skull": self.skull, "rig": self.rig, "registered": self.registered}
         volume = None
         if self.volume is not None:
             inner, *tissues = self.volume
@@ -165,7 +164,17 @@ class HeadParts:
             soft, muscle = (TetMesh(vertices, tets) for tets in tissues)
             volume = soft, muscle
         return LayeredHead(
-            self.skin, *self.wraps, self.bone, *ties, self.regions, volume=volume, notes=self.notes, **more
+            self.skin,
+            *self.wraps,
+            self.bone,
+            *ties,
+            self.regions,
+            muscles=self.muscles,
+            skull=self.skull,
+            volume=volume,
+            rig=self.rig,
+            registered=self.registered,
+            notes=self.notes,
         )
 
     def report(self) -> HeadReport:

@@ -18,7 +18,7 @@ OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 CLIP = 2.5
 
 EXTENT = (50.0, 2000.0)
-"""[mm] Across a head, its neck and shoulders: a small child's has 150. Below is one in cm, above one in smaller units."""
+"""[mm] Across a head with its neck: a small child's has 150. Below is one in cm, above one in smaller units."""
 
 
 def check_extent(mean: Surface) -> None:
