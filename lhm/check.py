@@ -136,10 +136,10 @@ class HeadReport:
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
     # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Own and others' heads 0 to 5; corners of a mouth that tear 140.
-    jaw_open_folded: float | None = _figure("mm", "at most", 40.0)
-    # Random identities 11 to 50; jagged lids 240.
-    blink_folded: float | None = _figure("mm", "at most", 120.0)
+    # Open mouths 0 to 5; corners that tear 140, but a sealed mouth that was opened and passes the other gates 320.
+    jaw_open_folded: float | None = _figure("mm")
+    # Random identities 14 to 61; jagged lids 240.
+    blink_folded: float | None = _figure("mm")
     cranium_vertices: int = _figure("", "at least", 3)
     mandible_vertices: int = _figure("", "at least", 3)
     free_vertices: int = _figure()
