@@ -111,8 +111,8 @@ def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarr
 
 def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
     """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
-    parts = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-    weights = validate.sparse_rows(name, *parts, rows=rows, columns=columns)
+    data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+    weights = validate.sparse_rows(name, data, indices, indptr, rows, columns)
     validate.in_range(f"{name}_data", weights.data, -1.0, 2.0)
     sums = np.asarray(weights.sum(axis=1)).ravel()
     off = np.flatnonzero(np.abs(sums - 1.0) > ROW_TOLERANCE)

@@ -135,10 +135,10 @@ def _array(value: Any) -> np.ndarray:
         shape: Any = value.state.get("_shape", value.state.get("shape"))
         rows, columns = (int(length) for length in shape)
         SPACE_VALUES.check("it holds", rows * columns)
-        parts = [_array(value.state[name]) for name in ("data", "indices", "indptr")]
+        data, indices, indptr = (_array(value.state[name]) for name in ("data", "indices", "indptr"))
         if isinstance(value, _Csc):
-            return sparse_rows("sparse", *parts, rows=columns, columns=rows).toarray().T
-        return sparse_rows("sparse", *parts, rows=rows, columns=columns).toarray()
+            return sparse_rows("sparse", data, indices, indptr, columns, rows).toarray().T
+        return sparse_rows("sparse", data, indices, indptr, rows, columns).toarray()
     if isinstance(value, _Chumpy):
         state = value.state
         if "x" in state:
