@@ -251,7 +251,7 @@ class _Document:
             else:
                 file = self._folder / unquote(uri)
                 if not file.is_file():
-                    raise InputError(f"its data file {shown(uri)} is not beside it")
+                    raise InputError(f"its data file {shown(uri)!r} is not beside it")
                 self._buffers[number] = read_bytes(file)
         return self._buffers[number]
 
