@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import MORPH_TARGETS
+from ..lhm.bounds import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters
@@ -28,7 +28,7 @@ from .written_file import FOLDER
     default="refuse",
     help="parameters that the network has not seen: refuse them, or take the nearest",
 )
-@click.option("--targets", type=counted(MORPH_TARGETS), help="write glTF of so many morph targets that serve any take")
+@click.option("--targets", type=counted(BAKED_TARGETS), help="write glTF of so many morph targets that serve any take")
 @click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
 def animate(
     take: str,

@@ -12,7 +12,7 @@ from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, ident
 from ..lhm.check import Figure
 from ..lhm.errors import FitError, InputError
 from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import check_file, export_vtk, load_head, said_of, save_head
+from ..lhm.files.head_file import export_vtk, load_head, naming, read_parts, save_head
 from ..lhm.files.template_file import read_template, save_template
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
@@ -163,12 +163,14 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
 @as_json_option
 def check(file: Path, as_json: bool) -> int:
     """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
-    notes, doubtful = said_of(file)
-    _warn(file, doubtful)
-    report = check_file(file)
-    # What is no head at rest cannot be moved.
-    posed = _posed(load_head(file)) if report.inverted_tets == 0 and report.least_volume > 0 else ()
-    _report(report, as_json, notes=notes, posed=posed)
+    with naming(file, "a layered head"):
+        parts = read_parts(file)
+        _warn(file, {} if parts.rig is None else parts.rig.doubtful)
+        report = parts.report()
+        # A head with inverted tets at rest cannot be moved.
+        moves = report.inverted_tets == 0 and report.least_volume > 0
+        posed = _posed(parts.head()) if moves else ()
+    _report(report, as_json, notes=parts.notes, posed=posed)
     return 0
 
 

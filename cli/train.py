@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import FACES, PAIRS, TRAINING_STEPS, WORKERS
+from ..lhm.bounds import FACES, STUDIED_PAIRS, TRAINING_STEPS, WORKERS
 from ..lhm.files.atomic import replaced
 from .counts import counted
 from .progress import shown
@@ -127,7 +127,7 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
 )
 @click.option(
     "--generalisation",
-    type=counted(PAIRS),
+    type=counted(STUDIED_PAIRS),
     metavar="N",
     help="pairs of people, known and unseen, simulated under both's parameters and recordings: a minute of a core each",
 )

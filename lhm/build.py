@@ -13,7 +13,7 @@ from .anatomy.connectors import connectors_to
 from .arkit import ARKIT
 from .checked import checked
 from .errors import FitError, InputError
-from .files.cache import cached
+from .files.cache import cached_as
 from .files.template_file import arrays_of, template_from
 from .geometry.bvh import TriangleTree
 from .geometry.distance import SignedDistance, is_closed
@@ -76,7 +76,7 @@ def load_template(
         return arrays_of(build_template(of.mean, **in_space(of), level=level, name=of.name, progress=progress))
 
     name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
-    template = template_from(cached(name, make))
+    template = cached_as(name, make, template_from)
     return replace(template, regressor=default_regressor(template, of), space=of)
 
 

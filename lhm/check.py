@@ -76,7 +76,8 @@ class HeadReport:
 
     `inverted_tets`, `least_volume`: orientation of all tets; `smallest_dihedral`, `share_below_*_degrees`: their
     smallest angle between faces; `aspect_*`: longest edge over smallest height (1.22 for a regular tet).
-    `crossings_*`: pairs of triangles that cross or touch, within a wrap but for what neighbours have in common.
+    `crossings_*`: pairs of triangles that cross or touch, within a wrap but for what neighbours have in common; some
+    10,000 are counted.
     `muscle_outside_skin_wrap`, `skull_outside_muscle_wrap`: largest signed distance of a wrap's vertices to the wrap
     that must hold them; `skull_outside_skin`: share of the skull wrap's vertices more than 0.2 mm outside the skin,
     and `skin_outside_wrap`: of the face's skin outside the skin wrap, both without mouth and eyes; neither is a gate:
@@ -168,6 +169,8 @@ COARSE_BOUNDS = {"share_below_5_degrees": 0.05, "wrap_to_skin_mean": 0.8}
 EDGE, COARSE_EDGE = 3.64, 7.21
 """[mm] Mean edge in the face of the default template's wraps, of level 2 and 1: a larger face may be farther off."""
 OUTSIDE_TOLERANCE = 0.2
+CROSSINGS = 10_000
+"""Pairs after which no more are counted: a head of noise has millions, and its check would take minutes."""
 _WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
@@ -240,12 +243,12 @@ def _tets(wraps: Sequence[Surface], triangles: Ints) -> dict[str, Any]:
 
 
 def _crossings(trees: Sequence[TriangleTree]) -> dict[str, int]:
-    counts = {
-        f"crossings_within_{name}_wrap": len(tree.self_crossings()) + len(fan_crossings(tree.vertices, tree.triangles))
-        for name, tree in zip(_WRAPS, trees, strict=True)
-    }
+    counts = {}
+    for name, tree in zip(_WRAPS, trees, strict=True):
+        fans = fan_crossings(tree.vertices, tree.triangles)
+        counts[f"crossings_within_{name}_wrap"] = len(tree.self_crossings(most=CROSSINGS)) + len(fans)
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        counts[f"crossings_{_WRAPS[i]}_{_WRAPS[j]}"] = len(trees[i].crossings(trees[j]))
+        counts[f"crossings_{_WRAPS[i]}_{_WRAPS[j]}"] = len(trees[i].crossings(trees[j], most=CROSSINGS))
     return counts
 
 

@@ -1,12 +1,21 @@
 """Errors that a user can act on: each message names the thing and what was expected of it."""
 
 
+def plain(text: str) -> str:
+    """Escape what is no printable character, so that a text from a file cannot steer the terminal."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")
+
+
 class SoftdecaError(ValueError):
     """Base of every error that softdeca raises on purpose; it is one line, whatever it quotes."""
 
     def __str__(self) -> str:
-        """The message, line ends and runs of spaces in what it quotes made one space."""
-        return " ".join(super().__str__().split())
+        """The message: line ends and runs of spaces made one space, other control characters escaped."""
+        return plain(" ".join(super().__str__().split()))
 
 
 class MeshError(SoftdecaError):

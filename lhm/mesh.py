@@ -18,8 +18,11 @@ Ints = NDArray[np.int64]
 def as_points(name: str, values, *, columns: int = 3) -> Floats:
     """Return a read-only float64 copy of shape (n, columns); MeshError names the first bad row."""
     try:
+        # numpy would drop imaginary parts, and read texts as numbers.
+        if np.asarray(values).dtype.kind not in "fiubO":
+            raise TypeError
         points = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise MeshError(f"{name}: expected numbers of shape (n, {columns}), got {type(values).__name__}") from None
     if points.ndim != 2 or points.shape[1] != columns:
         raise MeshError(f"{name}: expected shape (n, {columns}), got {points.shape}")

@@ -44,26 +44,31 @@ def shape(name: str, values: Any, expected: Shape) -> None:
         raise InputError(f"{name}: expected shape ({words}{',' if len(expected) == 1 else ''}), got {got}")
 
 
-def finite(name: str, values: Any, expected: Shape | None = None, *, most: float | None = None) -> Floats:
-    """Return numbers as float64, of a shape, none NaN or infinite, and none larger than `most` in size."""
+def real(name: str, values: Any, expected: Shape | None = None, *, most: float | None = None) -> np.ndarray:
+    """Return real numbers as they are stored, of a shape, none NaN or infinite, and none larger than `most` in size."""
     array = of_kind(name, values, "fiu", "real numbers")
     if expected is not None:
         shape(name, array, expected)
-    # One pass over the data: NaN and infinity spread to the extremes.
+    # NaN and infinity spread to the extremes, which are found without a copy.
     low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
     if not (np.isfinite(low) and np.isfinite(high)):
         flat = np.flatnonzero(~np.isfinite(array))
         raise InputError(f"{name}: {len(flat)} values are not finite, the first at {_place(flat[0], array)}")
     if most is not None and max(-low, high) > most:
         raise InputError(f"{name}: {max(-low, high):.3g} is too large; expected at most {most:g} in size")
-    return np.asarray(array, dtype=np.float64)
+    return array
+
+
+def finite(name: str, values: Any, expected: Shape | None = None, *, most: float | None = None) -> Floats:
+    """Return real numbers as float64, checked as by `real`."""
+    return np.asarray(real(name, values, expected, most=most), dtype=np.float64)
 
 
 def in_range(name: str, values: Any, least: float, most: float, expected: Shape | None = None) -> Floats:
     """Return finite numbers as float64 that all lie within least..most."""
     array = finite(name, values, expected)
-    outside = np.flatnonzero((array < least) | (array > most))
-    if len(outside):
+    if array.size and (array.min() < least or array.max() > most):
+        outside = np.flatnonzero((array < least) | (array > most))
         first = array.ravel()[outside[0]]
         raise InputError(f"{name}: {first:.6g} at {_place(outside[0], array)}; expected {least:g}..{most:g}")
     return array
@@ -98,7 +103,10 @@ def text(name: str, value: Any) -> str:
     array = np.asarray(value)
     if array.dtype.kind != "U" or array.ndim:
         raise InputError(f"{name}: expected a text, got {array.dtype} of shape {array.shape}")
-    return str(array)
+    try:
+        return str(array)
+    except ValueError:  # numbers beyond the last character
+        raise InputError(f"{name}: no text") from None
 
 
 def texts(name: str, value: Any) -> tuple[str, ...]:
@@ -119,6 +127,14 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
     if ends[0] != 0 or ends[-1] != len(values) or (np.diff(ends) < 0).any():
         raise InputError(f"{name}_indptr: expected numbers that rise from 0 to {len(values)}")
     return csr_matrix((values, columns_of, ends), shape=(rows, columns))
+
+
+def is_plain_file(path: Path) -> bool:
+    """Whether there is a file of that name, no folder or device; False for what can be no name."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, or with a NUL
+        return False
 
 
 def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> bytes:

@@ -13,12 +13,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import InputError, MeshError
+from ..bounds import PARTS, VERTICES
+from ..errors import InputError
 from ..files.npz import read_arrays
 from ..mesh import Floats, Ints, Surface
+from ..validate import finite, indices_below, of_kind, shape
 
 _NEEDED = ("vertices", "faces", "face_part", "part_name", "part_group")
 _EYES, _MANDIBLE = "eyeball", "mandible"
+LARGEST = 1e5
+"""[mm] of a coordinate: whole bodies have 2,000."""
 _MUSCLES = ("expression", "jaw")
 
 
@@ -56,12 +60,25 @@ def anatomy_of(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> 
     """The anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _anatomy(data)
-    except (MeshError, ValueError, IndexError, TypeError) as error:
+    except (ValueError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{path}: not BodyParts3D's data ({error})") from None
 
 
-def _anatomy(data: Mapping[str, np.ndarray]) -> Anatomy:
-    names, groups = (np.array([str(name) for name in data[key]]) for key in ("part_name", "part_group"))
+def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays, each of its shape and range; InputError names one that is not."""
+    vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
+    faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
+    names, groups = (of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
+    PARTS.check("it has", names.size)
+    shape("part_name", names, (None,))
+    shape("part_group", groups, (len(names),))
+    part = indices_below("face_part", data["face_part"], len(names), (len(faces),))
+    return {"vertices": vertices, "faces": faces, "face_part": part, "part_name": names, "part_group": groups}
+
+
+def _anatomy(given: Mapping[str, np.ndarray]) -> Anatomy:
+    data = _checked(given)
+    names, groups = data["part_name"], data["part_group"]
     lower_case = np.char.lower(names)
 
     def among(group: str, *words: str) -> Ints:
@@ -90,4 +107,6 @@ def _anatomy(data: Mapping[str, np.ndarray]) -> Anatomy:
 
 
 def _centre(points: Floats) -> Floats:
+    if not len(points):
+        raise InputError("an eyeball is missing on one side")
     return 0.5 * (points.min(axis=0) + points.max(axis=0))

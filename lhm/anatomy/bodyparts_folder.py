@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..files.obj import read_obj
 from ..mesh import Floats, Ints
 from ..progress import OnProgress, silent
+from ..validate import is_plain_file
 
 SHIFT = np.array([0.0, 1500.0, 120.0])
 """[mm] from the body's height and depth to about the head's centre."""
@@ -105,7 +106,7 @@ def _named(text: str) -> list[tuple[str, str]]:
 
 def _files(folder: Path, concepts: set[str]) -> dict[str, list[Path]]:
     files: dict[str, list[Path]] = {}
-    for file in sorted(folder.rglob("*.obj")):
+    for file in sorted(file for file in folder.rglob("*.obj") if is_plain_file(file)):
         concept = file.stem if file.stem.startswith("FMA") else _concept(file)
         if concept in concepts:
             files.setdefault(concept, []).append(file)
@@ -129,8 +130,8 @@ def _merged(files: list[Path]) -> tuple[Floats, Ints]:
             points, faces = read_obj(file)
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
-        if not len(faces) or faces.min() < 0 or faces.max() >= len(points) or not np.isfinite(points).all():
-            raise InputError(f"{file}: expected triangles between finite vertices")
+        if not len(faces):
+            raise InputError(f"{file}: no triangles in it")
         if any(np.array_equal(points, other) for other in vertices):
             continue
         triangles.append(faces + sum(map(len, vertices)))

@@ -9,15 +9,17 @@ import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import numba
 import numpy as np
 import platformdirs
 
-from ..errors import InputError
+from ..errors import InputError, MeshError
 from .npz import read_arrays, write_arrays
 
 Arrays = Mapping[str, np.ndarray]
+Made = TypeVar("Made")
 
 
 def folder() -> Path:
@@ -69,13 +71,21 @@ def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
 
     Where the disk is full the arrays are made each time.
     """
+    return cached_as(name, make, dict)
+
+
+def cached_as(name: str, make: Callable[[], Arrays], read: Callable[[Arrays], Made]) -> Made:
+    """What `read` makes of the arrays stored as `name`.npz; they are made and stored if the file is missing or damaged.
+
+    `read` raises InputError or KeyError for damaged arrays. Where the disk is full the arrays are made each time.
+    """
     path = folder() / f"{name}.npz"
     try:
-        return read_arrays(path)
-    except InputError:
+        return read(read_arrays(path))
+    except (InputError, MeshError, KeyError):
         arrays = make()
     try:
         write_arrays(path, arrays)
     except InputError:
         pass
-    return arrays
+    return read(arrays)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,8 +11,20 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..errors import InputError
+from ..bounds import (
+    CORNERS,
+    GLTF_DEPTH,
+    GLTF_NODES,
+    MORPH_TARGETS,
+    MORPH_VALUES,
+    TRIANGLES,
+    UNPACKED_BYTES,
+    VERTICES,
+    shown,
+)
+from ..errors import InputError, plain
 from ..mesh import Floats, Ints
+from ..validate import finite, in_range, indices_below, parse_json, read_bytes, read_json, shape
 from .draco import decode_draco
 from .meshopt import decode_meshopt
 
@@ -25,7 +36,12 @@ _KNOWN = {
     "KHR_meshopt_compression",
     "KHR_mesh_quantization",
 }
-DEEPEST = 100
+LARGEST = 1e12
+"""Of a number in a transform."""
+LONGEST_STRIDE = 65536
+"""Bytes; the specification has 252."""
+LONGEST_NAME = 200
+ENDED = "the file is shorter than it says: is its end missing?"
 
 
 def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
@@ -35,19 +51,21 @@ def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
     InputError says what is damaged, or which extension is not known.
     """
     try:
-        return _Document(path).mesh()
+        with np.errstate(all="ignore"):  # numbers that overflow are refused where the mesh is made
+            return _Document(path).mesh()
     except InputError:
         raise
-    except RecursionError:
-        raise InputError("its nodes form a circle") from None
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, struct.error, OverflowError) as error:
-        raise InputError(f"not a sound glTF file ({type(error).__name__}: {str(error)[:60]})") from None
+    except KeyError as error:
+        raise InputError(f"not a sound glTF file ({shown(str(error.args[0]))} is missing)") from None
+    except (IndexError, TypeError, ValueError, AttributeError, struct.error, OverflowError) as error:
+        raise InputError(f"not a sound glTF file ({type(error).__name__}: {plain(str(error))[:60]})") from None
 
 
 class _Document:
     def __init__(self, path: Path):
         self._folder = path.parent
-        self._json, self._chunk = _glb(path.read_bytes()) if path.suffix.lower() == ".glb" else (_text(path), None)
+        binary = path.suffix.lower() == ".glb"
+        self._json, self._chunk = _glb(read_bytes(path)) if binary else (read_json(path, "a glTF file"), None)
         if not isinstance(self._json, dict) or not str(self._json.get("asset", {}).get("version", "")).startswith("2"):
             raise InputError("not a glTF 2.0 file")
         needed = {name for name in self._json.get("extensionsRequired", ()) if not name.startswith("KHR_materials_")}
@@ -62,48 +80,65 @@ class _Document:
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
-        first = 0
+        first = corners_in_all = values = 0
         for node, matrix in self._placed():
-            mesh = self._json["meshes"][node["mesh"]]
+            mesh = self._item("meshes", node["mesh"])
             names = mesh.get("extras", {}).get("targetNames", []) if isinstance(mesh.get("extras"), dict) else []
             for primitive in mesh["primitives"]:
                 found = self._primitive(primitive, names)
                 if found is None:
                     continue
                 x, corners, targets = found
+                first += len(x)
+                corners_in_all += len(corners)
+                values += 3 * len(x) * len(targets)
+                VERTICES.check("its scene has", first)
+                TRIANGLES.check("its scene has", corners_in_all)
+                MORPH_VALUES.check("its scene has", values)
                 linear, shift = self._transforms(primitive, node, matrix, len(x))
                 vertices.append(np.einsum("nij,nj->ni", linear, x) + shift)
-                triangles.append(corners + first)
+                triangles.append(corners + first - len(x))
                 morphs.append({name: np.einsum("nij,nj->ni", linear, moved) for name, moved in targets.items()})
-                first += len(x)
         if not vertices:
             raise InputError("no triangles found; is there a mesh in its scene?")
         counts = [len(x) for x in vertices]
         every = dict.fromkeys(name for targets in morphs for name in targets)
+        MORPH_TARGETS.check("its scene has", len(every))
+        MORPH_VALUES.check("its scene has", 3 * sum(counts) * len(every))
         joined = {
             name: np.vstack([t.get(name, np.zeros((k, 3))) for t, k in zip(morphs, counts, strict=True)])
             for name in every
         }
         return np.vstack(vertices), np.vstack(triangles), joined
 
+    def _item(self, kind: str, number: Any) -> Any:
+        """An object by its number in one of the document's lists."""
+        listed = self._json[kind]
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(listed):
+            raise InputError(f"{kind}: {shown(number)} is none of its {len(listed)}")
+        return listed[number]
+
     def _placed(self) -> Iterator[tuple[dict, Floats]]:
         """Nodes that have a mesh, with their global transform (4, 4)."""
         nodes = self._json.get("nodes", [])
+        GLTF_NODES.check("it has", len(nodes))
         self._global: dict[int, Floats] = {}
         scenes = self._json.get("scenes")
         children = {child for node in nodes for child in node.get("children", ())}
         roots = [k for k in range(len(nodes)) if k not in children]
-        shown = scenes[self._json.get("scene", 0)].get("nodes", []) if scenes else roots
+        shown_nodes = self._item("scenes", self._json.get("scene", 0)).get("nodes", []) if scenes else roots
 
         def walk(k: int, above: Floats, depth: int) -> Iterator[int]:
-            if depth > DEEPEST:
-                raise RecursionError
-            self._global[k] = above @ _local(nodes[k])
+            GLTF_DEPTH.check("it has", depth)
+            node = self._item("nodes", k)
+            if k in self._global:
+                raise InputError(f"its nodes are no tree: node {k} is reached twice")
+            self._global[k] = above @ _local(node)
             yield k
-            for child in nodes[k].get("children", ()):
+            for child in node.get("children", ()):
                 yield from walk(child, self._global[k], depth + 1)
 
-        order = [k for root in shown for k in walk(root, np.eye(4), 0)]
+        order = [k for root in shown_nodes for k in walk(root, np.eye(4), 0)]
         if not any("mesh" in nodes[k] for k in order):
             order += [k for root in roots if root not in self._global for k in walk(root, np.eye(4), 0)]
         return ((nodes[k], self._global[k]) for k in order if "mesh" in nodes[k])
@@ -111,16 +146,24 @@ class _Document:
     def _transforms(self, primitive: dict, node: dict, matrix: Floats, count: int) -> tuple[Floats, Floats]:
         """Per vertex the linear map (n, 3, 3) and the shift (n, 3) by node or skin."""
         attributes = primitive["attributes"]
-        skin = self._json["skins"][node["skin"]] if "skin" in node else None
+        skin = self._item("skins", node["skin"]) if "skin" in node else None
         if skin is None or "JOINTS_0" not in attributes or "inverseBindMatrices" not in skin:
             return np.broadcast_to(matrix[:3, :3], (count, 3, 3)), np.broadcast_to(matrix[:3, 3], (count, 3))
-        inverse = self._accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
-        joints = np.array([self._global.get(j, np.eye(4)) for j in skin["joints"]]) @ inverse
-        which = self._accessor(attributes["JOINTS_0"]).astype(np.int64)
-        weights = self._accessor(attributes["WEIGHTS_0"])
+        listed = skin["joints"]
+        for joint in listed:
+            self._item("nodes", joint)
+        bound = self._accessor(skin["inverseBindMatrices"], "MAT4")
+        shape("inverseBindMatrices", bound, (len(listed), 16))
+        inverse = bound.reshape(-1, 4, 4).transpose(0, 2, 1)
+        joints = np.array([self._global.get(j, np.eye(4)) for j in listed]) @ inverse
+        which = self._accessor(attributes["JOINTS_0"], "VEC4").astype(np.int64)
+        which = indices_below("JOINTS_0", which, len(joints), (count, 4))
+        weights = in_range("WEIGHTS_0", self._accessor(attributes["WEIGHTS_0"], "VEC4"), 0.0, 1e3, (count, 4))
         weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-        blended = np.einsum("nk,nkij->nij", weights, joints[which])
-        return blended[:, :3, :3], blended[:, :3, 3]
+        blended = np.zeros((count, 3, 4))
+        for k in range(4):
+            blended += weights[:, k, None, None] * joints[which[:, k], :3]
+        return blended[:, :, :3], blended[:, :, 3]
 
     def _primitive(self, primitive: dict, names: list) -> tuple[Floats, Ints, dict[str, Floats]] | None:
         """Vertices, triangles and named targets; None for points and lines."""
@@ -129,64 +172,76 @@ class _Document:
             return None
         packed = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
         if packed is not None:
-            x, triangles = decode_draco(self._view(packed["bufferView"]), packed["attributes"]["POSITION"])
+            position = packed["attributes"]["POSITION"]
+            x, triangles = decode_draco(self._view(packed["bufferView"]), position)
         else:
-            x = self._accessor(primitive["attributes"]["POSITION"])
+            x = self._accessor(primitive["attributes"]["POSITION"], "VEC3")
             ids = np.arange(len(x))
             if "indices" in primitive:
-                ids = self._accessor(primitive["indices"])[:, 0].astype(np.int64)
+                ids = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
             triangles = _triangles(ids, mode)
+        VERTICES.check("a mesh has", len(x))
+        shape("POSITION", x, (None, 3))
+        triangles = indices_below("triangles", triangles, len(x), (None, 3))
+        listed = primitive.get("targets", ())
+        MORPH_TARGETS.check("a mesh has", len(listed))
+        MORPH_VALUES.check("a mesh has", 3 * len(x) * len(listed))
         targets = {}
-        for k, target in enumerate(primitive.get("targets", ())):
-            name = str(names[k]) if k < len(names) else f"target {k}"
+        for k, target in enumerate(listed):
+            name = plain(str(names[k]))[:LONGEST_NAME] if k < len(names) else f"target {k}"
             if "POSITION" in target:
-                targets[name] = self._accessor(target["POSITION"])
+                targets[name] = self._accessor(target["POSITION"], "VEC3")
+                shape(f"morph target {name!r}", targets[name], (len(x), 3))
         return x, triangles, targets
 
-    def _accessor(self, number: int) -> Floats:
-        """An accessor's values as floats, shape (count, width)."""
-        accessor = self._json["accessors"][number]
-        kind, width, count = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]], accessor["count"]
-        values = np.zeros((count, width))
-        if "bufferView" in accessor:
-            view = self._json["bufferViews"][accessor["bufferView"]]
-            stride = view.get("byteStride") or width * kind.itemsize
-            content = self._view(accessor["bufferView"])
-            values[:] = _strided(content, accessor.get("byteOffset", 0), kind, count, width, stride)
+    def _accessor(self, number: int, kind_of: str) -> Floats:
+        """An accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3"."""
+        accessor = self._item("accessors", number)
+        if accessor["type"] != kind_of:
+            raise InputError(f"accessor {number}: of type {shown(accessor['type'])}, expected {kind_of}")
+        kind, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[kind_of]
+        # Zeros, where no view is named, take no place in the file.
+        count = (CORNERS if width == 1 else VERTICES).check(f"accessor {number}", accessor["count"])
+        view, offset = accessor.get("bufferView"), accessor.get("byteOffset", 0)
+        if view is None:
+            values = np.zeros((count, width))
+        else:
+            stride = self._item("bufferViews", view).get("byteStride", width * kind.itemsize)
+            values = _strided(self._view(view), offset, kind, count, width, stride).astype(np.float64)
         if "sparse" in accessor:
-            values[self._sparse(accessor["sparse"], "indices", 1)[:, 0].astype(np.int64)] = self._sparse(
-                accessor["sparse"], "values", width, kind
-            )
+            sparse = accessor["sparse"]
+            ids = self._sparse(sparse, "indices", np.dtype(_TYPES[sparse["indices"]["componentType"]]), 1)[:, 0]
+            values[indices_below("sparse indices", ids, count)] = self._sparse(sparse, "values", kind, width)
         if accessor.get("normalized") and kind.kind != "f":
             values = np.maximum(values / np.iinfo(kind).max, -1.0)
-        return values
+        return finite(f"accessor {number}", values)
 
-    def _sparse(self, sparse: dict, which: str, width: int, kind: np.dtype | None = None) -> np.ndarray:
-        kind = np.dtype(_TYPES[sparse[which]["componentType"]]) if kind is None else kind
-        content = self._view(sparse[which]["bufferView"])
+    def _sparse(self, sparse: dict, which: str, kind: np.dtype, width: int) -> np.ndarray:
         offset = sparse[which].get("byteOffset", 0)
-        return _strided(content, offset, kind, sparse["count"], width, width * kind.itemsize)
+        count = VERTICES.check("sparse", sparse["count"])
+        return _strided(self._view(sparse[which]["bufferView"]), offset, kind, count, width, width * kind.itemsize)
 
     def _view(self, number: int) -> bytes:
         if number not in self._views:
-            view = self._json["bufferViews"][number]
+            view = self._item("bufferViews", number)
             extensions = view.get("extensions", {})
             packed = extensions.get("EXT_meshopt_compression") or extensions.get("KHR_meshopt_compression")
             source = view if packed is None else packed
-            start = source.get("byteOffset", 0)
-            content = self._buffer(source["buffer"])[start : start + source["byteLength"]]
-            if len(content) < source["byteLength"]:
-                raise InputError("the file is shorter than it says: is its end missing?")
+            whole = self._buffer(source["buffer"])
+            start = _within("byteOffset", source.get("byteOffset", 0), len(whole))
+            size = _within("byteLength", source["byteLength"], len(whole) - start)
+            content = whole[start : start + size]
             if packed is not None:
-                content = decode_meshopt(
-                    content, packed["count"], packed["byteStride"], packed["mode"], packed.get("filter", "NONE")
-                )
+                count = CORNERS.check("its meshopt data have", packed["count"])
+                stride = _within("byteStride", packed["byteStride"], 256)
+                UNPACKED_BYTES.check("its meshopt data have", count * stride + sum(map(len, self._views.values())))
+                content = decode_meshopt(content, count, stride, packed["mode"], packed.get("filter", "NONE"))
             self._views[number] = content
         return self._views[number]
 
     def _buffer(self, number: int) -> bytes:
         if number not in self._buffers:
-            uri = self._json["buffers"][number].get("uri")
+            uri = self._item("buffers", number).get("uri")
             if uri is None:
                 if self._chunk is None:
                     raise InputError("its binary chunk is missing")
@@ -196,8 +251,8 @@ class _Document:
             else:
                 file = self._folder / unquote(uri)
                 if not file.is_file():
-                    raise InputError(f"its data file {uri!r} is not beside it")
-                self._buffers[number] = file.read_bytes()
+                    raise InputError(f"its data file {shown(uri)} is not beside it")
+                self._buffers[number] = read_bytes(file)
         return self._buffers[number]
 
 
@@ -206,26 +261,34 @@ def _glb(content: bytes) -> tuple[Any, bytes | None]:
     if content[:4] != b"glTF":
         raise InputError("not a GLB file (it does not begin with 'glTF')")
     if struct.unpack("<I", content[8:12])[0] > len(content):
-        raise InputError("the file is shorter than it says: is its end missing?")
-    chunks, place = [], 12
-    while place + 8 <= len(content):
+        raise InputError(ENDED)
+    chunks: dict[bytes, bytes] = {}
+    place = 12
+    while place + 8 <= len(content) and len(chunks) < 2:
         length, kind = struct.unpack("<I4s", content[place : place + 8])
-        chunks.append((kind, content[place + 8 : place + 8 + length]))
+        if place + 8 + length > len(content):
+            raise InputError(ENDED)
+        chunks.setdefault(kind, content[place + 8 : place + 8 + length])
         place += 8 + length
-    text = next(data for kind, data in chunks if kind == b"JSON")
-    return json.loads(text), next((data for kind, data in chunks if kind == b"BIN\0"), None)
+    if b"JSON" not in chunks:
+        raise InputError("not a GLB file (it has no chunk of JSON)")
+    return parse_json(chunks[b"JSON"].rstrip(b"\0 ")), chunks.get(b"BIN\0")
 
 
-def _text(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise InputError(f"not a glTF file ({str(error)[:60]})") from None
+def _within(name: str, number: Any, most: int) -> int:
+    """A count of bytes, at most `most`."""
+    if isinstance(number, bool) or not isinstance(number, int) or number < 0:
+        raise InputError(f"{name}: {shown(number)} is no count of bytes")
+    if number > most:
+        raise InputError(ENDED)
+    return number
 
 
-def _strided(content: bytes, offset: int, kind: np.dtype, count: int, width: int, stride: int) -> np.ndarray:
+def _strided(content: bytes, offset: Any, kind: np.dtype, count: int, width: int, stride: Any) -> np.ndarray:
     size = width * kind.itemsize
-    if offset < 0 or offset + (count - 1) * stride + size > len(content):
+    if not size <= _within("byteStride", stride, LONGEST_STRIDE):
+        raise InputError(f"byteStride: {stride}, below the {size} bytes of an element")
+    if _within("byteOffset", offset, len(content)) + max(count - 1, 0) * stride + size * (count > 0) > len(content):
         raise InputError("an accessor reaches beyond its buffer: is the file's end missing?")
     raw = np.frombuffer(content, dtype=np.uint8)
     rows = np.lib.stride_tricks.as_strided(raw[offset:], (count, size), (stride, 1), writeable=False)
@@ -236,6 +299,8 @@ def _triangles(ids: Ints, mode: int) -> Ints:
     """Triangles of a list (mode 4), a strip (5) or a fan (6)."""
     if mode == 4:
         return ids[: len(ids) // 3 * 3].reshape(-1, 3)
+    if len(ids) < 3:
+        return np.zeros((0, 3), dtype=np.int64)
     if mode == 6:
         return np.stack([np.full(len(ids) - 2, ids[0]), ids[1:-1], ids[2:]], axis=1)
     triangles = np.stack([ids[:-2], ids[1:-1], ids[2:]], axis=1)
@@ -246,14 +311,14 @@ def _triangles(ids: Ints, mode: int) -> Ints:
 def _local(node: dict) -> Floats:
     """A node's own transform (4, 4)."""
     if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+        return finite("matrix", node["matrix"], (16,), most=LARGEST).reshape(4, 4).T
+    x, y, z, w = finite("rotation", node.get("rotation", (0.0, 0.0, 0.0, 1.0)), (4,), most=1.0 + 1e-3)
     matrix = np.eye(4)
     matrix[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    matrix[:3, :3] *= np.array(node.get("scale", (1.0, 1.0, 1.0)))
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    matrix[:3, :3] *= finite("scale", node.get("scale", (1.0, 1.0, 1.0)), (3,), most=LARGEST)
+    matrix[:3, 3] = finite("translation", node.get("translation", (0.0, 0.0, 0.0)), (3,), most=LARGEST)
     return matrix

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import meshio
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from .. import validate
 from ..arkit import ARKIT
+from ..bounds import NOTE_LETTERS, NOTES, REGIONS, TETS, TRIANGLES, VERTICES, shown
 from ..check import HeadReport, check_layers
 from ..checked import checked
-from ..errors import InputError, MeshError
+from ..errors import InputError, MeshError, plain
 from ..head import LayeredHead
-from ..mesh import Surface, TetMesh
+from ..mesh import Floats, Ints, Surface, TetMesh
 from ..rig import Rig
 from .atomic import replaced
 from .npz import read_arrays, write_arrays
@@ -26,6 +29,19 @@ FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
 _INSIDE = ("muscles", "skull")
 _WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
+LEAST_EXTENT, GREATEST_EXTENT = 50.0, 2000.0
+"""[mm] of a skin wrap: a small child's head has 150; below, one in cm; above, one in smaller units."""
+USUAL = (100.0, 600.0)
+"""[mm] Extents of a head, by which the unit of another file is guessed."""
+UNITS = {"m": 1e3, "cm": 10.0, "km": 1e6, "in": 25.4, "ft": 304.8, "µm": 1e-3, "nm": 1e-6}
+FARTHEST = 10.0
+"""Extents of the skin wrap within which a head's other surfaces lie: a whole body's skin is seven heads tall."""
+LARGEST = 1e9
+"""Of a coordinate, whatever its unit: a head in nm."""
+TIED = 0.1
+"""Of a head's extent: vertices that weights tie are 0.5 to 2 mm apart on average, those of shuffled weights 100."""
+ROW_TOLERANCE = 1e-3
+"""Of the sums of weights, which are one."""
 
 
 @checked
@@ -59,15 +75,6 @@ def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
     return arrays | {"rig_about": np.array(json.dumps(about))}
 
 
-def _rig_in(arrays: Mapping[str, np.ndarray]) -> Rig | None:
-    if "rig_deltas" not in arrays:
-        return None
-    about = json.loads(str(arrays["rig_about"]))
-    deltas = np.zeros((len(ARKIT), int(arrays["rig_vertices"]), 3), dtype=np.float32)
-    deltas[:, arrays["rig_moved"]] = arrays["rig_deltas"]
-    return Rig(deltas, about["source"], tuple(about["missing"]), about["doubtful"])
-
-
 def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
     """A surface as two named arrays; none for None."""
     if surface is None:
@@ -76,54 +83,103 @@ def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarra
 
 
 def surface_in(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
-    """The surface of that name, or None where there is none; KeyError for half of one."""
+    """The surface of that name, or None where there is none; KeyError for half of one, InputError for a bad one."""
     if f"{name}_vertices" not in arrays:
         return None
-    return Surface(arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
+    return surface_of(name, arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
+
+
+def surface_of(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surface:
+    """The surface of two arrays; InputError names what is wrong with them."""
+    points = validate.real(f"{name} vertices", vertices, (None, 3), most=LARGEST)
+    VERTICES.check(name, len(points))
+    TRIANGLES.check(name, len(triangles) if np.ndim(triangles) else 0)
+    try:
+        return Surface(points, triangles)
+    except MeshError as error:
+        raise InputError(f"{name} {error}") from None
+
+
+def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """The arrays named region_*, masks (count,), by the rest of their names; InputError for others."""
+    names = [name for name in arrays if name.startswith("region_")]
+    REGIONS.check("it has", len(names))
+    masks = {name.removeprefix("region_"): validate.mask(name, arrays[name], (count,)) for name in names}
+    if "face" in masks and not masks["face"].any():
+        raise InputError("region 'face': no vertex of the wrap belongs to it")
+    return masks
+
+
+def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
+    """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
+    parts = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+    weights = validate.sparse_rows(name, *parts, rows, columns)
+    validate.in_range(f"{name}_data", weights.data, -1.0, 2.0)
+    sums = np.asarray(weights.sum(axis=1)).ravel()
+    off = np.flatnonzero(np.abs(sums - 1.0) > ROW_TOLERANCE)
+    if len(off):
+        raise InputError(f"{name}: {len(off)} rows do not sum to one, the first is {off[0]} ({sums[off[0]]:.4g})")
+    return weights
+
+
+def ties_in(
+    arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface, extent: float
+) -> tuple[csr_matrix, csr_matrix]:
+    """`wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
+    n, skin_n = len(wrap.vertices), len(skin.vertices)
+    ties = weights_in(arrays, "wrap_from_skin", n, skin_n), weights_in(arrays, "skin_from_wrap", skin_n, n)
+    for name, weights, there, here in zip(_WEIGHTS, ties, (skin, wrap), (wrap, skin), strict=True):
+        off = float(np.linalg.norm(weights @ there.vertices - here.vertices, axis=1).mean())
+        if off > TIED * extent:
+            raise InputError(f"{name}: it ties vertices {off:.3g} mm apart on average; is it of another head?")
+    return ties
+
+
+@dataclass(frozen=True, eq=False)
+class HeadParts:
+    """What a file says of a head, each part checked by itself: enough to measure it, though it may make no head.
+
+    Fields as in LayeredHead; `volume`: the vertices (k, 3) after the wraps', and both tissues' tets.
+    """
+
+    skin: Surface
+    wraps: tuple[Surface, Surface, Surface]
+    bone: Ints
+    regions: Mapping[str, np.ndarray]
+    wrap_from_skin: csr_matrix
+    skin_from_wrap: csr_matrix
+    muscles: Surface | None
+    skull: Surface | None
+    volume: tuple[Floats, Ints, Ints] | None
+    rig: Rig | None
+    registered: Surface | None
+    notes: tuple[str, ...]
+
+    def head(self) -> LayeredHead:
+        """The head; MeshError where tets are inverted."""
+        ties = (self.wrap_from_skin, self.skin_from_wrap)
+        more = {"muscles": self.muscles, "skull": self.skull, "rig": self.rig, "registered": self.registered}
+        volume = None
+        if self.volume is not None:
+            inner, *tissues = self.volume
+            vertices = np.vstack([*(wrap.vertices for wrap in self.wraps), inner])
+            soft, muscle = (TetMesh(vertices, tets) for tets in tissues)
+            volume = soft, muscle
+        return LayeredHead(
+            self.skin, *self.wraps, self.bone, *ties, self.regions, volume=volume, notes=self.notes, **more
+        )
+
+    def report(self) -> HeadReport:
+        """The gates, also where wraps cross and tets are inverted, so that no head can be made."""
+        rigged = None if self.rig is None else (self.rig, self.skin_from_wrap)
+        return check_layers(self.skin, self.wraps, self.bone, self.regions, rigged=rigged)
 
 
 @checked
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
-    with _named(path):
-        arrays = _arrays(path)
-        skin, wraps, bone, regions = _layers(arrays)
-        shape = (len(bone), len(skin.vertices))
-        wrap_from_skin, skin_from_wrap = (
-            _weights_in(arrays, name, s) for name, s in zip(_WEIGHTS, (shape, shape[::-1]), strict=True)
-        )
-        inside = {name: surface_in(arrays, name) for name in _INSIDE}
-        skin_wrap, muscle_wrap, skull_wrap = wraps
-        return LayeredHead(
-            skin,
-            skin_wrap,
-            muscle_wrap,
-            skull_wrap,
-            bone,
-            wrap_from_skin,
-            skin_from_wrap,
-            regions,
-            volume=_volume(arrays, wraps),
-            rig=_rig_in(arrays),
-            registered=surface_in(arrays, "registered"),
-            notes=_notes_in(arrays),
-            **inside,
-        )
-
-
-def _weights_in(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, int]) -> csr_matrix:
-    return csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), shape=shape)
-
-
-def _notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    return tuple(json.loads(str(arrays["notes"]))) if "notes" in arrays else ()
-
-
-def _volume(arrays: Mapping[str, np.ndarray], wraps: Sequence[Surface]) -> tuple[TetMesh, TetMesh] | None:
-    if "volume_vertices" not in arrays:
-        return None
-    vertices = np.vstack([*(wrap.vertices for wrap in wraps), arrays["volume_vertices"]])
-    return TetMesh(vertices, arrays["volume_soft"]), TetMesh(vertices, arrays["volume_muscle"])
+    with naming(path, "a layered head"):
+        return _parts(path).head()
 
 
 def check_file(path: str | os.PathLike[str]) -> HeadReport:
@@ -131,47 +187,132 @@ def check_file(path: str | os.PathLike[str]) -> HeadReport:
 
     InputError names a file that is missing, damaged or something else.
     """
-    with _named(path):
-        arrays = _arrays(path)
-        skin, wraps, bone, regions = _layers(arrays)
-        rig = _rig_in(arrays)
-        shape = (len(skin.vertices), len(bone))
-        rigged = None if rig is None else (rig, _weights_in(arrays, "skin_from_wrap", shape))
-        return check_layers(skin, wraps, bone, regions, rigged=rigged)
+    with naming(path, "a layered head"):
+        return _parts(path).report()
 
 
-def said_of(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], Mapping[str, str]]:
-    """What was found on the way to the head in a file, and the expressions that will not look right, with reasons."""
-    with _named(path):
-        arrays = _arrays(path)
-        rig = _rig_in(arrays)
-        return _notes_in(arrays), {} if rig is None else rig.doubtful
-
-
-def _arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    arrays = read_arrays(path, of="a layered head")
-    if str(arrays.get("format")) != FORMAT:
-        raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
-    return arrays
+def read_parts(path: str | os.PathLike[str]) -> HeadParts:
+    """Read the parts of a head, which may make no head; InputError names a file that is missing or damaged."""
+    with naming(path, "a layered head"):
+        return _parts(path)
 
 
 @contextmanager
-def _named(path: str | os.PathLike[str]) -> Iterator[None]:
+def naming(path: str | os.PathLike[str], of: str) -> Iterator[None]:
+    """Have every error name the file, once, in an InputError; `of` is what the file should be."""
     try:
         yield
     except KeyError as error:
-        raise InputError(f"{path}: not a layered head, array {error.args[0]!r} is missing") from None
-    except InputError:
-        raise
-    except (MeshError, ValueError, TypeError, IndexError) as error:
-        raise InputError(f"{path}: damaged, {error}") from None
+        raise InputError(f"{path}: not {of}, array {error.args[0]!r} is missing") from None
+    except ValueError as error:  # a SoftdecaError too
+        said = str(error)
+        raise InputError(said if said.startswith(f"{path}: ") else f"{path}: damaged, {said}") from None
 
 
-def _layers(arrays: Mapping[str, np.ndarray]) -> tuple[Surface, list[Surface], np.ndarray, dict[str, np.ndarray]]:
-    skin = Surface(arrays["skin_vertices"], arrays["skin_triangles"])
-    wraps = [Surface(arrays[name], arrays["triangles"]) for name in _WRAPS]
-    regions = {name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")}
-    return skin, wraps, arrays["bone"], regions
+def _parts(path: str | os.PathLike[str]) -> HeadParts:
+    arrays = read_arrays(path, of="a layered head")
+    if arrays.get("format", np.array("")).tolist() != FORMAT:
+        raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+    skin = surface_of("skin", arrays["skin_vertices"], arrays["skin_triangles"])
+    skin_wrap, muscle_wrap, skull_wrap = (surface_of(name, arrays[name], arrays["triangles"]) for name in _WRAPS)
+    wraps = (skin_wrap, muscle_wrap, skull_wrap)
+    n, skin_n = len(skin_wrap.vertices), len(skin.vertices)
+    for name, wrap in zip(_WRAPS, wraps, strict=True):
+        validate.shape(name, wrap.vertices, (n, 3))
+    if not len(skin_wrap.triangles):
+        raise InputError("triangles: there are none")
+    surfaces = {"skin": skin, **dict(zip(_WRAPS, wraps, strict=True))}
+    more = {name: surface_in(arrays, name) for name in (*_INSIDE, "registered")}
+    extent = check_extent(surfaces | {name: surface for name, surface in more.items() if surface is not None})
+    return HeadParts(
+        skin,
+        wraps,
+        validate.whole("bone", arrays["bone"], 0, 2, (n,)),
+        masks_in(arrays, n),
+        *ties_in(arrays, skin, skin_wrap, extent),
+        volume=_volume_in(arrays, skin_wrap, extent),
+        rig=_rig_in(arrays, skin_n, extent),
+        notes=notes_in(arrays),
+        **more,
+    )
+
+
+def check_extent(surfaces: Mapping[str, Surface]) -> float:
+    """The largest extent [mm] of the skin wrap; InputError unless it is a head's and all surfaces are near it.
+
+    A head in another unit is refused here, in a line that names the unit: measures of it take no end.
+    """
+    wrap = surfaces["skin_wrap"].vertices
+    low, high = wrap.min(axis=0), wrap.max(axis=0)
+    extent = float((high - low).max())
+    if not LEAST_EXTENT <= extent <= GREATEST_EXTENT:
+        units = [unit for unit, mm in UNITS.items() if USUAL[0] <= extent * mm <= USUAL[1]]
+        guess = f"; is it in {units[0]}? Heads are in mm" if units else ""
+        raise InputError(
+            f"skin_wrap is {extent:.4g} mm across, a head {LEAST_EXTENT:g} to {GREATEST_EXTENT:g} mm{guess}"
+        )
+    for name, surface in surfaces.items():
+        x, centre = surface.vertices, 0.5 * (low + high)
+        if len(x) and max((x.max(axis=0) - centre).max(), (centre - x.min(axis=0)).max()) > FARTHEST * extent:
+            off = np.abs(x - centre).max(axis=1)
+            raise InputError(
+                f"{name}: vertex {off.argmax()} lies {off.max():.3g} mm from the head's centre; "
+                f"expected at most {FARTHEST * extent:.4g}"
+            )
+    return extent
+
+
+def _volume_in(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -> tuple[Floats, Ints, Ints] | None:
+    if "volume_vertices" not in arrays:
+        return None
+    inner = validate.finite("volume_vertices", arrays["volume_vertices"], (None, 3))
+    middle = 0.5 * (wrap.vertices.min(axis=0) + wrap.vertices.max(axis=0))
+    if len(inner) and np.abs(inner - middle).max() > extent:
+        raise InputError("volume_vertices: some lie outside the head")
+    count = 3 * len(wrap.vertices) + VERTICES.check("volume", len(inner))
+    soft, muscle = (
+        validate.indices_below(name, arrays[name], count, (None, 4)) for name in ("volume_soft", "volume_muscle")
+    )
+    for name, tets in (("volume_soft", soft), ("volume_muscle", muscle)):
+        TETS.check(name, len(tets))
+    return inner, soft, muscle
+
+
+def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:
+    if "rig_deltas" not in arrays:
+        return None
+    count = validate.whole("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
+    if int(count) != skin_n:
+        raise InputError(f"rig_vertices: {int(count)}, the skin has {skin_n}")
+    moved = validate.indices_below("rig_moved", arrays["rig_moved"], skin_n, (None,))
+    if (np.diff(moved) <= 0).any():
+        raise InputError("rig_moved: expected vertices in rising order, each once")
+    given = validate.real("rig_deltas", arrays["rig_deltas"], (len(ARKIT), len(moved), 3), most=extent)
+    about = validate.parse_json(validate.text("rig_about", arrays["rig_about"]))
+    deltas = np.zeros((len(ARKIT), skin_n, 3), dtype=np.float32)
+    deltas[:, moved] = given
+    if not isinstance(about, dict) or not isinstance(about.get("doubtful"), dict):
+        raise InputError("rig_about: expected source, missing and doubtful")
+    missing = validate.texts("rig_about: missing", about.get("missing"))
+    source, *reasons = validate.texts("rig_about", [about.get("source"), *about["doubtful"].values()])
+    for name in (*missing, *about["doubtful"]):
+        if name not in ARKIT:
+            raise InputError(f"rig_about: {shown(name)} is none of ARKit's expressions")
+    for reason in (source, *reasons):
+        NOTE_LETTERS.check("rig_about", len(reason))
+    doubtful = {name: plain(reason) for name, reason in zip(about["doubtful"], reasons, strict=True)}
+    return Rig(deltas, plain(source), missing, doubtful)
+
+
+def notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Notes of a file, control characters escaped; InputError for what is no list of texts."""
+    if "notes" not in arrays:
+        return ()
+    notes = validate.texts("notes", validate.parse_json(validate.text("notes", arrays["notes"])))
+    NOTES.check("notes", len(notes))
+    for note in notes:
+        NOTE_LETTERS.check("notes", len(note))
+    return tuple(plain(note) for note in notes)
 
 
 def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:

@@ -31,6 +31,8 @@ def decode_meshopt(content: bytes, count: int, stride: int, mode: str, applied: 
     least = 17 + count // 3 if mode == "TRIANGLES" else 1
     if len(source) < least or not decode(source, ids):
         raise InputError(_SHORT)
+    if stride == 2 and len(ids) and ids.max() > 65535:
+        raise InputError(_SHORT)
     return ids.astype("<u2" if stride == 2 else "<u4").tobytes()
 
 
@@ -38,7 +40,8 @@ def _filtered(out: np.ndarray, stride: int, applied: str) -> np.ndarray:
     if applied == "EXPONENTIAL":
         values = out.view("<i4")
         mantissa = ((values << 8) >> 8).astype(np.float64)
-        return np.ldexp(mantissa, values >> 24).astype("<f4")
+        with np.errstate(over="ignore"):  # infinity is refused as such
+            return np.ldexp(mantissa, values >> 24).astype("<f4")
     # Normals and rotations are not read from a mesh: theirs need not be undone.
     return out
 
@@ -91,6 +94,8 @@ def _attributes(source, out, count, stride):
         control = place
         if version == 1:
             place += stride // 4
+            if place > len(source):
+                return False
         deltas[:] = 0
         for byte in range(stride):
             chosen = 0 if version == 0 else (source[control + byte // 4] >> (2 * (byte % 4))) & 3

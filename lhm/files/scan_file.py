@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import trimesh
 
 from ..errors import InputError, MeshError
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
+from ..validate import finite
 from .gltf_read import read_gltf
 from .npz import read_arrays
 from .obj import read_obj
-from .ply_strips import read_strips
+from .ply import read_ply
+from .stl import read_stl
 
-SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".npz")
-LONGEST = 65536
-"""Bytes in which a PLY's header ends."""
 FARTHEST = 1e12
 """In the file's own unit: a head in picometres."""
+MOST_MOVED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,8 @@ class Scan:
         object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
         object.__setattr__(self, "triangles", as_elements("triangles", self.triangles, 3, len(self.vertices)))
         for name, delta in self.morphs.items():
-            as_points(f"morph target {name!r}", delta)
+            if len(as_points(f"morph target {name!r}", delta)) != len(self.vertices):
+                raise MeshError(f"morph target {name!r}: {len(delta)} vertices, the mesh has {len(self.vertices)}")
 
     @property
     def surface(self) -> Surface:
@@ -58,16 +58,17 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         raise InputError(f"{path}: no such file")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty")
-    reader = {".obj": _obj, ".glb": _gltf, ".gltf": _gltf, ".npz": _npz, ".ply": _ply}.get(
-        path.suffix.lower(), _by_trimesh
-    )
     try:
-        scan = reader(path)
+        scan = Scan(*_READERS[path.suffix.lower()](path))
         if not len(scan.triangles):
             raise InputError("no triangles found; is it a mesh?")
         farthest = float(np.abs(scan.vertices).max())
         if farthest > FARTHEST:
             raise InputError(f"a vertex lies at {farthest:.3g}, at most {FARTHEST:g} in any unit; is the file damaged?")
+        size = float(np.ptp(scan.vertices, axis=0).max())
+        for name, delta in scan.morphs.items():
+            if np.abs(delta).max(initial=0.0) > MOST_MOVED * size:
+                raise InputError(f"morph target {name!r} moves a vertex more than {MOST_MOVED:g} times the mesh's size")
     except (InputError, MeshError) as error:
         text = str(error)
         raise InputError(text if str(path) in text else f"{path}: {text}") from None
@@ -76,41 +77,17 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
     return scan
 
 
-def _obj(path: Path) -> Scan:
-    return Scan(*read_obj(path))
-
-
-def _gltf(path: Path) -> Scan:
-    return Scan(*read_gltf(path))
-
-
-def _npz(path: Path) -> Scan:
+def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
     arrays = read_arrays(path, "vertices", "triangles", of="a surface")
-    return Scan(arrays["vertices"], arrays["triangles"])
+    return finite("vertices", arrays["vertices"], (None, 3)), arrays["triangles"]
 
 
-def _ply(path: Path) -> Scan:
-    content = path.read_bytes()
-    header = content[:LONGEST].partition(b"end_header")[0].decode("ascii", errors="replace")
-    promised = {name: int(count) for name, count in re.findall(r"^element (\w+) (\d+)\s*$", header, re.MULTILINE)}
-    if promised.get("tristrips") and not promised.get("face"):
-        return Scan(*read_strips(content))
-    scan = _by_trimesh(path)
-    # A text that ends early is read as far as it goes.
-    for name, found in (("vertex", len(scan.vertices)), ("face", len(scan.triangles))):
-        if found < promised.get(name, 0):
-            raise InputError(f"the file is cut off: it has {found} of {promised[name]} elements {name!r}")
-    return scan
-
-
-def _by_trimesh(path: Path) -> Scan:
-    # An STL file has no indices: its corners have to be merged. Elsewhere the order of vertices is kept.
-    merged = path.suffix.lower() == ".stl"
-    try:
-        mesh = trimesh.load(path, force="mesh", process=merged, maintain_order=not merged)
-    except Exception as error:  # trimesh's readers raise whatever the broken file makes them raise
-        raise InputError(f"not a readable mesh ({type(error).__name__}: {str(error)[:80]})") from None
-    triangles, vertices = (np.asarray(getattr(mesh, name, ())) for name in ("faces", "vertices"))
-    if triangles.ndim != 2 or not len(triangles):
-        raise InputError("no triangles found; is it a mesh?")
-    return Scan(vertices, triangles)
+_READERS: dict[str, Callable[[Path], tuple[Any, ...]]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".npz": _read_npz,
+}
+SUFFIXES = tuple(_READERS)

@@ -6,13 +6,23 @@ import os
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
+from .. import validate
 from ..checked import checked
-from ..errors import InputError, MeshError
+from ..errors import InputError
+from ..identities.space import CAP, OUTSIDE
 from ..mesh import Surface
 from ..template import Template
-from .head_file import arrays_of_surface, surface_in
+from .head_file import (
+    LARGEST,
+    arrays_of_surface,
+    check_extent,
+    masks_in,
+    naming,
+    surface_in,
+    surface_of,
+    ties_in,
+)
 from .npz import read_arrays, write_arrays
 
 FORMAT = "softdeca template 1"
@@ -40,25 +50,39 @@ def arrays_of(template: Template) -> dict[str, np.ndarray]:
 
 
 def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
-    """The template of such arrays; KeyError for one that is missing."""
-    wrap_from_skin, skin_from_wrap = (
-        csr_matrix(tuple(arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr")), arrays[f"{name}_shape"])
-        for name in _TIES
-    )
+    """The template of such arrays; KeyError for one that is missing, InputError for one that is damaged."""
+    skin = surface_of("skin", arrays["skin_vertices"], arrays["skin_triangles"])
+    stack = validate.finite("stack", arrays["stack"], (None, 3), most=LARGEST)
+    n, skin_n = len(stack) // 3, len(skin.vertices)
+    if len(stack) != 3 * n or not n:
+        raise InputError(f"stack: expected three wraps of as many vertices, got {len(stack)} in all")
+    skin_wrap = surface_of("skin_wrap", stack[:n], arrays["triangles"])
+    if not len(skin_wrap.triangles):
+        raise InputError("triangles: there are none")
+    muscles, skull = (surface_in(arrays, name) for name in _SURFACES)
+    near = {"skin_wrap": skin_wrap, "stack": Surface(stack, skin_wrap.triangles), "skin": skin}
+    near |= {name: surface for name, surface in (("muscles", muscles), ("skull", skull)) if surface is not None}
+    extent = check_extent(near)
+    skull_bone = arrays.get("skull_bone")
+    if skull_bone is not None:
+        if skull is None:
+            raise InputError("skull_bone: there is no skull")
+        skull_bone = validate.whole("skull_bone", skull_bone, 0, 2, (len(skull.vertices),))
+    wrap_from_skin, skin_from_wrap = ties_in(arrays, skin, skin_wrap, extent)
     return Template(
-        name=str(arrays["name"]),
-        skin=Surface(arrays["skin_vertices"], arrays["skin_triangles"]),
+        name=validate.text("name", arrays["name"]),
+        skin=skin,
         wrap_from_skin=wrap_from_skin,
         skin_from_wrap=skin_from_wrap,
-        regions={name.removeprefix("region_"): arrays[name] for name in arrays if name.startswith("region_")},
-        muscles=surface_in(arrays, "muscles"),
-        skull=surface_in(arrays, "skull"),
-        skull_bone=arrays.get("skull_bone"),
-        parts=arrays["parts"],
-        triangles=arrays["triangles"],
-        stack=arrays["stack"],
-        room=arrays["room"],
-        bone=arrays["bone"],
+        regions=masks_in(arrays, n),
+        muscles=muscles,
+        skull=skull,
+        skull_bone=skull_bone,
+        parts=validate.whole("parts", arrays["parts"], OUTSIDE, CAP, (skin_n,)),
+        triangles=skin_wrap.triangles,
+        stack=stack,
+        room=validate.in_range("room", arrays["room"], 0.0, extent, (n,)),
+        bone=validate.whole("bone", arrays["bone"], 0, 2, (n,)),
     )
 
 
@@ -70,12 +94,8 @@ def save_template(path: str | os.PathLike[str], template: Template) -> None:
 @checked
 def read_template(path: str | os.PathLike[str]) -> Template:
     """Read a template; InputError names a file that is missing, damaged or something else."""
-    arrays = read_arrays(path, of="a template")
-    if str(arrays.get("format")) != FORMAT:
-        raise InputError(f"{path}: not a template of this version (expected {FORMAT!r})")
-    try:
+    with naming(path, "a template"):
+        arrays = read_arrays(path, of="a template")
+        if arrays.get("format", np.array("")).tolist() != FORMAT:
+            raise InputError(f"{path}: not a template of this version (expected {FORMAT!r})")
         return template_from(arrays)
-    except KeyError as error:
-        raise InputError(f"{path}: not a template, array {error.args[0]!r} is missing") from None
-    except (MeshError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: damaged, {error}") from None

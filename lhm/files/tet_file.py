@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
@@ -12,11 +13,14 @@ from pathlib import Path
 import meshio
 import numpy as np
 
+from ..bounds import FILE_BYTES, TAGS, TETS, VERTICES
 from ..checked import checked
-from ..errors import InputError, MeshError
+from ..errors import InputError, MeshError, SoftdecaError, plain
 from ..head import LayeredHead
 from ..mesh import Ints, TetMesh
+from ..validate import finite, indices_below
 from .atomic import replaced
+from .scan_file import FARTHEST
 from .surface_file import GREATEST_EXTENT, MILLIMETRES
 
 FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".xdmf": "xdmf", ".mesh": "medit"}
@@ -25,7 +29,7 @@ SOFT, MUSCLE = 1, 2
 NAMES = {"soft_tissue": (SOFT, 3), "muscle": (MUSCLE, 3), "skin": (11, 2), "muscle_wrap": (12, 2), "skull": (13, 2)}
 """Name, and tag and dimension, of what a head's file holds."""
 LEAST_EXTENT = 1.0
-MOST_TETS = 20_000_000
+MOST_TAG = 2**31
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,22 +96,24 @@ def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
     if unit not in MILLIMETRES:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
     kind = _kind(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    mesh = _read(path, kind)
+    try:
+        return _tagged(path, _read(path, kind), kind, unit)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # meshio hands on what it finds
+        said = str(error)
+        if isinstance(error, SoftdecaError):
+            raise InputError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from None
+        raise InputError(f"{path}: not a sound tet mesh ({type(error).__name__}: {said[:80]})") from None
+
+
+def _tagged(path: Path, mesh: meshio.Mesh, kind: str, unit: str) -> TaggedTets:
     tets = np.vstack([np.empty((0, 4), dtype=np.int64), *(b.data for b in mesh.cells if b.type == "tetra")])
     if not len(tets):
         found = sorted({block.type for block in mesh.cells}) or ["nothing"]
         raise InputError(f"{path}: no tets (four corners each); it has {', '.join(found)}")
-    if len(tets) > MOST_TETS:
-        raise InputError(f"{path}: {len(tets)} tets; expected at most {MOST_TETS}")
-    points = np.asarray(mesh.points, dtype=np.float64)
-    if points.shape[1:] != (3,):
-        raise InputError(f"{path}: expected points of three coordinates, got shape {points.shape}")
-    try:
-        read = TetMesh(points * MILLIMETRES[unit], tets)
-    except MeshError as error:
-        raise InputError(f"{path}: {error}") from None
+    TETS.check("it has", len(tets))
+    points = finite("points", mesh.points, (None, 3), most=FARTHEST)
+    VERTICES.check("it has", len(points))
+    read = TetMesh(points * MILLIMETRES[unit], indices_below("tets", tets, len(points)))
     extent = float(np.ptp(read.vertices[np.unique(tets)], axis=0).max())
     if not LEAST_EXTENT <= extent <= 10.0 * GREATEST_EXTENT:
         raise InputError(f"{path}: its extent is {extent:.4g} mm in unit {unit!r}; is the unit wrong?")
@@ -116,9 +122,11 @@ def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
     surfaces: dict[int, list[Ints]] = {}
     for block, values in zip(mesh.cells, numbers, strict=True):
         if block.type == "triangle":
+            triangles = indices_below("triangles", block.data, len(points), (None, 3))
             for tag in np.unique(values):
-                surfaces.setdefault(int(tag), []).append(np.asarray(block.data, dtype=np.int64)[values == tag])
-    names = {int(tag): name for name, (tag, _) in mesh.field_data.items()} if kind == ".msh" else {}
+                surfaces.setdefault(int(tag), []).append(triangles[values == tag])
+    TAGS.check("it has", len(surfaces))
+    names = {int(tag): plain(str(name)) for name, (tag, _) in mesh.field_data.items()} if kind == ".msh" else {}
     return TaggedTets(read, tags, names, {tag: np.vstack(parts) for tag, parts in surfaces.items()})
 
 
@@ -129,18 +137,26 @@ def _kind(path: Path) -> str:
 
 
 def _read(path: Path, kind: str) -> meshio.Mesh:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
+    FILE_BYTES.check(str(path), path.stat().st_size)
     # meshio prints warnings, and ends the process where it finds no reader for a content.
     try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             return meshio.read(path, file_format=FORMATS[kind])
     except (Exception, SystemExit) as error:  # its readers raise whatever broken text makes them raise
-        said = str(error).strip().split("\n")[0][:80]
+        said = plain(str(error).strip().split("\n")[0])[:80]
         raise InputError(f"{path}: not a readable tet mesh ({type(error).__name__}{said and ': ' + said})") from None
 
 
 def _numbers(mesh: meshio.Mesh, name: str) -> list[Ints]:
     """The tags of each block of elements, zeros where the file has none of that name."""
     values = mesh.cell_data.get(name) or [np.zeros(len(block.data)) for block in mesh.cells]
-    return [
-        np.asarray(v).reshape(len(b.data), -1)[:, 0].astype(np.int64) for b, v in zip(mesh.cells, values, strict=True)
-    ]
+    found = []
+    for given, block in zip(values, mesh.cells, strict=True):
+        first = finite(name, np.asarray(given).reshape(len(block.data), -1)[:, 0], most=MOST_TAG)
+        if (first != np.round(first)).any():
+            raise InputError(f"{name}: a tag is no integer")
+        found.append(first.astype(np.int64))
+    return found

@@ -11,6 +11,8 @@ from ..mesh import Floats, Ints
 from .triangles import closest_on_triangle, triangles_cross
 
 LEAF = 4
+ALL = 2**62
+"""More pairs than there can be."""
 
 
 @njit(cache=True)
@@ -161,13 +163,18 @@ def _boxes(corners):
 
 
 @njit(cache=True)
-def _crossings(query, query_ids, same, corners, ids, order, start, stop, left, box):
-    """Pairs (query, triangle) that cross, leaving out pairs with a common vertex; `same` lists each pair once."""
+def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, left, box):
+    """Pairs (query, triangle) that cross, at most about `most`, leaving out pairs with a common vertex.
+
+    `same` lists each pair once.
+    """
     found = []
     stack = np.empty(128, np.int64)
     boxes = _boxes(corners)
     own = boxes if same else _boxes(query)
     for q in range(len(query)):
+        if len(found) >= most:
+            break
         stack[0], size = 0, 1
         while size > 0:
             size -= 1
@@ -228,18 +235,18 @@ class TriangleTree:
             *arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes
         )
 
-    def self_crossings(self) -> Ints:
-        """Pairs of triangles without a common vertex that cross, shape (k, 2)."""
-        return self._pairs(self.corners, self.triangles, True)
+    def self_crossings(self, *, most: int = ALL) -> Ints:
+        """Pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
+        return self._pairs(self.corners, self.triangles, True, most)
 
-    def crossings(self, other: TriangleTree, *, shared_ids: bool = False) -> Ints:
-        """Pairs (triangle of `other`, triangle of this) that cross, shape (k, 2).
+    def crossings(self, other: TriangleTree, *, shared_ids: bool = False, most: int = ALL) -> Ints:
+        """Pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
 
         With `shared_ids` the two number their vertices alike, and pairs with a common vertex are left out.
         """
         ids = other.triangles if shared_ids else other.triangles + len(self.vertices)
-        return self._pairs(other.corners, ids, False)
+        return self._pairs(other.corners, ids, False, most)
 
-    def _pairs(self, query, query_ids, same) -> Ints:
-        found = _crossings(query, query_ids, same, self.corners, self.triangles, *self._nodes)
+    def _pairs(self, query, query_ids, same, most) -> Ints:
+        found = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
         return np.array(found, dtype=np.int64).reshape(-1, 2)

@@ -14,15 +14,19 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
 from ..arkit import ARKIT
+from ..bounds import SPACE_VALUES, VERTICES
 from ..errors import InputError, MeshError
 from ..files.npz import read_arrays
 from ..mesh import Floats, Surface
+from ..validate import finite, indices_below, real
 from .cut import boundary_loops, close_loop, even_loop, largest_piece
 from .lips import lips_together
 from .pickled import read_pickled
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 
 MM = 1000.0
+LARGEST = 1e4
+"""[m] of a coordinate."""
 CODE_SIZE = 100  # the shape coefficients that DECA estimates
 JOINTS, JAW = 5, 2
 JAW_OPEN = 0.35  # [rad] jawOpen's rotation about the jaw joint's x axis
@@ -44,25 +48,24 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
         data = read_pickled(path, *_NEEDED, of="FLAME's data")
     try:
         return _space({name: np.asarray(data[name]) for name in _NEEDED})
-    except (MeshError, ValueError, IndexError, TypeError) as error:
+    except (ValueError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{path}: not FLAME's data ({error})") from None
 
 
 def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
-    template = data["v_template"].astype(np.float64)
-    n = len(template)
+    template = finite("v_template", data["v_template"], (None, 3), most=LARGEST)
+    n = VERTICES.check("it has", len(template))
+    SPACE_VALUES.check("it has", data["shapedirs"].size + data["posedirs"].size)
+    most = float(np.ptp(template, axis=0).max(initial=0.0))  # a shape moves no vertex farther than the head is large
     shapes = {
-        "shapedirs": (n, 3),
-        "posedirs": (n, 3, 9 * (JOINTS - 1)),
-        "weights": (n, JOINTS),
-        "J_regressor": (JOINTS, n),
+        "shapedirs": ((n, 3, None), most),
+        "posedirs": ((n, 3, 9 * (JOINTS - 1)), most),
+        "weights": ((n, JOINTS), 2.0),
+        "J_regressor": ((JOINTS, n), 2.0),
     }
-    for name, shape in shapes.items():
-        if data[name].shape[: len(shape)] != shape:
-            raise ValueError(f"{name} has shape {data[name].shape}, expected {shape}")
-        if not np.isfinite(data[name]).all():
-            raise ValueError(f"{name} holds values that are not finite")
-    triangles = largest_piece(data["f"].astype(np.int64))
+    for name, (expected, largest) in shapes.items():
+        real(name, data[name], expected, most=largest)
+    triangles = largest_piece(indices_below("f", data["f"], n, (None, 3)))
     used = np.unique(triangles)
     number = np.full(n, -1)
     number[used] = np.arange(len(used))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
 import numpy as np
 
 from ..arkit import ARKIT
+from ..bounds import SHAPES, SPACE_VALUES
 from ..errors import InputError
+from ..files.npz import read_npy
 from ..files.scan_file import SUFFIXES
 from ..files.surface_file import read_surface
 from ..geometry.rigid import rigid_motion
 from ..mesh import Floats, Ints, Surface
+from ..validate import read_json, whole
 from .space import CAP, OUTSIDE, LinearSpace
 
 CODE_SIZE = 50
@@ -35,6 +37,7 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     if not files:
         raise InputError(f"{folder}: no mesh in it; expected {', '.join(SUFFIXES)}")
     first = read_surface(files[0], unit=unit)
+    SPACE_VALUES.check(str(folder), first.vertices.size * (len(files) + len(ARKIT)))
     skins = [first.vertices]
     for file in files[1:]:
         skin = _alike(file, first, files[0], unit).vertices
@@ -48,7 +51,9 @@ def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
 
 
 def _meshes(folder: Path) -> list[Path]:
-    return sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+    SHAPES.check(str(folder), len(files))
+    return files
 
 
 def _alike(file: Path, first: Surface, of: Path, unit: str) -> Surface:
@@ -88,14 +93,9 @@ def _parts(folder: Path, n: int) -> Ints:
     for file in (folder / "parts.npy", folder / "parts.json"):
         if not file.is_file():
             continue
+        content = read_npy(file) if file.suffix == ".npy" else read_json(file, "a list of parts")
         try:
-            read = np.load(file, allow_pickle=False) if file.suffix == ".npy" else json.loads(file.read_text("utf-8"))
-            parts = np.asarray(read)
-        except Exception as error:  # numpy raises whatever the damage makes it raise
-            raise InputError(f"{file}: not readable ({str(error)[:80]})") from None
-        if parts.shape != (n,) or not np.issubdtype(parts.dtype, np.integer):
-            raise InputError(f"{file}: expected {n} whole numbers, got {parts.dtype} of shape {parts.shape}")
-        if parts.min() < OUTSIDE or parts.max() > CAP:
-            raise InputError(f"{file}: parts lie within {OUTSIDE}..{CAP}, found {parts.min()}..{parts.max()}")
-        return parts.astype(np.int64)
+            return whole("parts", content, OUTSIDE, CAP, (n,))
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
     return np.full(n, OUTSIDE)

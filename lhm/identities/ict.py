@@ -12,15 +12,19 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..errors import InputError, MeshError
+from ..bounds import PARTS, SPACE_VALUES, VERTICES, shown
+from ..errors import InputError
 from ..files.npz import read_arrays
 from ..mesh import Ints, Surface
+from ..validate import finite, indices_below, of_kind, real, shape
 from .cut import cut_and_close, largest_piece
 from .lips import lips_together
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace
 
 MM = 10.0
 CODE_SIZE = 50
+LARGEST = 1e6
+"""[cm] of a coordinate."""
 NECK_CUT = 280.0  # [mm] below the top: above the shoulders, as the default head
 _SKIN = {"face": OUTSIDE, "head_neck": OUTSIDE, "mouth_socket": MOUTH, "eye_socket_l": EYES, "eye_socket_r": EYES}
 _NEEDED = (
@@ -46,14 +50,43 @@ def space_of(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Li
     """The space of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _space(data)
-    except (MeshError, ValueError, IndexError, TypeError) as error:
+    except (ValueError, IndexError, TypeError, KeyError) as error:
         raise InputError(f"{path}: not ICT-FaceKit's data ({error})") from None
 
 
-def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
+def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays, each of its shape and range; InputError names one that is not."""
+    vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
+    n = VERTICES.check("it has", len(vertices))
+    names = of_kind("part_names", data["part_names"], "U", "texts").ravel()
+    PARTS.check("it has", len(names))
+    triangles = indices_below("triangles", data["triangles"], n, (None, 3))
+    SPACE_VALUES.check("it has", data["identity_deltas"].size + data["expression_deltas"].size)
+    most = float(np.ptp(vertices, axis=0).max(initial=0.0))  # a shape moves no vertex farther than the head is large
+    expressions = real("expression_deltas", data["expression_deltas"], (None, n, 3), most=most)
+    arkit = of_kind("expression_arkit", data["expression_arkit"], "U", "texts")
+    shape("expression_arkit", arkit, (len(expressions),))
+    for name in arkit.tolist():
+        if name not in ARKIT:
+            raise InputError(f"expression_arkit: {shown(name)!r} is none of ARKit's expressions")
+    return {
+        "vertices": vertices,
+        "triangles": triangles,
+        "triangle_part": indices_below("triangle_part", data["triangle_part"], len(names), (len(triangles),)),
+        "part_names": names,
+        "identity_deltas": real("identity_deltas", data["identity_deltas"], (None, n, 3), most=most),
+        "expression_deltas": expressions,
+        "expression_arkit": arkit,
+    }
+
+
+def _space(given: Mapping[str, np.ndarray]) -> LinearSpace:
+    data = _checked(given)
     names = data["part_names"].tolist()
     part_of = np.array([_SKIN.get(name, -1) for name in names])[data["triangle_part"]]
-    triangles = data["triangles"].astype(np.int64)
+    if not (part_of >= 0).any():
+        raise InputError(f"no triangle is of {', '.join(_SKIN)}")
+    triangles = data["triangles"]
     height = data["vertices"][:, 1] * MM
     above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
     cut, closed, kept = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
@@ -66,6 +99,8 @@ def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     for part in (MOUTH, EYES):
         parts[_inside(triangles, part_of, part)] = part
     parts = np.append(parts[kept], np.full(cut.shape[0] - len(kept), CAP))
+    if not len(data["identity_deltas"]):
+        raise InputError("identity_deltas: there are none")
     shapes = np.stack([cut @ delta.astype(np.float64) for delta in data["identity_deltas"][:CODE_SIZE]]) * MM
     identity = lips_together(mean.vertices, closed, parts, shapes)
     return LinearSpace("ict", mean, identity, expressions, parts, missing)

@@ -94,8 +94,6 @@ def _read(file: Path) -> tuple[Floats, Ints]:
         vertices, triangles = read_obj(file)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-    if not np.isfinite(vertices).all():
-        raise InputError(f"{file}: a vertex is not finite")
     return vertices, triangles
 
 

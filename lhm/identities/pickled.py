@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import codecs
 import copyreg
+import io
 import os
 import pickle
-from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
 
+from ..bounds import SPACE_VALUES
 from ..errors import InputError
+from ..validate import read_bytes, sparse_rows
 
 
 class _Stored:
@@ -41,26 +43,56 @@ class _Csr(_Stored):
     kind = "csr"
 
 
-# The functions that make objects, arrays and numpy's scalars from a pickle; numpy 1 and 2 keep theirs elsewhere.
-_REBUILD = vars(copyreg)["_reconstructor"]
-_RECONSTRUCT, _SCALAR = np.zeros(1).__reduce__()[0], np.float64(0).__reduce__()[0]
+class _Dtype(_Stored):
+    """Stands for numpy's dtype, of whose states a hostile one can end the process."""
+
+    def __init__(self, code: Any = "", *_: Any):
+        self.code, self.order = str(code), "="
+
+    def __setstate__(self, state: Any) -> None:
+        order = state[1] if isinstance(state, tuple) and len(state) > 1 else "="
+        self.order = order if order in ("<", ">", "|", "=") else "="
+
+    def made(self) -> np.dtype:
+        if not re.fullmatch(r"[fiub][1248]", self.code):
+            raise TypeError("not numbers")
+        return np.dtype(self.order + self.code)
+
+
+class _Ndarray(_Stored):
+    """Stands for an array: the state that it is made of."""
+
+    def __setstate__(self, state: Any) -> None:
+        self.made_of = state
+
+
+def _reconstruct(*_: Any) -> _Ndarray:
+    return _Ndarray()
+
+
+def _scalar(dtype: Any, raw: Any) -> _Ndarray:
+    stored = _Ndarray()
+    stored.__setstate__((1, (), dtype, False, raw))
+    return stored
+
 
 _KNOWN = {
-    "numpy ndarray": np.ndarray,
-    "numpy dtype": np.dtype,
-    "numpy.core.multiarray _reconstruct": _RECONSTRUCT,
-    "numpy._core.multiarray _reconstruct": _RECONSTRUCT,
-    "numpy.core.multiarray scalar": _SCALAR,
-    "numpy._core.multiarray scalar": _SCALAR,
+    "numpy ndarray": _Ndarray,
+    "numpy dtype": _Dtype,
+    "numpy.core.multiarray _reconstruct": _reconstruct,
+    "numpy._core.multiarray _reconstruct": _reconstruct,
+    "numpy.core.multiarray scalar": _scalar,
+    "numpy._core.multiarray scalar": _scalar,
     "_codecs encode": codecs.encode,
-    "copy_reg _reconstructor": _REBUILD,
-    "copyreg _reconstructor": _REBUILD,
+    "copy_reg _reconstructor": vars(copyreg)["_reconstructor"],
+    "copyreg _reconstructor": vars(copyreg)["_reconstructor"],
     "__builtin__ object": object,
     "builtins object": object,
 }
 
 
-class _Reader(pickle.Unpickler):
+# The reader in Python: the one in C makes room for as many objects as a damaged file numbers, gigabytes of it.
+class _Reader(pickle._Unpickler):  # type: ignore[name-defined]
     def find_class(self, module: str, name: str) -> Any:
         known = _KNOWN.get(f"{module} {name}")
         if known is not None:
@@ -78,11 +110,9 @@ def read_pickled(path: str | os.PathLike[str], *names: str, of: str) -> dict[str
     Nothing that the file names is imported or called, but numpy's own arrays. Raises InputError, one line that names
     the file, if it is missing, damaged, lacks an array or holds anything else in its place.
     """
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file")
+    content = read_bytes(path)
     try:
-        with open(path, "rb") as file:
-            read = _Reader(file, encoding="latin1").load()
+        read = _Reader(io.BytesIO(content), encoding="latin1").load()
     except Exception as error:  # a damaged pickle raises whatever its bytes happen to ask for
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(f"{path}: not {of}, or damaged ({reason})") from None
@@ -95,23 +125,29 @@ def read_pickled(path: str | os.PathLike[str], *names: str, of: str) -> dict[str
     for name in names:
         try:
             arrays[name] = _array(read[name])
-        except (KeyError, ValueError, TypeError, IndexError):
+        except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError):
             raise InputError(f"{path}: {name!r} is no array that can be read") from None
     return arrays
 
 
 def _array(value: Any) -> np.ndarray:
     if isinstance(value, (_Csc, _Csr)):
-        state = value.state
-        arrays = (state["data"], state["indices"], state["indptr"])
-        shape = state.get("_shape", state.get("shape"))
-        return (csc_matrix if isinstance(value, _Csc) else csr_matrix)(arrays, shape=shape).toarray()
+        rows, columns = value.state.get("_shape", value.state.get("shape"))
+        SPACE_VALUES.check("it holds", int(rows) * int(columns))
+        parts = [_array(value.state[name]) for name in ("data", "indices", "indptr")]
+        if isinstance(value, _Csc):
+            return sparse_rows("sparse", *parts, int(columns), int(rows)).toarray().T
+        return sparse_rows("sparse", *parts, int(rows), int(columns)).toarray()
     if isinstance(value, _Chumpy):
         state = value.state
         if "x" in state:
             return _array(state["x"])
         # chumpy's Select: some entries of another array, in another shape.
         return _array(state["a"]).ravel()[_array(state["idxs"]).ravel()].reshape(state["preferred_shape"])
+    if isinstance(value, _Ndarray):
+        _, shape, dtype, by_columns, raw = value.made_of
+        content = raw.encode("latin1") if isinstance(raw, str) else raw  # as Python 2 has bytes
+        return np.frombuffer(content, dtype.made()).reshape(shape, order="F" if by_columns else "C")
     array = np.asarray(value)
     if array.dtype.kind not in "fiub":
         raise TypeError("not numbers")

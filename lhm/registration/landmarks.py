@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..bounds import shown
 from ..errors import InputError, MeshError
+from ..files.scan_file import FARTHEST
 from ..identities.space import MOUTH, OUTSIDE
 from ..mesh import Floats, Ints, Surface, as_points
+from ..validate import finite, read_json
 from ..wraps.landmarks import landmarks
 
 Pairs = tuple[Ints, Floats]
@@ -77,16 +78,15 @@ def named_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pa
 
 
 def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
-    """Points [mm] by name from a JSON file, {"nose tip": [x, y, z], ...}; InputError names a file that is not that."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        read = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a JSON file of landmarks ({str(error)[:80]})") from None
-    if not isinstance(read, dict):
+    """Points by name from a JSON file, {"nose tip": [x, y, z], ...}; InputError names a file that is not that."""
+    read = read_json(path, "a JSON file of landmarks")
+    if not isinstance(read, dict) or not read:
         raise InputError(f'{path}: expected landmarks by name, {{"nose tip": [x, y, z], ...}}')
+    for name, point in read.items():
+        try:
+            finite(f"landmark {shown(name)!r}", point, (3,), most=FARTHEST)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
     return read
 
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..bounds import PAIRS
 from ..errors import InputError
 from ..files.npz import read_arrays, write_arrays
 from ..geometry.rigid import rigid_motion
 from ..mesh import Floats, Surface
+from ..validate import finite, in_range, text, whole
 
 FORMAT = "softdeca depth regressor 1"
 MODES = 15
@@ -149,12 +151,12 @@ class DepthRegressor:
     def load(cls, path: str | os.PathLike[str], template_wrap: Surface) -> DepthRegressor:
         """Read what `save` wrote; InputError names a file that is damaged, something else or of another template."""
         arrays = read_arrays(path, *_ARRAYS, of="a depth regressor")
-        if str(arrays["format"]) != FORMAT:
+        if arrays["format"].tolist() != FORMAT:
             raise InputError(f"{path}: not a depth regressor of this version (expected {FORMAT!r})")
         try:
             regressor = cls.from_arrays(arrays)
             regressor.check(template_wrap)
-        except (InputError, ValueError, TypeError) as error:
+        except InputError as error:
             raise InputError(f"{path}: {error}") from None
         return regressor
 
@@ -165,17 +167,20 @@ class DepthRegressor:
     @classmethod
     def from_arrays(cls, arrays) -> DepthRegressor:
         """The inverse of `arrays`; InputError where shapes do not fit together or values are not finite."""
-        label, wrap, pairs, ridge, *fields = (arrays[name] for name in _ARRAYS[1:])
-        reference, axes, deviations, coefficients, mean_log = fields
+        reference = finite("reference", arrays["reference"], (None, 3), most=LARGEST)
+        deviations = in_range("deviations", arrays["deviations"], LEAST_DEVIATION, LARGEST, (None,))
         n, k = len(reference), len(deviations)
-        shapes = ((n, 3), (k, 3 * n), (k,), (k, n), (n,))
-        if any(f.shape != shape or not np.isfinite(f).all() for f, shape in zip(fields, shapes, strict=True)):
-            raise InputError("damaged, arrays of a depth regressor that do not fit together or are not finite")
+        axes = finite("axes", arrays["axes"], (k, 3 * n), most=1.0 + 1e-6)
+        coefficients = finite("coefficients", arrays["coefficients"], (k, n), most=LARGEST)
+        mean_log = finite("mean_log", arrays["mean_log"], (n,), most=LARGEST)
+        farthest = np.abs(mean_log) + FARTHEST * np.abs(coefficients).sum(axis=0)
+        if n and farthest.max() > np.log(LARGEST):
+            raise InputError(f"coefficients: at vertex {farthest.argmax()} they give depths beyond {LARGEST:g} mm")
         return cls(
-            str(label),
-            str(wrap),
-            int(pairs),
-            float(ridge),
+            text("label", arrays["label"]),
+            text("wrap", arrays["wrap"]),
+            int(whole("pairs", arrays["pairs"], 0, PAIRS.most, ())),
+            float(in_range("ridge", arrays["ridge"], 0.0, np.inf, ())),
             reference,
             axes,
             deviations,
@@ -184,6 +189,8 @@ class DepthRegressor:
         )
 
 
+LARGEST, LEAST_DEVIATION = 1e6, 1e-9
+"""[mm] of a regressor's numbers: far beyond a head's."""
 _ARRAYS = ("format", *DepthRegressor.__dataclass_fields__)
 
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..bounds import JSON_BYTES
 from ..errors import InputError
 from ..expressions.blending import weights_of
 from ..mesh import Floats
+from ..validate import is_plain_file, parse_json, read_bytes
 
 
 def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
@@ -26,14 +27,9 @@ def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
     path = Path(path)
     if path.suffix.lower() not in (".json", ".csv"):
         raise InputError(f"{path}: unknown kind of file; expected .json or .csv")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
+    content = read_bytes(path, JSON_BYTES)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or 'it is no text'})") from None
-    try:
-        rows = _of_json(text) if path.suffix.lower() == ".json" else _of_csv(text)
+        rows = _of_json(content) if path.suffix.lower() == ".json" else _of_csv(content)
         found = _weights(rows, path.parent)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -50,26 +46,26 @@ def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], folder: Path) -> dic
             found[scan] = weights_of(named)
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
-        if not scan.is_file():
+        if not is_plain_file(scan):
             raise InputError(f"{name}: no such file beside it")
     if not any(weights.any() for weights in found.values()):
         raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
     return found
 
 
-def _of_json(text: str) -> list[tuple[str, Mapping[str, Any]]]:
-    try:
-        rows = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON ({' '.join(str(error).split())[:80]})") from None
+def _of_json(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
+    rows = parse_json(content)
     if not isinstance(rows, dict):
         raise InputError('expected weights by scan, {"smile.obj": {"mouthSmileLeft": 1}, ...}')
     return list(rows.items())
 
 
-def _of_csv(text: str) -> list[tuple[str, Mapping[str, Any]]]:
+def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
     try:
+        text = content.decode("utf-8-sig")
         head, *rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text)) if any(row)]
+    except UnicodeDecodeError:
+        raise InputError("it is no text") from None
     except (csv.Error, ValueError):
         raise InputError("no lines of scan and weights in it") from None
     if head[0].lower() != "scan":

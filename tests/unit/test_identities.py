@@ -152,8 +152,8 @@ def test_bad_flame_files_are_named_and_nothing_is_run(arrays, tmp_path, monkeypa
         (pickle.dumps([1, 2]), "expected a dict"),
         (pickle.dumps({"f": arrays["f"]}), "'v_template' is missing"),
         (pickle.dumps({**arrays, "weights": "none"}), "'weights' is no array"),
-        (pickle.dumps({**arrays, "weights": arrays["weights"][1:]}), "weights has shape"),
-        (pickle.dumps({**arrays, "shapedirs": arrays["shapedirs"] * np.nan}), "shapedirs holds values"),
+        (pickle.dumps({**arrays, "weights": arrays["weights"][1:]}), "weights: expected shape"),
+        (pickle.dumps({**arrays, "shapedirs": arrays["shapedirs"] * np.nan}), "shapedirs: .* not finite"),
         (pickle.dumps({**arrays, "f": arrays["f"] + 10000}), "not FLAME's data"),
     ):
         file.write_bytes(content)
@@ -225,7 +225,7 @@ def test_expressions_and_parts_of_a_folder(folder):
     with pytest.raises(InputError, match="smile.npz.*none of ARKit's"):
         identities.MeshFolder(folder)
     (folder / "expressions" / "smile.npz").unlink()
-    for content, message in (("[0, 1]", "whole numbers"), ("[", "not readable"), (json.dumps([7] * len(x)), "0..3")):
+    for content, message in (("[0, 1]", "expected shape"), ("[", "not JSON"), (json.dumps([7] * len(x)), "0..3")):
         (folder / "parts.json").write_text(content)
         with pytest.raises(InputError, match=f"parts.json.*{message}"):
             identities.MeshFolder(folder)

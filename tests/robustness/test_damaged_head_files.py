@@ -1,0 +1,161 @@
+"""Head and template files with one thing wrong each: loading and `head check` refuse them in a line that names it."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import identities, load_template
+from softdeca.lhm.errors import InputError
+from softdeca.lhm.files.head_file import check_file, load_head, save_head
+from softdeca.lhm.files.template_file import read_template, save_template
+from softdeca.lhm.fit import fit_head
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    template = load_template(level=1)
+    save_head(folder / "head.npz", fit_head(template, identities.Anny().mean))
+    save_template(folder / "template.npz", template)
+    return {name: dict(np.load(folder / f"{name}.npz")) for name in ("head", "template")}
+
+
+def at(name, place, value):
+    def edit(arrays):
+        array = arrays[name].copy()
+        array[place] = value
+        return {name: array}
+
+    return edit
+
+
+def times(*names, by):
+    return lambda arrays: {name: arrays[name] * by for name in names}
+
+
+def other(name, change):
+    return lambda arrays: {name: change(arrays[name])}
+
+
+WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
+POINTS = ("skin_vertices", *WRAPS, "rig_deltas")
+HEADS = {
+    "vertex far off": (at("skin_vertices", (7, 0), 1e30), "skin vertices: 1e\\+30 is too large"),
+    "vertex 1.7 km off": (at("skin_vertices", (7, 0), 1.7e6), "skin: vertex 7 lies 1.7e\\+06 mm from"),
+    "wrap's vertex far off": (at("skull_wrap", (3, 1), 1e30), "skull_wrap vertices: 1e\\+30 is too large"),
+    "vertex NaN": (at("skin_vertices", (7, 2), np.nan), "skin vertices: .* the first at \\(7, 2\\)"),
+    "weight NaN": (at("skin_from_wrap_data", 5, np.nan), "skin_from_wrap_data: 1 values are not finite"),
+    "weights a million times": (times("wrap_from_skin_data", by=1e6), "wrap_from_skin_data: .*expected -1..2"),
+    "weights halved": (times("wrap_from_skin_data", by=0.5), "wrap_from_skin: 1212 rows do not sum to one"),
+    "weights of others": (other("skin_from_wrap_indices", lambda a: a[::-1].copy()), "mm apart on average"),
+    "column out of range": (at("skin_from_wrap_indices", 5, 10**9), "skin_from_wrap_indices: 1000000000 at 5"),
+    "column negative": (at("skin_from_wrap_indices", 5, -3), "skin_from_wrap_indices: -3 at 5; expected 0..1211"),
+    "pointer out of range": (at("wrap_from_skin_indptr", 9, 10**9), "wrap_from_skin_indptr: 1000000000 at 9"),
+    "pointer falls": (at("wrap_from_skin_indptr", 9, 0), "wrap_from_skin_indptr: expected numbers that rise"),
+    "corner negative": (at("triangles", (4, 1), -1), "outside 0..1211, the first is number 4"),
+    "corner out of range": (at("skin_triangles", (4, 1), 10**7), "outside 0..4462, the first is number 4"),
+    "complex": (other("skin_vertices", lambda a: a + 1j), "skin vertices: expected real numbers, got complex128"),
+    "texts for numbers": (other("skull_wrap", lambda a: a.astype("U9")), "skull_wrap vertices: expected real numbers"),
+    "bone of another kind": (other("bone", lambda a: a.astype(float)), "bone: expected integers, got float64"),
+    "bone out of range": (at("bone", 2, 7), "bone: 7 at 2; expected 0..2"),
+    "region of numbers": (other("region_face", lambda a: 3 * a), "region_face: expected True and False, got int64"),
+    "rig of a huge mesh": (other("rig_vertices", lambda a: np.array(10**13)), "rig_vertices: .*expected 0..20000000"),
+    "rig of another mesh": (other("rig_vertices", lambda a: a + 1), "rig_vertices: 4464, the skin has 4463"),
+    "rig moves vertex -1": (at("rig_moved", 0, -1), "rig_moved: -1 at 0; expected 0..4462"),
+    "rig NaN": (at("rig_deltas", (3, 0, 0), np.nan), "rig_deltas: 1 values are not finite"),
+    "rig a thousandfold": (times("rig_deltas", by=1000), "rig_deltas: 3.43e\\+04 is too large"),
+    "rig of no expression": (
+        lambda arrays: {"rig_about": np.array(json.dumps({"source": "", "missing": ["smirk"], "doubtful": {}}))},
+        "rig_about: smirk is none of ARKit's expressions",
+    ),
+    "notes deep": (lambda arrays: {"notes": np.array("[" * 5000)}, "JSON: .*levels of brackets"),
+    "notes of numbers": (lambda arrays: {"notes": np.array("[1, 2]")}, "notes: expected a list of texts"),
+    "in metres": (times(*POINTS, by=1e-3), "skin_wrap is 0.2507 mm across, .*is it in m\\? Heads are in mm"),
+    "in kilometres": (times(*POINTS, by=1e-6), "is it in km\\? Heads are in mm"),
+    "in centimetres": (times(*POINTS, by=0.1), "is it in cm\\? Heads are in mm"),
+    "in micrometres": (times(*POINTS, by=1e3), "is it in µm\\? Heads are in mm"),
+    "a point": (times(*POINTS, by=0.0), "skin_wrap is 0 mm across"),
+    "inverted": (other("skull_wrap", lambda a: a * 2), "layers tets: .* are inverted"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_a_damaged_head_is_refused_by_loading_and_by_check(tmp_path, whole, command, name):
+    edit, words = HEADS[name]
+    path = tmp_path / "damaged.npz"
+    np.savez(path, **whole["head"] | edit(whole["head"]))
+    began = time.process_time()
+    with pytest.raises(InputError, match=words) as raised:
+        load_head(path)
+    assert str(path) in str(raised.value)
+    if name != "inverted":  # which is measured, gate by gate
+        with pytest.raises(InputError, match=words):
+            check_file(path)
+    ended = command("head", "check", path)
+    assert ended.status == 1 and len(ended.errors) == 1 and ended.errors[0].startswith("softdeca: error")
+    assert "Traceback" not in ended.errors[0] and time.process_time() - began < 10
+
+
+def test_a_simulation_of_a_damaged_head_ends_before_it_begins(tmp_path, whole, command):
+    """Weights NaN or a million times gave takes of NaN, and points 1.7 km away, with status 0."""
+    take = tmp_path / "take.json"
+    take.write_text('{"rate": 30, "frames": [{"jawOpen": 0.5}, {}]}')
+    for name in ("weight NaN", "weights a million times", "vertex far off"):
+        path, out = tmp_path / "damaged.npz", tmp_path / "out"
+        np.savez(path, **whole["head"] | HEADS[name][0](whole["head"]))
+        ended = command("animate", take, "--head", path, "--out", out)
+        assert ended.status == 1 and f"error: {path}: damaged, " in ended.errors[-1], ended.errors
+        assert not out.exists()
+
+
+def test_notes_cannot_steer_the_terminal(tmp_path, whole, command):
+    path = tmp_path / "noted.npz"
+    about = {"source": "a\x1b[2J", "missing": [], "doubtful": {"jawOpen": "torn\x9b31m\u202e"}}
+    notes = json.dumps(["red \x1b[31m alarm\r", "Köpfe"])
+    np.savez(path, **whole["head"] | {"notes": np.array(notes), "rig_about": np.array(json.dumps(about))})
+    head = load_head(path)
+    assert head.notes == ("red \\x1b[31m alarm\\r", "Köpfe") and head.rig.doubtful["jawOpen"] == "torn\\x9b31m\\u202e"
+    ended = command("head", "check", path)
+    assert ended.status == 0 and "red \\x1b[31m alarm" in ended.out and "Köpfe" in ended.out
+    assert all(c.isprintable() or c == "\n" for c in ended.out + "".join(ended.errors))
+
+
+TEMPLATES = {
+    "stack NaN": (at("stack", (7, 0), np.nan), "stack: 1 values are not finite"),
+    "stack cut": (other("stack", lambda a: a[:-1]), "stack: expected three wraps"),
+    "parts out of range": (at("parts", 3, 9), "parts: 9 at 3; expected 0..3"),
+    "room negative": (at("room", 3, -1.0), "room: -1 at 3; expected 0.."),
+    "column out of range": (at("wrap_from_skin_indices", 5, 10**9), "wrap_from_skin_indices: 1000000000 at 5"),
+    "in metres": (times("stack", "skin_vertices", by=1e-3), "is it in m\\? Heads are in mm"),
+    "name of bytes": (lambda arrays: {"name": np.array(b"x")}, "name: expected a text"),
+}
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_a_damaged_template_is_refused(tmp_path, whole, name):
+    edit, words = TEMPLATES[name]
+    path = tmp_path / "damaged.npz"
+    np.savez(path, **whole["template"] | edit(whole["template"]))
+    with pytest.raises(InputError, match=words) as raised:
+        read_template(path)
+    assert str(path) in str(raised.value)
+
+
+def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypatch):
+    """Of right arrays with wrong values too: `cached_as` asks the reader."""
+    from softdeca.lhm.files.cache import cached_as
+    from softdeca.lhm.files.template_file import template_from
+
+    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
+    np.savez(tmp_path / "thing.npz", **whole["template"] | {"parts": whole["template"]["parts"] + 9})
+    made = []
+
+    def make():
+        made.append(1)
+        return whole["template"]
+
+    for _ in range(2):
+        assert cached_as("thing", make, template_from).parts.max() <= 3
+    assert made == [1]
