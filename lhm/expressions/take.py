@@ -13,6 +13,8 @@ from ..errors import InputError
 from ..mesh import Floats
 
 FEW = 5
+LONGEST = 1e6
+"""[s] From a take's first frame to its last: eleven days."""
 GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
 
@@ -53,6 +55,10 @@ class Take:
             raise InputError(f"take: expected {len(weights)} finite times, got shape {times.shape}")
         if (np.diff(times) <= 0).any():
             raise InputError(f"take: time does not rise at frame {np.flatnonzero(np.diff(times) <= 0)[0] + 1}")
+        if times[-1] - times[0] > LONGEST:
+            raise InputError(
+                f"take: {times[-1] - times[0]:.3g} s from first to last frame, expected at most {LONGEST:g}"
+            )
         check_rate(self.rate)
         held = {"weights": weights, "times": times}
         if self.head is not None:

@@ -227,11 +227,11 @@ def formats(folder: Path) -> list[Format]:
     results = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "mixed.json"
     corpus = folder / "corpus"
     return [
-        Format("lists.json", json.dumps(take).encode(), read_take, of_json),
-        Format("objects.json", json.dumps(other).encode(), read_take, of_json),
+        Format("lists.json", json.dumps(take).encode(), read_take, of_json, ("take: ",)),
+        Format("objects.json", json.dumps(other).encode(), read_take, of_json, ("take: ",)),
         Format("timed.json", json.dumps(timed).encode(), read_take, of_json, ("take: ",)),
-        Format("live.csv", live_link(), read_take, renumbered),
-        Format("weights.csv", recorder(), read_take, renumbered),
+        Format("live.csv", live_link(), read_take, renumbered, ("take: ",)),
+        Format("weights.csv", recorder(), read_take, renumbered, ("take: ",)),
         Format("options.toml", options, read_p, of_toml),
         Format("local/cheek.npy", cheek.getvalue(), lambda path: read_p(path.with_name("p.toml")), of_npy),
         Format("plan.toml", plan, read_counts, of_toml),
