@@ -73,7 +73,7 @@ def compared(before: Path, after: Path, kind: type[Study]) -> Comparison:
     old, new = read(before), read(after)
     if old["study"] != new["study"]:
         raise InputError(f"{before} is of {old['study']!r}, {after} of {new['study']!r}: they cannot be compared")
-    with of_this_version(f"{before} and {after}"), np.errstate(over="ignore", invalid="ignore"):
+    with of_this_version(f"{before} and {after}"):
         return _compared(old, new, kind)
 
 

@@ -239,7 +239,7 @@ def formats(folder: Path) -> list[Format]:
         Format("corpus/template.npz", (corpus / "template.npz").read_bytes(), read_corpus, of_npz),
         Format("corpus/person-00001.json", (corpus / "person-00001.json").read_bytes(), read_corpus, of_json),
         Format("corpus/person-00000.h5", shards[0], read_corpus, of_shard(shards[1:])),
-        Format("modal.safetensors", weights_path.read_bytes(), read_weights, of_safetensors),
+        Format("modal.safetensors", weights_path.read_bytes(), read_weights, of_safetensors, ("weights: ",)),
         Format("results.json", results.read_bytes(), read_results, of_json, ("mixed",)),
     ]
 
