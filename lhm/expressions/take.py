@@ -15,6 +15,8 @@ from ..mesh import Floats
 FEW = 5
 LONGEST = 1e6
 """[s] From a take's first frame to its last: eleven days."""
+TURNED = 1e4
+"""[rad] A head's angle, whose turns are counted: more than a thousand of them."""
 GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
 
@@ -65,6 +67,9 @@ class Take:
             held["head"] = np.array(self.head, dtype=np.float64)
             if held["head"].shape != (len(weights), 3) or not np.isfinite(held["head"]).all():
                 raise InputError(f"take: expected finite angles of shape ({len(weights)}, 3), got {held['head'].shape}")
+            farthest = float(np.abs(held["head"]).max())
+            if farthest > TURNED:
+                raise InputError(f"take: head turned by {farthest:.3g} rad, expected {TURNED:g} at most")
         for name, values in held.items():
             values.flags.writeable = False
             object.__setattr__(self, name, values)

@@ -53,7 +53,7 @@ def _array(path: Path, name: str) -> Floats:
         raise InputError(f"parameter {name}: {path}: not an array of numbers ({reason})") from None
     values = np.array(finite(f"parameter {name}: {path}", array))
     try:
-        Parameters(**{Parameters.info(name).name: values})
+        Parameters(**{Parameters.info(name).name: values})  # type: ignore[arg-type]  # one of those that may vary
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return values
