@@ -34,7 +34,13 @@ def shown(value: Any, longest: int = 40) -> str:
     """Quote a value in an error: one line of printable characters, at most `longest` of them and three dots."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):
         # Python refuses to print an integer of more than 4,300 digits.
-        return f"{int(value):,}" if abs(int(value)) < 10**18 else "more than 10^18" if value > 0 else "less than -10^18"
+        return (
+            f"{int(value):,}"
+            if abs(int(value)) < 10**18
+            else "more than 10^18"
+            if int(value) > 0
+            else "less than -10^18"
+        )
     text = plain(value if isinstance(value, str) else repr(value))
     return text if len(text) <= longest else text[:longest] + "..."
 

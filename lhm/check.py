@@ -19,7 +19,7 @@ from .geometry.fans import fan_crossings
 from .geometry.quality import aspect_ratios, smallest_dihedrals
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
-from .membranes import BLINK, EYES, MOUTH, OPEN, at, torn
+from .membranes import BLINK, EYES, MOUTH, OPEN, at, folded, torn
 from .mesh import Floats, Ints, Surface, tet_volumes
 from .openings import lid_path, lip_path
 from .rig import Rig
@@ -89,7 +89,8 @@ class HeadReport:
     `lip_path`, `lid_path`: way along the skin wrap from the middle of the one lip or lid to that of the other, and
     `lid_detour` that over the straight distance: small only where the wrap bridges the opening.
     `jaw_open_torn`, `blink_torn`: how much skin at lips or lids is stretched more than fivefold, as a membrane between
-    sealed lips is, when the head's own rig opens the jaw or closes both eyes.
+    sealed lips is, when the head's own rig opens the jaw or closes both eyes. `jaw_open_folded`, `blink_folded`: length
+    of the skin's edges there that fold from less than 60 to more than 110 degrees, as where a corner tears.
     `cranium_`, `mandible_`, `free_vertices`: of the skull wrap, by bone; a rigid motion needs three.
     `wrap_vertices`: of each wrap; below 3,000 `COARSE_BOUNDS` hold instead: edges twice as long leave flatter tets
     under thin tissue, and a wrap of them lies farther off where the skin bends.
@@ -135,6 +136,10 @@ class HeadReport:
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
     # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
+    # Own and others' heads 0 to 5; corners of a mouth that tear 140.
+    jaw_open_folded: float | None = _figure("mm", "at most", 40.0)
+    # Random identities 11 to 50; jagged lids 240.
+    blink_folded: float | None = _figure("mm", "at most", 120.0)
     cranium_vertices: int = _figure("", "at least", 3)
     mandible_vertices: int = _figure("", "at least", 3)
     free_vertices: int = _figure()
@@ -311,11 +316,14 @@ def _openings(wrap: Surface, regions: Mapping[str, NDArray[np.bool_]]) -> dict[s
 def _torn(
     skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
 ) -> dict[str, Any]:
-    found: dict[str, Any] = {"jaw_open_torn": None, "blink_torn": None}
+    motions = {"jaw_open": (OPEN, MOUTH), "blink": (BLINK, EYES)}
+    found: dict[str, Any] = {f"{name}_{what}": None for name in motions for what in ("torn", "folded")}
     if rigged is None:
         return found
     rig, weights = rigged
-    for figure, names, where in (("jaw_open_torn", OPEN, MOUTH), ("blink_torn", BLINK, EYES)):
-        if any(name in regions for name in where) and not set(names) & set(rig.missing):
-            found[figure] = torn(skin, rig, at(skin, weights, regions, where), names)
+    for name, (expressions, where) in motions.items():
+        if any(region in regions for region in where) and not set(expressions) & set(rig.missing):
+            triangles = at(skin, weights, regions, where)
+            found[f"{name}_torn"] = torn(skin, rig, triangles, expressions)
+            found[f"{name}_folded"] = folded(skin, rig, triangles, expressions)
     return found

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
-from .geometry.stretch import torn_area
-from .mesh import Ints, Surface
+from .geometry.stretch import folded_length, torn_area
+from .mesh import Floats, Ints, Surface
 from .rig import Rig
 
 MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
@@ -31,6 +31,15 @@ def at(
 
 def torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
     """The area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
+    return torn_area(skin.vertices, _moved(skin, rig, names), triangles)
+
+
+def folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
+    """The length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
+    return folded_length(skin.vertices, _moved(skin, rig, names), triangles)
+
+
+def _moved(skin: Surface, rig: Rig, names: Sequence[str]) -> Floats:
     weights = np.zeros(len(ARKIT))
     weights[[ARKIT.index(name) for name in names]] = 1.0
-    return torn_area(skin.vertices, skin.vertices + rig.moved(weights), triangles)
+    return skin.vertices + rig.moved(weights)

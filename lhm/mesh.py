@@ -43,7 +43,8 @@ def as_elements(name: str, values, corners: int, n_vertices: int) -> Ints:
         raise MeshError(f"{name}: expected shape (m, {corners}), got {raw.shape}")
     if raw.size and not np.issubdtype(raw.dtype, np.integer):
         raise MeshError(f"{name}: expected integers, got {raw.dtype}")
-    elements = raw.astype(np.int64)
+    # An empty array may be of any kind.
+    elements = raw.astype(np.int64) if raw.size else np.zeros(raw.shape, np.int64)
     bad = np.flatnonzero(((elements < 0) | (elements >= n_vertices)).any(axis=1))
     if bad.size:
         first = bad[0]

@@ -20,6 +20,7 @@ from ..check import HeadReport, check_layers
 from ..checked import checked
 from ..errors import InputError, MeshError, plain
 from ..head import LayeredHead
+from ..identities.space import EXTENT
 from ..mesh import Floats, Ints, Surface, TetMesh
 from ..rig import Rig
 from .atomic import replaced
@@ -29,8 +30,6 @@ FORMAT = "softdeca layered head 1"
 _WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
 _INSIDE = ("muscles", "skull")
 _WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
-LEAST_EXTENT, GREATEST_EXTENT = 50.0, 2000.0
-"""[mm] of a skin wrap: a small child's head has 150; below, one in cm; above, one in smaller units."""
 USUAL = (100.0, 600.0)
 """[mm] Extents of a head, by which the unit of another file is guessed."""
 UNITS = {"m": 1e3, "cm": 10.0, "km": 1e6, "in": 25.4, "ft": 304.8, "µm": 1e-3, "nm": 1e-6}
@@ -113,7 +112,7 @@ def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarr
 def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
     """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
     parts = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-    weights = validate.sparse_rows(name, *parts, rows, columns)
+    weights = validate.sparse_rows(name, *parts, rows=rows, columns=columns)
     validate.in_range(f"{name}_data", weights.data, -1.0, 2.0)
     sums = np.asarray(weights.sum(axis=1)).ravel()
     off = np.flatnonzero(np.abs(sums - 1.0) > ROW_TOLERANCE)
@@ -158,7 +157,6 @@ class HeadParts:
     def head(self) -> LayeredHead:
         """The head; MeshError where tets are inverted."""
         ties = (self.wrap_from_skin, self.skin_from_wrap)
-        more = {"muscles": self.muscles, "skull": self.skull, "rig": self.rig, "registered": self.registered}
         volume = None
         if self.volume is not None:
             inner, *tissues = self.volume
@@ -166,7 +164,17 @@ class HeadParts:
             soft, muscle = (TetMesh(vertices, tets) for tets in tissues)
             volume = soft, muscle
         return LayeredHead(
-            self.skin, *self.wraps, self.bone, *ties, self.regions, volume=volume, notes=self.notes, **more
+            self.skin,
+            *self.wraps,
+            self.bone,
+            *ties,
+            self.regions,
+            muscles=self.muscles,
+            skull=self.skull,
+            volume=volume,
+            rig=self.rig,
+            registered=self.registered,
+            notes=self.notes,
         )
 
     def report(self) -> HeadReport:
@@ -245,12 +253,10 @@ def check_extent(surfaces: Mapping[str, Surface]) -> float:
     wrap = surfaces["skin_wrap"].vertices
     low, high = wrap.min(axis=0), wrap.max(axis=0)
     extent = float((high - low).max())
-    if not LEAST_EXTENT <= extent <= GREATEST_EXTENT:
+    if not EXTENT[0] <= extent <= EXTENT[1]:
         units = [unit for unit, mm in UNITS.items() if USUAL[0] <= extent * mm <= USUAL[1]]
         guess = f"; is it in {units[0]}? Heads are in mm" if units else ""
-        raise InputError(
-            f"skin_wrap is {extent:.4g} mm across, a head {LEAST_EXTENT:g} to {GREATEST_EXTENT:g} mm{guess}"
-        )
+        raise InputError(f"skin_wrap is {extent:.4g} mm across, a head {EXTENT[0]:g} to {EXTENT[1]:g} mm{guess}")
     for name, surface in surfaces.items():
         x, centre = surface.vertices, 0.5 * (low + high)
         if len(x) and max((x.max(axis=0) - centre).max(), (centre - x.min(axis=0)).max()) > FARTHEST * extent:

@@ -93,7 +93,7 @@ def _parsed(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
     if min(shape, default=0) < 0 or size != there:
         raise InputError(f"{name}: its header says {shown(size)} bytes, it has {there:,}")
     flat = np.empty(size, np.uint8)
-    if size and file.readinto(memoryview(flat)) != size:  # type: ignore[attr-defined]
+    if size and file.readinto(flat.data) != size:  # type: ignore[attr-defined]
         raise InputError(f"{name}: cut off")
     array = flat.view(kind) if size else np.empty(0, kind)
     return array.reshape(shape, order="F" if by_columns else "C")

@@ -139,8 +139,8 @@ class _Binary:
         sizes = np.array([p.kind.itemsize for p in element.properties], dtype=np.int64)
         lengths = np.array([p.length.itemsize if p.length else 0 for p in element.properties], dtype=np.int64)
         kinds = [p.length for p in element.properties]
-        signed = np.array([bool(k) and k.kind == "i" for k in kinds], dtype=np.bool_)
-        big = np.array([bool(k) and k.byteorder == ">" for k in kinds], dtype=np.bool_)
+        signed = np.array([k is not None and k.kind == "i" for k in kinds], dtype=np.bool_)
+        big = np.array([k is not None and k.byteorder == ">" for k in kinds], dtype=np.bool_)
         count = element.count if element.properties else 0
         starts, counts, end = _walk(
             self._body, self._at, count, sizes, lengths, signed, big, -1 if wanted is None else wanted
@@ -161,7 +161,7 @@ class _Text:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore", DeprecationWarning)  # for text that ends in no number; it is cut off there
             try:
-                self._numbers = np.fromstring(body, dtype=np.float64, sep=" ")  # type: ignore[call-overload]
+                self._numbers = np.fromstring(body, dtype=np.float64, sep=" ")
             except ValueError:
                 raise InputError("its body has words that are no numbers") from None
         self._at = 0

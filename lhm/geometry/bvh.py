@@ -168,12 +168,12 @@ def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, l
 
     `same` lists each pair once.
     """
-    found = []
+    found, count = [], 0
     stack = np.empty(128, np.int64)
     boxes = _boxes(corners)
     own = boxes if same else _boxes(query)
     for q in range(len(query)):
-        if len(found) >= most:
+        if count >= most:
             break
         stack[0], size = 0, 1
         while size > 0:
@@ -191,6 +191,7 @@ def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, l
                     continue
                 if triangles_cross(query[q], corners[t]):
                     found.append((q, t))
+                    count += 1
     return found
 
 

@@ -22,7 +22,7 @@ from ..validate import finite, indices_below, real
 from .cut import boundary_loops, close_loop, even_loop, largest_piece
 from .lips import lips_together
 from .pickled import read_pickled
-from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace
+from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
 MM = 1000.0
 LARGEST = 1e4
@@ -93,6 +93,7 @@ def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     vertices = MM * (closed @ template)
     vertices[:, 2] -= np.concatenate(inward)
     mean = Surface(vertices, np.vstack(faces))
+    check_extent(mean)
     directions = np.moveaxis(data["shapedirs"][:, :, :CODE_SIZE].astype(np.float64), 2, 0)
     identity = MM * np.stack([closed @ direction for direction in directions])
     if (part_of == MOUTH).any():

@@ -19,7 +19,7 @@ from ..mesh import Ints, Surface
 from ..validate import finite, indices_below, of_kind, real, shape
 from .cut import cut_and_close, largest_piece
 from .lips import lips_together
-from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace
+from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
 MM = 10.0
 CODE_SIZE = 50
@@ -90,7 +90,8 @@ def _space(given: Mapping[str, np.ndarray]) -> LinearSpace:
     height = data["vertices"][:, 1] * MM
     above = (height[triangles] > height[triangles[part_of >= 0]].max() - NECK_CUT).all(axis=1)
     cut, closed, kept = cut_and_close(largest_piece(triangles[(part_of >= 0) & above]), len(data["vertices"]))
-    mean = Surface(cut @ data["vertices"].astype(np.float64) * MM, closed)
+    mean = Surface(cut @ data["vertices"] * MM, closed)
+    check_extent(mean)
     expressions = np.zeros((len(ARKIT), *mean.vertices.shape))
     for name, delta in zip(data["expression_arkit"].tolist(), data["expression_deltas"], strict=True):
         expressions[ARKIT.index(name)] += cut @ delta.astype(np.float64) * MM

@@ -92,7 +92,7 @@ _KNOWN = {
 
 
 # The reader in Python: the one in C makes room for as many objects as a damaged file numbers, gigabytes of it.
-class _Reader(pickle._Unpickler):  # type: ignore[name-defined]
+class _Reader(pickle._Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         known = _KNOWN.get(f"{module} {name}")
         if known is not None:
@@ -132,12 +132,13 @@ def read_pickled(path: str | os.PathLike[str], *names: str, of: str) -> dict[str
 
 def _array(value: Any) -> np.ndarray:
     if isinstance(value, (_Csc, _Csr)):
-        rows, columns = value.state.get("_shape", value.state.get("shape"))
-        SPACE_VALUES.check("it holds", int(rows) * int(columns))
+        shape: Any = value.state.get("_shape", value.state.get("shape"))
+        rows, columns = (int(length) for length in shape)
+        SPACE_VALUES.check("it holds", rows * columns)
         parts = [_array(value.state[name]) for name in ("data", "indices", "indptr")]
         if isinstance(value, _Csc):
-            return sparse_rows("sparse", *parts, int(columns), int(rows)).toarray().T
-        return sparse_rows("sparse", *parts, int(rows), int(columns)).toarray()
+            return sparse_rows("sparse", *parts, rows=columns, columns=rows).toarray().T
+        return sparse_rows("sparse", *parts, rows=rows, columns=columns).toarray()
     if isinstance(value, _Chumpy):
         state = value.state
         if "x" in state:

@@ -17,6 +17,16 @@ OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 
 CLIP = 2.5
 
+EXTENT = (50.0, 2000.0)
+"""[mm] Across a head with its neck: a small child's has 150. Below is one in cm, above one in smaller units."""
+
+
+def check_extent(mean: Surface) -> None:
+    """Raise InputError for a mean head that is none in mm: of another unit, or with a vertex far off."""
+    extent = float(np.ptp(mean.vertices, axis=0).max(initial=0.0))
+    if not EXTENT[0] <= extent <= EXTENT[1]:
+        raise InputError(f"its mean head is {extent:.4g} mm across; expected {EXTENT[0]:g} to {EXTENT[1]:g}")
+
 
 class IdentitySpace(Protocol):
     """A model of neutral heads over one triangulation."""

@@ -1,17 +1,20 @@
 """Gates of layered heads: each must be missed where its defect is made, and only there."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 from scipy.sparse import identity
 
-from softdeca.lhm import LayeredHead, MeshError, Surface, check_head
+from softdeca.lhm import LayeredHead, MeshError, Surface, check_head, fit_head, load_template
+from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.check import Figure, check_layers
 from softdeca.lhm.files.head_file import check_file, save_head
 from softdeca.lhm.geometry.fans import fan_crossings
 from softdeca.lhm.geometry.quality import aspect_ratios, smallest_dihedrals
+from softdeca.lhm.geometry.stretch import folded_length
 from softdeca.lhm.openings import lid_path, lip_path
 
 RADII = (100.0, 92.0, 85.0)
@@ -218,3 +221,30 @@ def test_a_coarse_wrap_has_bounds_of_its_own():
         _, faces, wraps, bone = parts(subdivisions)
         outcome.append("wrap_to_skin_mean" in missed(measured(faces, wraps, bone, skin=1.006 * wraps[0])))
     assert outcome == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "length"), [(0, 120, 7.0), (0, 100, 0.0), (50, 115, 7.0), (70, 150, 0.0), (0, 0, 0.0)]
+)
+def test_an_edge_that_folds_sharply_is_measured(before, after, length):
+    """Two triangles hinged at an edge of 7 mm, by the angle between them."""
+
+    def hinged(degrees):
+        angle = np.radians(degrees)
+        wing = [3.0, -4 * np.cos(angle), 4 * np.sin(angle)]
+        return np.array([[0.0, 0, 0], [7, 0, 0], [3, 4, 0], wing])
+
+    triangles = np.array([[0, 1, 2], [1, 0, 3]])
+    assert folded_length(hinged(before), hinged(after), triangles) == pytest.approx(length)
+
+
+def test_a_mouth_whose_corners_tear_misses_a_gate():
+    """Vertices of the lips that jump to and fro as the jaw opens: they are folded more than torn."""
+    template = load_template(level=1)
+    head = fit_head(template, template.skin)
+    assert check_head(head).problems == ()
+    lips = np.flatnonzero(head.skin_from_wrap @ head.regions["lips"] > 0.5)
+    deltas = np.array(head.rig.deltas)
+    deltas[ARKIT.index("jawOpen"), lips, 2] += np.random.default_rng(0).choice([-1.5, 1.5], len(lips))
+    report = check_head(replace(head, rig=replace(head.rig, deltas=deltas)))
+    assert missed(report) == {"jaw_open_folded"} and report.jaw_open_folded > 100

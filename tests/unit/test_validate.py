@@ -1,9 +1,11 @@
 """Checks of values from outside: each lets good values pass unchanged and names what is wrong with others."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, validate
+from softdeca.lhm import InputError, bounds, validate
 from softdeca.lhm.bounds import JSON_DEPTH, Bound, plain, shown
 
 
@@ -120,3 +122,12 @@ def test_what_a_file_says_cannot_steer_the_terminal():
     assert plain("a\x1b[31mb\x9b\u202ec") == "a\\x1b[31mb\\x9b\\u202ec"
     assert plain("Köpfe, 頭") == "Köpfe, 頭"
     assert shown("x" * 100) == "x" * 40 + "..." and shown("\a") == "\\x07"
+
+
+def test_the_docs_have_every_bound():
+    page = (Path(__file__).parents[2] / "docs" / "bounds.md").read_text()
+    rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
+    named = {name: value for name, value in vars(bounds).items() if isinstance(value, Bound)}
+    assert rows.keys() == named.keys()
+    for name, bound in named.items():
+        assert rows[name] == f"| `{name}` | {bound.most:,} | {bound.what} | {bound.reason} |"
