@@ -11,14 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lhm.bounds import TAKE_FRAMES
 from ..lhm.errors import InputError
 from ..lhm.files.atomic import write_whole
 from ..lhm.files.npz import read_arrays, write_arrays
 from ..lhm.files.resumable import Records, begin
+from ..lhm.validate import finite, text, whole
 from ..reference.face.sequence import State
 
 STATE = ("positions", "sought", "before", "drift", "turns")
 NEUTRAL = ("positions", "displacement", "reason")
+LOGGED = {"frame", "reason", "seconds", "iterations"}
+"""Of each line of the log: what the outcome of a take is told by."""
 
 
 def digest(*arrays) -> str:
@@ -49,12 +53,15 @@ class TakeStore:
         """
         try:
             arrays = read_arrays(self.folder / "state.npz", "frames", *STATE)
-            count, state = int(arrays["frames"]), State(*(arrays[name] for name in STATE))
-            for number in range(count):
-                self.moved(number)
+            count = int(whole("frames", arrays["frames"], 0, TAKE_FRAMES.most, ()))
+            state = State(*(finite(name, arrays[name]) for name in STATE))
+            shapes = {finite("moved", self.moved(number), (None, 3)).shape for number in range(count)}
+            if len(shapes) > 1:
+                raise InputError(f"{self.folder}: frames of several heads")
         except InputError:
             count, state = 0, None
-        records = {record.get("frame"): record for record in self._log.read()}
+        lines = [line for line in self._log.read() if LOGGED <= line.keys() and isinstance(line["frame"], int)]
+        records = {line["frame"]: line for line in lines}
         if not records.keys() >= set(range(count)):
             count, state = 0, None
         self._log.keep(records[number] for number in range(count))
@@ -63,9 +70,13 @@ class TakeStore:
     def neutral(self) -> dict[str, np.ndarray] | None:
         """The neutral face under p, arrays NEUTRAL as `keep_neutral` had them; None if missing or damaged."""
         try:
-            return read_arrays(self.folder / "neutral.npz", *NEUTRAL)
+            arrays = read_arrays(self.folder / "neutral.npz", *NEUTRAL)
+            for name in NEUTRAL[:2]:
+                finite(name, arrays[name], (None, 3))
+            text("reason", arrays["reason"])
         except InputError:
             return None
+        return arrays
 
     def keep_neutral(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Write the neutral face under p, from which a run that goes on starts as the first did."""

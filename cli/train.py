@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import FACES, PEOPLE_PAIRS, TRAINING_STEPS, WORKERS
+from ..lhm.bounds import FACES, STUDIED_PAIRS, TRAINING_STEPS, WORKERS
 from ..lhm.files.atomic import replaced
 from .counts import counted
 from .progress import shown
@@ -133,7 +133,7 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
 )
 @click.option(
     "--generalisation",
-    type=counted(PEOPLE_PAIRS),
+    type=counted(STUDIED_PAIRS),
     metavar="N",
     help="pairs of people, known and unseen, simulated under both's parameters and recordings: a minute of a core each",
 )

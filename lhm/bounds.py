@@ -92,9 +92,7 @@ WEIGHTS_BYTES = Bound("bytes of weights", 1_000_000_000, "the shipped network ha
 CURVE_POINTS = Bound("points of a learning curve", 100_000, "a training notes some hundred")
 TRAINING_STEPS = Bound("steps", 100_000_000, "a step takes a millisecond or more: a day of work", 1)
 WORKERS = Bound("processes", 256, "each takes 0.2 GB or more, whatever the machine has", 1)
-BAKED_TARGETS = Bound(
-    "morph targets of a baked rig", 4_096, "the network has 150 directions; viewers stop far earlier", 1
-)
-PEOPLE_PAIRS = Bound("pairs of people", 10_000, "each pair is a minute of work", 1)
+BAKED_TARGETS = Bound("morph targets", 4_096, "the network has some 150 directions; viewers stop far earlier", 1)
+STUDIED_PAIRS = Bound("pairs of people", 10_000, "each pair is a minute of work", 1)
 FACES = Bound("faces", 100_000, "each face is some seconds of work")
 RESULT_BYTES = Bound("bytes of results", 100_000_000, "the largest study writes 2 MB")

@@ -72,7 +72,7 @@ def _without_exit(path: Path) -> Iterator[None]:
     def refuse(status: int) -> NoReturn:
         raise InputError(f"it ends the process (os._exit({status}))")
 
-    os._exit = refuse  # type: ignore[assignment]
+    os._exit = refuse
     try:
         yield
     finally:

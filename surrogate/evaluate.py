@@ -104,7 +104,8 @@ def evaluate(
 
     heads: of the test people. training: faces that fit what is not fitted yet; None for methods that need none.
     chosen: numbers of test faces, by default all. costs: what binds take of the simulator; without it the costs of
-    methods that take something are left out. Raises InputError where a bone is scaled and nobody fits heads.
+    methods that take something are left out. Raises InputError where a bone is scaled and nobody
+    fits heads, where there is no frame, and where simulation moves none.
     """
     fits = []
     for number, method in enumerate(methods):
@@ -139,8 +140,10 @@ def evaluate(
         error, cost = np.concatenate(tally.errors), _cost(method.takes, fitted, tally, costs)
         for name, rows in parts.items():
             score = score_of(method, name, error[rows], motion[rows], cost, faces=len(np.unique(face_of[rows])))
-            if name == ALL or score.vertices:
+            if score.vertices:
                 scores.append(score)
+            elif name == ALL:
+                raise InputError("evaluate: simulation moves no frame of these faces beyond their bones")
     return scores
 
 

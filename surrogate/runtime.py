@@ -95,7 +95,11 @@ class Surrogate:
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        modes = compressed(self._modal.bound(code, skin.vertices, at_vertices, shapes))
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which the next line refuses
+            modes = self._modal.bound(code, skin.vertices, at_vertices, shapes)
+        if not all(np.isfinite(array).all() for array in (modes.offset, modes.responses, modes.modes)):
+            raise InputError("weights: what they give for this face is not finite; they are damaged")
+        modes = compressed(modes)
         if exact:
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)

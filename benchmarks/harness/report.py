@@ -65,6 +65,8 @@ def read(path: Path, kind_of: Callable[[str], type[Study]]) -> Made:
         study = _study(kind_of(results.study), results.options)
         if not isinstance(results.machine, dict) or not isinstance(results.words, str):
             raise InputError("machine and words: expected an object and a text")
+        if not {"commit", "load"} <= set(results.machine):
+            raise InputError("machine: no commit, or no load")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         reason = plain(" ".join(str(error).split()))[:120]
         raise InputError(f"{file}: no results of a study ({type(error).__name__}: {reason})") from None

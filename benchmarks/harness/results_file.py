@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...lhm.bounds import RESULT_BYTES, plain, shown
 from ...lhm.errors import InputError
 from ...lhm.validate import parse_json, read_bytes
@@ -59,7 +61,8 @@ def read_results(path: Path) -> dict[str, Any]:
 def of_this_version(where: str) -> Iterator[None]:
     """Turn what a study's own code raises of values that are not its own into an InputError that names `where`."""
     try:
-        yield
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            yield
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..validate import read_json
 from .atomic import write_whole
 
 
@@ -50,7 +51,7 @@ class Records:
 def _record(line: bytes) -> dict[str, Any] | None:
     try:
         found = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
 
@@ -63,8 +64,8 @@ def manifest_of(path: Path, what: str, names: Iterable[str] = ()) -> dict[str, A
     if not path.exists():
         return None
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = read_json(path)
+    except InputError:
         found = None
     if not isinstance(found, dict) or not set(names) <= set(found):
         raise InputError(f"{path}: damaged, or of no {what} of softdeca; use another folder")

@@ -48,7 +48,12 @@ def _array(path: Path, name: str) -> Floats:
     try:
         # A map of the file cannot be longer than the file, whatever its header says.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError, MemoryError) as error:
+    except Exception as error:  # numpy's reader raises whatever the damage makes it raise
         reason = plain(" ".join(str(error).split()))[:60]
         raise InputError(f"parameter {name}: {path}: not an array of numbers ({reason})") from None
-    return np.array(finite(f"parameter {name}: {path}", array))
+    values = np.array(finite(f"parameter {name}: {path}", array))
+    try:
+        Parameters(**{Parameters.info(name).name: values})  # type: ignore[arg-type]  # one of those that may vary
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return values

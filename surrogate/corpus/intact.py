@@ -1,6 +1,6 @@
 """Shards that readers may trust: of their corpus and person, whole, and of arrays that fit together.
 
-A shard is read once per process and file for this, some 3 ms a megabyte: later readers of the same file trust it.
+A shard is read once per process and file for this, some 12 ms a megabyte: later readers of the same file trust it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm.errors import InputError
-from ...lhm.validate import finite, indices_below, shape, whole
+from ...lhm.validate import finite, in_range, indices_below, shape, whole
 from .fields import WAVES
 from .manifest import Manifest
 from .mixture import NAMES
@@ -19,8 +19,12 @@ from .shard import ACCEPTED, Shard, read_shard
 
 REMEDY = "`softdeca corpus generate` makes it anew"
 WEIGHTS = 52
-_intact: set[tuple[str, str, int, int, int, int]] = set()
-"""Path, corpus and person, size and time of change of the files that this process has checked."""
+FARTHEST = 1e5
+"""[mm] Of a vertex, and of a number of a code or a coefficient, whatever its unit."""
+Key = tuple[str, str, int, int, int, int, int]
+"""Path, corpus, person, vertices; and inode, size and time of change of the file."""
+_intact: set[Key] = set()
+"""The files that this process has checked."""
 
 
 def check_intact(path: Path, manifest: Manifest, identity: int, vertices: int) -> None:
@@ -54,35 +58,35 @@ def check_person(said: np.ndarray, numbers: list[int]) -> None:
         raise InputError(f"of another person, with parameter sets {found[:3]}, expected {numbers[:3]}")
 
 
-def _key(path: Path, owner: str, identity: int, vertices: int) -> tuple[str, str, int, int, int, int] | None:
+def _key(path: Path, owner: str, identity: int, vertices: int) -> Key | None:
     try:
         known = path.stat()
     except OSError:
         return None
-    return str(path.resolve()), owner, identity, vertices, known.st_size, known.st_mtime_ns
+    return str(path.resolve()), owner, identity, vertices, known.st_ino, known.st_size, known.st_mtime_ns
 
 
 def _check_arrays(shard: Shard, n: int) -> None:
     code, groups = shard.persons.code, len(shard.groups.number)
-    finite("persons/code", code, (1, None))
-    finite("persons/skin", shard.persons.skin, (1, n, 3))
+    finite("persons/code", code, (1, None), most=FARTHEST)
+    finite("persons/skin", shard.persons.skin, (1, n, 3), most=FARTHEST)
     if len(shard.persons.shapes) > 1:
         raise InputError(f"persons/shapes: {len(shard.persons.shapes)} of one person")
     finite("persons/shapes", shard.persons.shapes, (len(shard.persons.shapes), WEIGHTS, n, 3))
-    finite("groups/coefficients", shard.groups.coefficients, (groups, len(NAMES), 1 + WAVES))
+    finite("groups/coefficients", shard.groups.coefficients, (groups, len(NAMES), 1 + WAVES), most=FARTHEST)
     shape("groups/varied", shard.groups.varied, (groups, len(NAMES)))
     shape("groups/kind", shard.groups.kind, (groups,))
     _accepted_finite("groups/settled", shard.groups.settled, shard.groups.status, (groups, n, 3))
     statics, sequences = shard.statics, shard.sequences
     frames = len(statics.group)
     indices_below("statics/group", statics.group, groups, (frames,))
-    finite("statics/weights", statics.weights, (frames, WEIGHTS))
+    in_range("statics/weights", statics.weights, 0.0, 1.0, (frames, WEIGHTS))
     shape("statics/moved", statics.moved, (frames, 2))
     _accepted_finite("statics/corrected", statics.corrected, statics.status, (frames, n, 3))
     count = len(sequences.group)
     indices_below("sequences/group", sequences.group, groups, (count,))
-    finite("sequences/weights", sequences.weights, (count, LENGTH, WEIGHTS))
-    finite("sequences/rotations", sequences.rotations, (count, LENGTH, 3, 3))
+    in_range("sequences/weights", sequences.weights, 0.0, 1.0, (count, LENGTH, WEIGHTS))
+    in_range("sequences/rotations", sequences.rotations, -1.001, 1.001, (count, LENGTH, 3, 3))
     _accepted_finite("sequences/before", sequences.before, sequences.status, (count, 2, n, 3))
     _accepted_finite("sequences/corrected", sequences.corrected, sequences.status, (count, LENGTH, n, 3))
     shape("sequences/iterations", sequences.iterations, (count, LENGTH))

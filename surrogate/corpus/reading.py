@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...lhm.errors import InputError
 from ...lhm.mesh import Surface
+from ..surface_hash import surface_hash
 from .folder import shard_path
 from .intact import check_intact
 from .manifest import read_manifest
@@ -82,6 +83,8 @@ class Table:
         self.folder, self.table = Path(folder), table
         self._manifest = read_manifest(folder)
         self.template = read_template(folder)
+        if not self._manifest.said["template"].startswith(surface_hash(self.template.mean)):
+            raise InputError(f"corpus {folder}: template.npz is not of the mesh that corpus.json names")
         self.people = self._manifest.people
         people, first = self._manifest.counts.identities, self._manifest.counts.trained
         numbers = {"train": range(first), "test": range(first, people), None: range(people)}[split]
@@ -102,6 +105,8 @@ class Table:
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         found = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())
         places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
+        if self.template.shapes is None and not places["persons/shapes"].shape[0]:
+            raise InputError(f"shard {path}: no shapes, and none in template.npz, which is damaged")
         return _Person(
             path=path,
             code=found["persons/code"][0],

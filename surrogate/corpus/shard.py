@@ -272,6 +272,8 @@ class Place:
 
     def row(self, path: Path, number: int) -> NDArray[Any]:
         """One row of the array, read anew; the file is open meanwhile only. InputError if it cannot be read."""
+        if not 0 <= number < self.shape[0]:
+            raise InputError(f"shard {path}: row {number} of an array of {self.shape[0]}")
         shape = self.shape[1:]
         size = int(np.prod(shape)) * self.dtype.itemsize
         try:

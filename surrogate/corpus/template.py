@@ -6,11 +6,15 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from ...lhm.errors import InputError
+from ...lhm.bounds import shown
+from ...lhm.errors import InputError, SoftdecaError
 from ...lhm.files.npz import read_arrays, write_arrays
 from ...lhm.mesh import Floats, Surface
+from ...lhm.validate import finite
 
 FILE = "template.npz"
+FARTHEST = 1e4
+"""[mm] Of a vertex, and of how far a shape moves one: ten metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +32,16 @@ def write_template(folder: str | PathLike[str], template: CorpusTemplate) -> Non
 
 
 def read_template(folder: str | PathLike[str]) -> CorpusTemplate:
-    """Read it; InputError if it is missing or damaged."""
+    """Read it; InputError names the file if it is missing, damaged, or not in millimetres."""
     path = Path(folder) / FILE
     arrays = read_arrays(path, of="a corpus' template")
-    if not {"vertices", "triangles"} <= set(arrays):
-        raise InputError(f"{path}: not a corpus' template")
-    return CorpusTemplate(Surface(arrays["vertices"], arrays["triangles"]), arrays.get("shapes"))
+    try:
+        if not {"vertices", "triangles"} <= set(arrays) <= {"vertices", "triangles", "shapes"}:
+            raise InputError(f"expected vertices, triangles and shapes, got {shown(', '.join(arrays))}")
+        vertices = finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST)
+        shapes = arrays.get("shapes")
+        if shapes is not None:
+            shapes = finite("shapes", shapes, (52, len(vertices), 3), most=FARTHEST)
+        return CorpusTemplate(Surface(vertices, arrays["triangles"]), shapes)
+    except SoftdecaError as error:
+        raise InputError(f"{path}: not a corpus' template, or damaged ({error})") from None

@@ -8,11 +8,12 @@ import numpy as np
 
 from ...lhm.errors import InputError
 from ...lhm.mesh import Surface
-from ...lhm.validate import finite, of_kind
+from ...lhm.validate import finite, of_kind, shape
 from .features import EFFECTS, Features
 
 LARGEST = 1e4
 """Of any number in the network: the shipped one ends at 40, float16 ends at 65,504."""
+WEIGHTS = 52
 _LAYERS: dict[str, tuple[str, str]] = {
     "gain_in": ("wide", "local+position"),
     "gain_middle": ("wide", "wide"),
@@ -67,17 +68,48 @@ def check_network(network: Mapping[str, np.ndarray], mean: Surface, code_size: i
     if missing:
         word = "missing" if missing[0] in _ARRAYS else "not known"
         raise InputError(f"array {missing[0]!r} of the network is {word}")
-    features, modes = Features(mean), [len(np.atleast_1d(network[f"modes.{part}"])) for part in range(4)]
-    position, expression = network["position"].shape[-1:], network["remainder_in.bias"].size
-    sizes = {
-        "n": len(mean.vertices), "xyz": 3, "one": 1, "parts": 2, "each": EFFECTS, "effects": 2 * EFFECTS, "weights": 52,
-        "code": code_size, "summary": code_size + features.summary_size, "modes": sum(modes), "twice": 2 * expression,
-        "local+position": features.local_size + (position[0] if position else 0),
-    }  # fmt: skip
+    for name in _ARRAYS:
+        finite(f"network {name}", of_kind(f"network {name}", network[name], "f", "real numbers"), most=LARGEST)
+    own = {
+        name: len(array)
+        for name, array in (
+            ("settled", network["size_settled"]),
+            ("relaxed", network["size_relaxed"]),
+            ("responses", network["size_responses"]),
+            ("remainder", network["size_remainder"]),
+            ("position", network["position"].T),
+            ("expression", network["remainder_in.bias"]),
+        )
+        if array.ndim
+    }
+    if len(own) < 6:
+        raise InputError("network: the size of a layer is no list")
+    sizes = _sizes(Features(mean), code_size, **own)
     for name, wanted in _ARRAYS.items():
-        array = of_kind(f"network {name}", network[name], "f", "real numbers")
-        expected = tuple(sizes.get(each) for each in wanted)
-        finite(f"network {name}", array, expected, most=LARGEST)
-        for each, size in zip(wanted, array.shape, strict=True):
+        shape(f"network {name}", network[name], tuple(sizes.get(each) for each in wanted))
+        for each, size in zip(wanted, network[name].shape, strict=True):
             if not sizes.setdefault(each, size) == size > 0:
                 raise InputError(f"network {name}: {size} where others have {sizes[each]}")
+
+
+def array_shapes(features: Features, code_size: int, *, other: int, **own: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array by name, of a network whose hidden layers have `other` units.
+
+    own: settled, relaxed, responses, remainder (modes of each part), position (numbers of a vertex's own).
+    """
+    sizes = _sizes(features, code_size, expression=other, **own)
+    return {name: tuple(sizes.get(each, other) for each in wanted) for name, wanted in _ARRAYS.items()}
+
+
+def _sizes(
+    features: Features, code_size: int, *, settled: int, relaxed: int, responses: int, remainder: int, position: int,
+    expression: int,
+) -> dict[str, int]:  # fmt: skip
+    """The sizes that follow from the space, and those of the parts, by the names that _ARRAYS has."""
+    return {
+        "n": len(features.mean.vertices), "xyz": 3, "one": 1, "parts": 2, "each": EFFECTS, "effects": 2 * EFFECTS,
+        "weights": WEIGHTS, "code": code_size, "summary": code_size + features.summary_size,
+        "modes": settled + relaxed + responses + remainder, "settled": settled, "relaxed": relaxed,
+        "responses": responses, "remainder": remainder, "twice": 2 * expression, "expression": expression,
+        "position": position, "local+position": features.local_size + position,
+    }  # fmt: skip

@@ -142,6 +142,19 @@ def test_what_was_damaged_is_made_anew(sphere_head, deltas, tmp_path, harm):
     assert contents(config.out) == before
 
 
+def test_what_makes_no_sense_is_made_anew(sphere_head, deltas, tmp_path):
+    """A state that is not finite, and lines of the log that are of no frame."""
+    config = TakeConfig(tmp_path / "take")
+    run_take(config, sphere_head, deltas, take(3), Parameters(), silent)
+    before = contents(config.out)
+    state = dict(np.load(config.out / "state.npz"))
+    np.savez(config.out / "state.npz", **state | {"positions": state["positions"] * np.nan})
+    with (config.out / "log.jsonl").open("a") as log:
+        log.write('{"frame": [1]}\n{"frame": 1}\n' + "[" * 100_000 + "\n")
+    run_take(config, sphere_head, deltas, take(3), Parameters(), silent)
+    assert contents(config.out) == before
+
+
 def test_frames_are_not_simulated_twice_for_another_format(sphere_head, deltas, tmp_path, monkeypatch):
     config = TakeConfig(tmp_path / "take")
     run_take(config, sphere_head, deltas, take(3), Parameters(), silent)

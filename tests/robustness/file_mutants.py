@@ -61,6 +61,8 @@ class Format:
     content: bytes
     read: Callable[[Path], list[np.ndarray]]
     mutate: Callable[[bytes, np.random.Generator], bytes] | None = None
+    others: tuple[str, ...] = ()
+    """Names, one of which an error may have in place of the file's."""
 
 
 def flipped(content: bytes, rng: np.random.Generator) -> bytes:
@@ -590,7 +592,8 @@ def outcome(each: Format, path: Path) -> str:
         return "accepted"
     except SoftdecaError as error:
         said = str(error)
-        good = "\n" not in said and said.isprintable() and path.name in said and len(said) < 600
+        named = any(name in said for name in (path.name, *each.others))
+        good = "\n" not in said and said.isprintable() and named and len(said) < 600
         return "refused" if good else f"refused in other than one line that names the file: {said!r}"
     except BaseException as error:
         return f"{type(error).__name__}: {str(error)[:200]}"
@@ -603,8 +606,8 @@ def _too_long(*_: object) -> None:
     raise TooLong
 
 
-def main(arguments: list[str]) -> int:
-    """Read the mutants; the number of defects, each told by format, seed and number of the mutant."""
+def main(arguments: list[str], formats: Callable[[Path], list[Format]] = formats) -> int:
+    """Read the mutants of formats; the number of defects, each told by format, seed and number of the mutant."""
     count, seed = (int(arguments[k]) if len(arguments) > k else default for k, default in enumerate((100, 0)))
     warnings.simplefilter("error", RuntimeWarning)  # which a command would print
     signal.signal(signal.SIGVTALRM, _too_long)
@@ -615,13 +618,16 @@ def main(arguments: list[str]) -> int:
         chosen = [each for each in formats(folder) if not arguments[2:] or each.name in arguments[2:]]
         for each in chosen:
             path = folder / each.name
+            kept = path.exists()  # others are read with it
             path.write_bytes(each.content)
             each.read(path)  # what is whole is accepted; and what is slow once is compiled
-            path.unlink()
+            if not kept:
+                path.unlink()
         size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
         for each in chosen:
             path = folder / each.name
+            kept = path.exists()
             for number in range(count):
                 print(f"at {each.name} {seed} {number}", flush=True)
                 rng = np.random.default_rng([seed, number])
@@ -632,7 +638,10 @@ def main(arguments: list[str]) -> int:
                 if ended not in ("refused", "accepted"):
                     defects += 1
                     print(f"DEFECT {each.name} {seed} {number}: {ended}", flush=True)
-            path.unlink()
+            if kept:
+                path.write_bytes(each.content)
+            else:
+                path.unlink()
     print(json.dumps({"mutants": count * len(chosen), "refused": refused, "accepted": accepted, "defects": defects}))
     return min(defects, 100)
 

@@ -14,6 +14,8 @@ from pathlib import Path
 import h5py
 import pytest
 
+from softdeca.lhm import InputError
+
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
 WITHOUT = """
 import sys
@@ -254,3 +256,61 @@ def test_without_torch_what_trains_says_what_to_install(network, tmp_path):
     assert ended.returncode == 1 and not list(tmp_path.iterdir())
     (said,) = [line for line in ended.stderr.splitlines() if not line.endswith(" s)")]
     assert said.startswith("softdeca: error: training needs torch") and "softdeca[train]" in said
+
+
+def test_two_ctrl_c_while_a_preview_is_drawn_leave_no_file_and_no_crash(tmp_path):
+    """The second comes while the first is cleaned up after, among the calls of the library that draws."""
+    arguments = [*COMMAND, "animate", "conversation:5", "--preview", "gif", "--out", tmp_path / "out"]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        for line in process.stderr:
+            if line.startswith("preview"):
+                break
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+        process.wait(60)
+    assert process.returncode in (130, -signal.SIGINT), "ended by another signal than Ctrl-C's"
+    assert "interrupted" in rest and "Traceback" not in rest
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".lock", "take.vtkhdf"]
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_stream_that_is_closed_takes_no_file_with_it(closed, tmp_path):
+    """A file opened later would else get the stream's number, and messages would be written into it."""
+    script = f"exec {closed}; exec {sys.executable} -c '{MAIN}' bench list"
+    ended = subprocess.run(["bash", "-c", script], capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0 and "Traceback" not in ended.stderr
+    assert (">&-" in closed.replace("2>&-", "")) == (ended.stdout == "")
+
+
+def test_a_reader_that_has_gone_and_a_full_disk_are_no_traceback():
+    words = f"{sys.executable} -c '{MAIN}' bench list"
+    gone = subprocess.run(["bash", "-c", f"{words} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True)
+    assert gone.stderr == "" and gone.returncode in (0, 1)
+    full = subprocess.run(["bash", "-c", f"{words} > /dev/full"], capture_output=True, text=True)
+    assert full.returncode == 1 and full.stderr == "softdeca: error: No space left on device\n"
+
+
+def test_a_backend_of_matplotlib_that_is_not_installed_does_not_matter(monkeypatch):
+    ended = run("bench", "list", env={**os.environ, "MPLBACKEND": "nonsense"})
+    assert ended.returncode == 0 and ended.stderr == ""
+    draw = "from softdeca.benchmarks.plots import subplots; from softdeca.lhm import InputError\ntry:\n    subplots()\n"
+    draw += "except InputError as error:\n    print(error)"
+    ended = subprocess.run(
+        [sys.executable, "-c", draw], capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "nonsense"}
+    )
+    assert ended.stdout.startswith("MPLBACKEND=nonsense: Matplotlib has no such backend")
+
+
+def test_a_scheduler_that_does_not_answer_is_told_before_any_work(tmp_path, command, monkeypatch):
+    from softdeca.surrogate import schedule
+    from softdeca.surrogate.corpus import people
+
+    monkeypatch.setattr(schedule, "PATIENCE", "1s")
+    monkeypatch.setattr(people, "people_of", None)  # the work that comes first
+    ended = command("corpus", "generate", "--scheduler", "tcp://127.0.0.1:1", "--out", tmp_path / "made")
+    assert ended.status == 1, "one line: the work would have ended in a TypeError"
+    with pytest.raises(InputError, match="tcp://127.0.0.1:1: no Dask scheduler answers"):
+        schedule.check_answers(schedule.schedule(1, "tcp://127.0.0.1:1"))
+    assert not (tmp_path / "made").exists()

@@ -123,7 +123,7 @@ def test_statistics_do_not_depend_on_the_rate():
 def test_edges():
     assert conversation(np.random.default_rng(0), 1).shape == (1, 52)
     assert conversation(np.random.default_rng(0), 3, rate=0.5).shape == (3, 52)
-    with pytest.raises(InputError, match="frames: 0"):
+    with pytest.raises(InputError, match="take: 0 frames; expected 1 to 1,000,000"):
         conversation(np.random.default_rng(0), 0)
     with pytest.raises(InputError, match="rate: 0 Hz"):
         conversation(np.random.default_rng(0), 10, rate=0.0)

@@ -377,3 +377,71 @@ def test_a_part_of_a_corpus_can_be_read(tmp_path):
     assert set(Table(tmp_path, "statics", "train", partial=True).rows[:, 0]) == {1}
     assert set(Table(tmp_path, "statics", None, partial=True).rows[:, 0]) == {1, 2}
     assert set(Table(tmp_path, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
+
+
+@pytest.fixture
+def copied(made, tmp_path):
+    """A copy of the corpus, to be damaged."""
+    for path in made.folder.iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def test_swapped_shards_are_of_another_person(copied, command):
+    one, other = copied / "person-00000.h5", copied / "person-00001.h5"
+    shards = one.read_bytes(), other.read_bytes()
+    one.write_bytes(shards[1])
+    other.write_bytes(shards[0])
+    with pytest.raises(InputError, match="person-00000.h5: of another person, with parameter sets"):
+        Table(copied, "statics", "train")
+    for words in (("sample", copied), ("verify", copied)):
+        ended = command("corpus", *words)
+        assert ended.status == 1 and "person-00000.h5: of another person" in ended.errors[-1]
+    ended = command("corpus", "status", copied)
+    assert ended.status == 1 and ended.out.count("DAMAGED") == 2
+
+
+def test_a_flipped_bit_of_a_large_array_is_found_where_rows_are_read(copied):
+    Table(copied, "statics", "test")
+    path = copied / "person-00002.h5"
+    with h5py.File(path, "r") as file:
+        place = file["statics/corrected"].id.get_offset() + 7
+    content = bytearray(path.read_bytes())
+    content[place] ^= 0x10
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="person-00002.h5: its content does not match its checksum"):
+        Table(copied, "statics", "test")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"content": None}, "content and made_with: expected objects"),
+        ({"people": None}, "people: expected a text"),
+        ({"tested": None}, "tested: None, expected 1"),
+        ({"template": "0" * 16}, "template.npz is not of the mesh"),
+        ({"format": None}, "format: expected a number, got None"),
+    ],
+)
+def test_nulls_and_others_in_a_manifest_are_named(copied, change, words):
+    path = copied / "corpus.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError) as refused:
+        Table(copied, "statics", "train")
+    assert words in str(refused.value)
+
+
+def test_counts_of_a_manifest_are_bounded(copied):
+    path = copied / "corpus.json"
+    said = json.loads(path.read_text())
+    for name, value in (("identities", 10**12), ("identities", None), ("seed", -1), ("groups", 10**9)):
+        path.write_text(json.dumps(said | {"content": said["content"] | {name: value}}))
+        with pytest.raises(InputError, match=rf"corpus.json: damaged.*{name}"):
+            Table(copied, "statics", "train")
+
+
+def test_a_corpus_made_from_python_has_a_status_and_is_verified(made, command):
+    """As the one of `make study`, whose people no command needs for it."""
+    assert command("corpus", "status", made.folder).status == 0
+    assert command("corpus", "verify", made.folder).out == f"{made.folder}: 3 shards are whole\n"

@@ -7,6 +7,7 @@ import pytest
 
 from softdeca.benchmarks import beyond as unseen
 from softdeca.benchmarks.breakeven import breakeven
+from softdeca.lhm import InputError
 from softdeca.lhm.progress import silent
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.carried import Heads
@@ -14,10 +15,10 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Table
-from softdeca.surrogate.evaluate import evaluate
+from softdeca.surrogate.evaluate import evaluate, score_of
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
-from softdeca.surrogate.modal.faces import Faces
+from softdeca.surrogate.modal.faces import Faces, Frames
 from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.weights import TrainingNote
 from softdeca.surrogate.rivals.blendshapes import Blendshapes
@@ -116,3 +117,29 @@ def test_clamped_parameters_are_scored_beside_simulation(monkeypatch):
     assert own.kind == nothing.kind == unseen.KIND and own.frames == 1 and own.share < 1.0
     # Muscle alone differs, so neither bones nor a settled face explain anything.
     assert carried.share == nothing.share == pytest.approx(1.0) and settled.share == pytest.approx(1.0, abs=0.1)
+
+
+class _Empty:
+    """A test of one face without frames."""
+
+    def __len__(self):
+        return 1
+
+    def face(self, index):
+        return None
+
+    def frames(self, index):
+        return Frames(np.zeros((0, 52), np.float32), np.zeros((0, 4, 3), np.float16))
+
+
+def test_no_frames_and_numbers_that_are_not_finite_are_no_score():
+    with pytest.raises(InputError, match="no accepted static frames"):
+        evaluate(METHODS, _Empty(), HEADS)
+    right, wrong = np.ones((2, 4)), np.full((2, 4), np.nan)
+    for error, motion, words in (
+        (wrong, right, "numbers that are not finite"),
+        (right, wrong, "numbers that are not finite"),
+        (right[:0], right[:0], "no frame"),
+    ):
+        with pytest.raises(InputError, match=f"blendshapes.*all: {words}"):
+            score_of(Blendshapes(), "all", error, motion)

@@ -482,3 +482,31 @@ def test_the_study_asks_the_surrogate_for_its_faces(surrogate):
     face.of, face.weights, face.parameters, face._network = of, weights, Parameters(), surrogate
     bound = surrogate.bind(skin, np.zeros(4), Parameters(), expressions=deltas)
     assert np.array_equal(face.learned, bound.frame(weights).astype(np.float64))
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("remainder_in.weight", lambda array: array[:, :51], "network remainder_in.weight: expected shape"),
+        ("gain_out.bias", lambda array: array[:-1], "network gain_out.bias: expected shape"),
+        ("settled.2.weight", lambda array: array[:-1], "network settled.4.weight: expected shape"),
+        ("modes.1", lambda array: array.reshape(-1), "network modes.1: expected shape"),
+        ("lag.weight", lambda array: array * np.nan, "network lag.weight: .* not finite"),
+        ("effects", lambda array: array + 3e4, "network effects: .* is too large"),
+    ],
+)
+def test_a_network_of_other_shapes_or_numbers_is_named(weights, tmp_path, name, change, words):
+    path = tmp_path / "modal.safetensors"
+    replace(weights, network={**weights.network, name: change(weights.network[name])}).save(path)
+    with pytest.raises(InputError, match=f"modal.safetensors: damaged.*{words}"):
+        ModalWeights.load(path)
+
+
+def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
+    path = tmp_path / "modal.safetensors"
+    weights.save(path)
+    content = bytearray(path.read_bytes())
+    content[-1000] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="their numbers do not match their checksum"):
+        ModalWeights.load(path)

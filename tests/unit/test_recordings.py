@@ -47,7 +47,7 @@ def test_combinations_move_smoothly_from_one_to_another():
                 assert np.minimum(weights[:, k], weights[:, j]).max() < 0.15, (first, other)
     again = combinations(np.random.default_rng(0), 20_000)
     np.testing.assert_array_equal(weights, again)
-    with pytest.raises(InputError, match="frames: 0"):
+    with pytest.raises(InputError, match="take: 0 frames; expected 1 to 1,000,000"):
         combinations(np.random.default_rng(0), 0)
 
 

@@ -1,0 +1,249 @@
+"""Damaged takes, options, corpora, weights and results, as `file_mutants.py` has head files and meshes.
+
+python tests/robustness/corpus_mutants.py [mutants of each format [seed [format ...]]]
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import file_mutants
+import h5py
+import numpy as np
+from file_mutants import Format, of_json, of_npz, one_array_changed, renumbered
+from safetensors.numpy import load, save
+
+from softdeca.benchmarks.harness.compare import compared
+from softdeca.benchmarks.harness.report import read, write
+from softdeca.benchmarks.studies import study_of
+from softdeca.lhm import expressions
+from softdeca.lhm.expressions import ARKIT, resampled
+from softdeca.reference.face.parameter_file import read_parameters
+from softdeca.reference.face.parameters import Parameters
+from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.folder import Corpus, status_of, verify_folder
+from softdeca.surrogate.corpus.manifest import read_manifest
+from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.plan import CorpusPlan, read_plan
+from softdeca.surrogate.corpus.reading import Table
+from softdeca.surrogate.modal.features import STATIC, Features
+from softdeca.surrogate.modal.shapes import array_shapes
+from softdeca.surrogate.modal.weights import ModalWeights, TrainingNote
+from softdeca.surrogate.sphere import Spheres
+
+SPACE = Spheres(1)
+PLAN = CorpusPlan(
+    identities=3, groups=1, frames=2, sequences=0, references=0, conversations=3, random=3, seconds=1.0, run=24,
+    sources={"conversation": 0.5, "random": 0.5},
+)  # fmt: skip
+
+
+# Whole files, as small as they can be
+
+
+def live_link() -> bytes:
+    names = [name[0].upper() + name[1:] for name in ARKIT]
+    lines = [",".join(["Timecode", "BlendShapeCount", *names, "HeadYaw", "HeadPitch", "HeadRoll"])]
+    lines += [",".join([f"10:00:00:{k:02d}.000", "52", *["0.1"] * 52, "0.1", f"{k / 100}", "0"]) for k in range(4)]
+    return "\n".join(lines).encode()
+
+
+def recorder() -> bytes:
+    rows = [["frames", *map(str, range(4))], ["timestamp", *(f"{k / 60:.5f}" for k in range(4))]]
+    rows += [[name, "0.1", "0.2", "0", "1"] for name in ARKIT]
+    rows += [["head x", *"0000"], ["head y", "0", "0.1", "0.2", "0"], ["head z", *"0000"], ["head w", *"1111"]]
+    return "\n".join(map(",".join, rows)).encode()
+
+
+def random_weights() -> ModalWeights:
+    """A network of random numbers on the coarsest sphere: what it answers means nothing."""
+    rng, features = np.random.default_rng(0), Features(SPACE.mean)
+    widths = dict.fromkeys(("settled", "relaxed", "responses", "remainder"), 3)
+    shapes = array_shapes(features, SPACE.code_size, position=2, other=4, **widths)
+    network = {name: 0.1 * rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    seen = dict.fromkeys(STATIC, (-1.0, 1.0))
+    note = TrainingNote(2, 4, 8, 4, 10, {"seed": 0}, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))
+    code = np.zeros(SPACE.code_size)
+    return ModalWeights(SPACE.name, SPACE.mean, code, code + 1.0, network, note)
+
+
+# Damage that keeps the format
+
+
+def of_toml(content: bytes, rng: np.random.Generator) -> bytes:
+    if rng.random() < 0.1:
+        return content + b"\nkinds = " + (b"[" if rng.random() < 0.5 else b"{a=") * int(rng.choice([10, 5000]))
+    if rng.random() < 0.6:
+        return renumbered(content, rng)
+    lines = content.splitlines(keepends=True)
+    value = rng.choice(
+        ["inf", "nan", "true", '"x"', "[]", "{}", "[[1]]", "1979-05-27", "9" * 4000, "1e999", "-0.0", "''"]
+    )
+    k = rng.integers(len(lines))
+    lines[k] = lines[k].split(b"=")[0] + b"= " + str(value).encode() + b"\n"
+    return b"".join(lines)
+
+
+def of_npy(content: bytes, rng: np.random.Generator) -> bytes:
+    if rng.random() < 0.5:
+        return renumbered(content[:128], rng) + content[128:]
+    array = one_array_changed({"a": np.load(io.BytesIO(content))}, rng)["a"]
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def of_shard(others: list[bytes]) -> Callable[[bytes, np.random.Generator], bytes]:
+    """Another person's shard, or arrays that are others, with the checksum that they had, or a right one."""
+
+    def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+        if rng.random() < 0.15:
+            return others[rng.integers(len(others))]
+        buffer = io.BytesIO(content)
+        with h5py.File(buffer, "r+") as file:
+            names: list[str] = []
+            file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+            old = {name: file[name][()] for name in rng.choice(names, 3, replace=False)}
+            new = one_array_changed(old, rng)
+            for name in old:
+                del file[name]
+                if name in new and new[name].dtype.kind not in "OU":
+                    chunked = {"chunks": True} if new[name].size and new[name].ndim and rng.random() < 0.2 else {}
+                    file.create_dataset(name, data=new[name], **chunked)
+                elif rng.random() < 0.5:
+                    file.create_dataset(name, shape=(2**40, 3), dtype="f4", chunks=(1, 3))
+            if rng.random() < 0.7:
+                file.attrs["checksum"] = _checksum(file)
+            if rng.random() < 0.1:
+                name = rng.choice(["owner", "format", "version", "checksum"])
+                file.attrs[name] = rng.choice([0, 10**6])
+        return buffer.getvalue()
+
+    return mutated
+
+
+def _checksum(file: h5py.File) -> str:
+    """That of the arrays as they are, where they are all there."""
+    from softdeca.surrogate.corpus.shard import TABLES, Shard
+
+    try:
+        tables = {
+            name: kind(**{field: file[f"{name}/{field}"][()] for field in kind.__dataclass_fields__})
+            for name, kind in TABLES.items()
+        }
+        return Shard(**tables).checksum
+    except (KeyError, ValueError, MemoryError):
+        return "0"
+
+
+def of_safetensors(content: bytes, rng: np.random.Generator) -> bytes:
+    size = int.from_bytes(content[:8], "little")
+    head = json.loads(content[8 : 8 + size])
+    about = head["__metadata__"]["softdeca"]
+    if rng.random() < 0.5:
+        arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
+        said = json.loads(about)
+        if rng.random() < 0.7:
+            del said["checksum"]
+        arrays = {
+            name: np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")) for name, array in arrays.items()
+        }
+        return save(arrays, metadata={"softdeca": json.dumps(said)})
+    if rng.random() < 0.5:
+        head["__metadata__"]["softdeca"] = of_json(about.encode(), rng).decode()
+        text = json.dumps(head).encode()
+    else:
+        text = of_json(json.dumps(head).encode(), rng)
+    return len(text).to_bytes(8, "little") + text + content[8 + size :]
+
+
+# What is read, as arrays that have to be finite
+
+
+def read_take(path: Path) -> list[np.ndarray]:
+    take = expressions.read_take(path)
+    again = resampled(take, 60.0)
+    return [take.weights, take.times, again.weights, *(() if again.head is None else (again.head,))]
+
+
+def read_p(path: Path) -> list[np.ndarray]:
+    p = read_parameters(path)
+    return [np.asarray(getattr(p, info.name)) for info in Parameters.infos()]
+
+
+def read_counts(path: Path) -> list[np.ndarray]:
+    plan = read_plan(path)
+    return [np.array([plan.identities, plan.groups, plan.frames, *plan.parameter_numbers(1)])]
+
+
+def read_corpus(path: Path) -> list[np.ndarray]:
+    folder, read = path.parent, []
+    manifest = read_manifest(folder)
+    for table in ("statics", "responses", "groups"):
+        rows = Table(folder, table, None)
+        read += [np.asarray(v, dtype=float) for v in rows[len(rows) - 1].values() if v.dtype.kind in "fiub"]
+        read += [rows.skin(0).vertices, rows.shapes(0)]
+    verify_folder(folder)
+    status = status_of(folder, manifest.counts, manifest.owner)
+    return [*read, np.array([status.bytes])]
+
+
+def read_weights(path: Path) -> list[np.ndarray]:
+    shapes = np.zeros((52, len(SPACE.mean.vertices), 3))
+    rig = Surrogate.load(path).bind(SPACE.mean, np.zeros(SPACE.code_size), expressions=shapes, beyond="clamp")
+    return [rig.neutral]
+
+
+def read_results(path: Path) -> list[np.ndarray]:
+    kind = study_of("mixed")
+    out = path.parent / "report"
+    write([read(path, study_of)], out, "a title")
+    shutil.rmtree(out)
+    return [np.array([change.told for change in compared(path, path, kind).changes], dtype=float)]
+
+
+def formats(folder: Path) -> list[Format]:
+    """Every format, by the name of its whole file."""
+    take = {"rate": 30, "names": ["jawOpen", "cheekPuff"], "frames": [[0.2, 0.1], [0.3, 0], [0, 1]]}
+    other = {"fps": 30, "frames": [{"jawOpen": 0.5}, {}, {"cheekPuff": 1}]}
+    timed = {"names": ["jawOpen"], "frames": [{"weights": [0.5], "time": 0.0}, {"weights": [0.6], "time": 0.04}]}
+    weights_path = folder / "modal.safetensors"
+    random_weights().save(weights_path)
+    people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
+    Corpus(folder / "corpus", PLAN, people, {"identities": "anny", "level": 1}).generate()
+    shards = [(folder / "corpus" / f"person-{k:05d}.h5").read_bytes() for k in range(3)]
+    cheek = io.BytesIO()
+    np.save(cheek, np.linspace(5.0, 6.0, 40))
+    (folder / "local").mkdir()
+    (folder / "local" / "p.toml").write_text('soft_stiffness = "cheek.npy"\n')
+    options = b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\nsoft_stiffness = 4\n"
+    plan = b'preset = "tiny"\nframes = 2\nidentities = 5\nseconds = 3.0\nresponses = 0.5\n[kinds]\neffects = 1.0\n'
+    results = Path(__file__).resolve().parents[2] / "benchmarks" / "results" / "mixed.json"
+    corpus = folder / "corpus"
+    return [
+        Format("lists.json", json.dumps(take).encode(), read_take, of_json, ("take: ",)),
+        Format("objects.json", json.dumps(other).encode(), read_take, of_json, ("take: ",)),
+        Format("timed.json", json.dumps(timed).encode(), read_take, of_json, ("take: ",)),
+        Format("live.csv", live_link(), read_take, renumbered, ("take: ",)),
+        Format("weights.csv", recorder(), read_take, renumbered, ("take: ",)),
+        Format("options.toml", options, read_p, of_toml),
+        Format("local/cheek.npy", cheek.getvalue(), lambda path: read_p(path.with_name("p.toml")), of_npy),
+        Format("plan.toml", plan, read_counts, of_toml),
+        Format("corpus/corpus.json", (corpus / "corpus.json").read_bytes(), read_corpus, of_json, ("corpus",)),
+        Format("corpus/template.npz", (corpus / "template.npz").read_bytes(), read_corpus, of_npz),
+        Format("corpus/person-00001.json", (corpus / "person-00001.json").read_bytes(), read_corpus, of_json),
+        Format("corpus/person-00000.h5", shards[0], read_corpus, of_shard(shards[1:])),
+        Format("modal.safetensors", weights_path.read_bytes(), read_weights, of_safetensors, ("weights: ",)),
+        Format("results.json", results.read_bytes(), read_results, of_json, ("mixed",)),
+    ]
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore", UserWarning)
+    sys.exit(file_mutants.main(sys.argv[1:], formats))
