@@ -93,7 +93,7 @@ class Agreement(Study):
     jaw: float = field(
         default=12.0, metadata={"help": "degrees by which its bone opens a jaw, at 2 g; 0: no such scene"}
     )
-    push: float = field(default=0.5, metadata={"help": "kPa that push a cheek; 0: no such scene"})
+    push: float = field(default=0.25, metadata={"help": "kPa that push a cheek; 0: no such scene"})
     weights: str = field(default="", metadata={"help": "of `softdeca train`  [those that are shipped]"})
 
     def tasks(self) -> Sequence[Task]:
@@ -267,10 +267,10 @@ class Agreement(Study):
             skin, inside = (_spread([row], TO_PD + where) for where in (SKIN, ALL))
             stress, loads = row.values["inside"]["stress"], row.values["inside"]["prescribed"]
             said.append(
-                f"No target holds the {row.case}: there the law changes the skin by {skin}, all vertices by {inside}, "
-                f"mean von Mises stress of soft tissue from {stress[PD]['soft']['mean']:.2f} to "
-                f"{stress[LAW]['soft']['mean']:.2f} kPa, and the force that holds the mandible from "
-                f"{loads[PD]['force']:.0f} to {loads[LAW]['force']:.0f} mN."
+                f"Where no target holds the skin ({row.case}), the law moves it by {skin}, all vertices by {inside}, "
+                f"and takes the mean von Mises stress of soft tissue from {stress[PD]['soft']['mean']:.3g} to "
+                f"{stress[LAW]['soft']['mean']:.3g} kPa, and the force that holds the mandible from "
+                f"{loads[PD]['force']:.3g} to {loads[LAW]['force']:.3g} mN."
             )
         return said
 
