@@ -63,7 +63,9 @@ def rule_skins(head: LayeredHead, expression: Floats, neutral: Settled) -> dict[
     return {CARRIED: carried, BLENDED: expression + neutral.displacement}
 
 
-def distances_by_method(skins: Mapping[str, Floats], truth: Floats, carried: Floats) -> dict[str, dict[str, float]]:
+def distances_by_method(
+    skins: Mapping[str, Floats], truth: Floats, carried: Floats
+) -> dict[str, dict[str, float | None]]:
     """Measure each method's skin [mm] against `truth`: over all vertices, and by `surrogate.ruler` over what moves.
 
     The ruler's figures are None where nothing moves but what bones carry.
@@ -95,7 +97,7 @@ def compare_laws(
     }
 
 
-def _figures(error: Floats, motion: Floats) -> dict[str, float]:
+def _figures(error: Floats, motion: Floats) -> dict[str, float | None]:
     by_ruler: Ruler = measure(error, motion)
     moving = {key: None if value != value else value for key, value in asdict(by_ruler).items()}  # NaN is no JSON
     return {"skin_mean": float(error.mean()), "skin_max": float(error.max()), **moving}

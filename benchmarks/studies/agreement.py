@@ -3,48 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import cache, cached_property
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from ...lhm import check_head, expressions, identities
 from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
-from ...reference import Parameters, Scene, Solution, neo_hookean_scene, prepare, settled, solve
+from ...reference import Parameters, open_jaw_scene, push_cheek_scene
 from ...surrogate import Surrogate
 from ...viewer import Pose, Rig, face_page
-from ...viewer.pictures import Panel, cut_away, strip
-from ..differences import difference, distances
+from ...viewer.pictures import cut_away
+from ..agreement_faces import (
+    ALL,
+    BESIDE,
+    BLENDSHAPES,
+    FENICSX,
+    LAW,
+    NEO,
+    NEO_SKFEM,
+    PD,
+    PLAIN,
+    SKFEM,
+    SKIN,
+    SURROGATE,
+    TO_FENICSX,
+    TO_PD,
+    Face,
+    SceneFace,
+)
 from ..harness.gates import above, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Table, Task, Values
+from ..insides import loads_on_mandible, vertices_and_stress
 from ..plots import subplots, svg
-from ..traces import ACCURACY, TIGHT, Trace, traced, traced_to_itself
+from ..traces import ACCURACY
 from .person import Person, person
 
-WARM = 1e-9
-"""Gradient norm over its start of those that start at PD's answer, where it is smaller already."""
-ROUGH = 1e-6
-"""PD is stopped here to start scikit-fem, whose part is to check the answer and not to be fast."""
-APART = 1e-4
-"""Of the largest displacement: converged answers that are farther apart than this are two minima."""
-PLAIN_STOP, PLAIN_LIMIT = 0.005, 4000
-"""Plain projective dynamics stops here [mm], below what its iterations are counted to, or after so many."""
-PD, PLAIN, FENICSX, SKFEM = "PD", "PD, plain", "FEniCSx Newton", "scikit-fem Newton"
-NEO, NEO_SKFEM = "FEniCSx, neo-Hookean", "scikit-fem, neo-Hookean"
-SURROGATE, BLENDSHAPES, BESIDE = "surrogate", "blendshapes (T = S)", "side by side"
 SOLVERS = (FENICSX, PD, PLAIN, SKFEM, NEO, NEO_SKFEM)
+FEWER = (FENICSX, PD, NEO)
+"""Solvers of the scenes that tell laws apart; scikit-fem and plain PD are checked on the others."""
 HEAD, FIT, TURNED = "the head", "fit and gates", "the head in 3D"
-TO_PD, TO_FENICSX, TO_NEO = "to PD", "to FEniCSx", "to neo-Hookean"
-ALL, SKIN = ", all vertices", ", skin"
 VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
 
 
 @dataclass(frozen=True)
 class Agreement(Study):
-    """Expressions, and a face under more gravity without one, of the mean head of a space."""
+    """Expressions, a face under more gravity and with more volume, and two that no target holds; of a mean head."""
 
     name = "agreement"
     heading = "Does the fast simulator agree with finite elements?"
@@ -68,10 +74,13 @@ class Agreement(Study):
     )
     note = (
         "PD, FEniCSx and scikit-fem on PD's energy and the same tets; the neo-Hookean law has the same small-strain "
-        "moduli. Distances of vertices. Iterations to 0.01 mm: until no vertex is farther from the answer. Where "
+        "moduli, and settles the neutral face itself. Distances of vertices. No target holds the skin where a bone "
+        "opens the jaw or a load pushes the cheek; springs hold the lining of mouth and eyes there, behind which is no "
+        "bone. Iterations to 0.01 mm: until no vertex is farther from the answer. Where "
         "FEniCSx, which starts at rest, ends in another minimum than PD, it is started at PD's answer too: PD is right "
         "if FEniCSx stays there. Seconds are in the study `work-precision`, where nothing runs beside them."
     )
+    version = 2
 
     identities: str = field(default="anny", metadata={"help": "'anny', ict:FILE, flame:FILE or folder:DIR"})
     expressions: tuple[str, ...] = field(
@@ -79,6 +88,13 @@ class Agreement(Study):
         metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
     )
     gravity: float = field(default=3.0, metadata={"help": "g of the scene that has no expression"})
+    volume: float = field(
+        default=1.4, metadata={"help": "times that of soft tissue, without an expression; 1: no such"}
+    )
+    jaw: float = field(
+        default=12.0, metadata={"help": "degrees by which its bone opens a jaw, at 2 g; 0: no such scene"}
+    )
+    push: float = field(default=0.25, metadata={"help": "kPa that push a cheek; 0: no such scene"})
     weights: str = field(default="", metadata={"help": "of `softdeca train`  [those that are shipped]"})
 
     def tasks(self) -> Sequence[Task]:
@@ -87,9 +103,17 @@ class Agreement(Study):
             expressions.parsed(text)
         if not 0.0 <= self.gravity <= 10.0:
             raise InputError(f"gravity: expected 0 to 10 g, got {self.gravity:g}")
-        learned = (SURROGATE,) if self.network() is not None else ()
-        methods = (*SOLVERS, *learned, BLENDSHAPES, BESIDE)
-        cases = [Task(case, method) for case in (*self.expressions, self._heavy) for method in methods]
+        if not 0.5 <= self.volume <= 2.0:
+            raise InputError(f"volume: expected 0.5 to 2, got {self.volume:g}")
+        if not 0.0 <= self.jaw <= 30.0:
+            raise InputError(f"jaw: expected 0 to 30 degrees, got {self.jaw:g}")
+        if not 0.0 <= self.push <= 2.0:
+            raise InputError(f"push: expected 0 to 2 kPa, got {self.push:g}")
+        skins = (*((SURROGATE,) if self.network() is not None else ()), BLENDSHAPES)
+        methods = {case: (*SOLVERS, *skins, BESIDE) for case in (*self.expressions, self._heavy)}
+        methods |= {self._grown: (*FEWER, *skins, BESIDE)} if self.volume != 1.0 else {}
+        methods |= {case: (*FEWER, BESIDE) for case in self._free}
+        cases = [Task(case, method) for case, by in methods.items() for method in by]
         return [Task(HEAD, FIT), *cases, Task(TURNED, BESIDE)]
 
     def person(self) -> Person:
@@ -107,15 +131,39 @@ class Agreement(Study):
     def _heavy(self) -> str:
         return f"gravity {self.gravity:g} g"
 
-    def face(self, case: str) -> Face:
+    @property
+    def _grown(self) -> str:
+        return f"soft tissue of {self.volume:g} times the volume"
+
+    @property
+    def _free(self) -> Sequence[str]:
+        """The cases in which no target holds the skin."""
+        return [case for case, size in ((self._open, self.jaw), (self._pushed, self.push)) if size > 0.0]
+
+    @property
+    def _open(self) -> str:
+        return f"jaw opened by its bone, {self.jaw:g} degrees"
+
+    @property
+    def _pushed(self) -> str:
+        return f"cheek pushed by {self.push:g} kPa"
+
+    def face(self, case: str) -> SceneFace:
         """A case with what this process has solved of it."""
         return _face(self, case)
 
-    def make(self, case: str) -> Face:
+    def make(self, case: str) -> SceneFace:
         """A case of which nothing is solved."""
+        of, still = self.person(), np.zeros(52)
+        if case == self._open:
+            return SceneFace(of, open_jaw_scene(of.head, Parameters(gravity=2.0), angle=self.jaw))
+        if case == self._pushed:
+            return SceneFace(of, push_cheek_scene(of.head, Parameters(), pressure=self.push))
         if case == self._heavy:
-            return Face(self.person(), np.zeros(52), Parameters(gravity=self.gravity), self.network())
-        return Face(self.person(), expressions.parsed(case), Parameters(), self.network())
+            return Face(of, still, Parameters(gravity=self.gravity), self.network())
+        if case == self._grown:
+            return Face(of, still, Parameters(soft_volume=self.volume), self.network())
+        return Face(of, expressions.parsed(case), Parameters(), self.network())
 
     def measure(self, task: Task) -> Values:
         """A solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
@@ -125,8 +173,10 @@ class Agreement(Study):
             return {"blendshapes, PD, FEniCSx and surrogate": self._turned().encode()}
         face = self.face(task.case)
         if task.method == BESIDE:
-            return {PICTURED: face.picture()}
-        return face.skins_compared(task.method) if task.method in (SURROGATE, BLENDSHAPES) else face.solved(task.method)
+            return {PICTURED if isinstance(face, Face) else FREE: face.picture()}
+        if isinstance(face, Face) and task.method in (SURROGATE, BLENDSHAPES):
+            return face.skins_compared(task.method)
+        return face.solved(task.method)
 
     def _fitted(self) -> Values:
         head = self.person().head
@@ -141,10 +191,8 @@ class Agreement(Study):
             rigs = [Rig.baked("surrogate", network.bind(of.head.skin, of.code, parameters, expressions=shapes))]
         poses = []
         for text in self.expressions:
-            face = self.face(text)
-            poses.append(
-                Pose(text, face.weights, {"PD": face.skin(face.pd[0]), "FEniCSx, neo-Hookean": face.skin(face.neo[0])})
-            )
+            face, weights = self.face(text), expressions.parsed(text)
+            poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
         return face_page(f"the head ({of.space.name})", VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
 
     @staticmethod
@@ -155,7 +203,11 @@ class Agreement(Study):
         return [{**(own if k == 0 else {}), **one} for k, one in enumerate(compared)]
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """One answer from all, no tet turned, all that was asked reached; acceleration pays."""
+        """One answer from all, no tet turned, all that was asked reached; acceleration pays.
+
+        That PD is FEniCSx to 1e-6 excludes another law, whose least distance is above 1e-3 of the largest displacement,
+        and plain PD, stopped at 0.005 mm.
+        """
         found = []
         for what, method in (
             ("PD to FEniCSx-Newton, same energy", PD),
@@ -195,47 +247,69 @@ class Agreement(Study):
                     f"{row.values['another_minimum_mm']:.2f} mm from PD's answer at most, and from PD's answer it "
                     "stays there; the comparisons are at that one."
                 )
-        law = _means(rows, NEO, TO_PD + SKIN)
-        if law:
-            said.append(
-                "A neo-Hookean law of the same small-strain moduli in place of PD's energy moves the skin by "
-                f"{min(law):.3f} to {max(law):.3f} mm on average."
-            )
+        said += self._words_of_law(rows)
         for method in (SURROGATE, BLENDSHAPES):
             means = _means(rows, method, TO_PD + SKIN)
             if means:
                 said.append(f"The skin by {method} is {min(means):.3f} to {max(means):.3f} mm from PD's on average.")
         return " ".join(said)
 
+    def _words_of_law(self, rows: Sequence[Row]) -> list[str]:
+        """How far the law is from PD where targets hold the skin, which hide it, and where none does."""
+        held = [row for row in rows if row.method == NEO and row.case not in self._free]
+        said = []
+        if held:
+            skin, inside = (_spread(held, TO_PD + where) for where in (SKIN, ALL))
+            said.append(
+                "A neo-Hookean law of the same small-strain moduli settles each face itself. Where targets hold the "
+                f"skin, it differs from PD's energy there by {skin}, and over all vertices by {inside}."
+            )
+        for row in (row for row in rows if row.method == NEO and row.case in self._free):
+            skin, inside = (_spread([row], TO_PD + where) for where in (SKIN, ALL))
+            stress, loads = row.values["inside"]["stress"], row.values["inside"]["prescribed"]
+            said.append(
+                f"Where no target holds the skin ({row.case}), the law moves it by {skin}, all vertices by {inside}, "
+                f"and takes the mean von Mises stress of soft tissue from {stress[PD]['soft']['mean']:.3g} to "
+                f"{stress[LAW]['soft']['mean']:.3g} kPa, and the force that holds the mandible from "
+                f"{loads[PD]['force']:.3g} to {loads[LAW]['force']:.3g} mN."
+            )
+        return said
+
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """The gates of the head, and how near the skin comes to its targets."""
+        """The gates of the head, how near the skin comes to its targets, and what the law changes inside."""
         figures = [figure for row in rows for figure in row.values.get("figures", [])]
         found = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
-        left = [(row.case, *row.values["lips_mm"], row.values["least_ratio"]) for row in rows if row.method == PD]
+        left = [
+            (row.case, *row.values["lips_mm"], row.values["least_ratio"]) for row in rows if "lips_mm" in row.values
+        ]
         if left:
             head = ["scene", "lips to their targets, median [mm]", "95 % [mm]", "max [mm]", "smallest volume ratio"]
             found.append(Table("What PD leaves", head, left))
+        inside = {row.case: row.values["inside"] for row in rows if row.method == NEO}
+        if inside:
+            found += [vertices_and_stress(inside, PD, LAW), loads_on_mandible(inside, PD, LAW)]
         return found
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Mean distances on the skin, a line per scene."""
+        """Distances, a line per scene: means, and of the law the largest of all vertices too."""
         marks = {
-            (PD, TO_FENICSX + ALL): "PD to FEniCSx, same energy",
-            (SKFEM, TO_FENICSX + ALL): "scikit-fem to FEniCSx, same energy",
-            (NEO, TO_PD + SKIN): "neo-Hookean law to PD",
-            (SURROGATE, TO_PD + SKIN): "surrogate to PD",
-            (BLENDSHAPES, TO_PD + SKIN): "blendshapes to PD",
+            (PD, TO_FENICSX + ALL, "mean"): "PD to FEniCSx, same energy",
+            (SKFEM, TO_FENICSX + ALL, "mean"): "scikit-fem to FEniCSx, same energy",
+            (NEO, TO_PD + SKIN, "mean"): "neo-Hookean law to PD, skin",
+            (NEO, TO_PD + ALL, "max"): "the same, all vertices, largest",
+            (SURROGATE, TO_PD + SKIN, "mean"): "surrogate to PD, skin",
+            (BLENDSHAPES, TO_PD + SKIN, "mean"): "blendshapes to PD, skin",
         }
         cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))
         shown = {
             label: [
-                (max(line["mean"], 1e-14), cases.index(row.case))
+                (max(line[key], 1e-14), cases.index(row.case))
                 for row in rows
                 if row.method == method
                 for line in row.values["compared"]
                 if line["compared"] == what
             ]
-            for (method, what), label in marks.items()
+            for (method, what, key), label in marks.items()
         }
         if not any(shown.values()):
             return {}
@@ -244,7 +318,7 @@ class Agreement(Study):
             if points:
                 axis.plot(*zip(*points, strict=True), "o", label=label)
         axis.axvline(ACCURACY, color="#bbbbbb", lw=0.8, ls=":")
-        axis.set(xscale="log", xlabel="mean distance of the vertices [mm]; dotted: 0.01 mm")
+        axis.set(xscale="log", xlabel="distance of the vertices, mean unless said [mm]; dotted: 0.01 mm")
         axis.set_yticks(range(len(cases)), cases)
         axis.invert_yaxis()
         axis.grid(False, axis="y")
@@ -253,135 +327,22 @@ class Agreement(Study):
 
 
 PICTURED = "target; simulated; and as colours [mm] on the simulated face, how far the others are from it"
+FREE = "at rest; simulated; under the law; and as colours [mm] how far the law's face is from the simulated"
 CUT = "soft tissue (yellow) and muscle (red) cut open; the skin wrap; the skull wrap: cranium white, mandible blue"
 
 
-class Face:
-    """One face under p with its targets, and what has been solved of it: each once."""
-
-    def __init__(self, of: Person, weights: Floats, parameters: Parameters, network: Surrogate | None):
-        self.of, self.weights, self.parameters, self._network = of, weights, parameters, network
-        self.shape = of.blend(weights[None])[0]
-        self._settled = settled(of.head, parameters)
-        self.scene = self._settled.scene(self.shape)
-        self.targets = self._settled.targets(self.shape)
-
-    @cached_property
-    def pd(self) -> tuple[Solution, Trace]:
-        """PD's tight answer, and the way to it."""
-        return traced_to_itself(prepare(self.scene))
-
-    @cached_property
-    def fenicsx(self) -> tuple[Solution, float | None]:
-        """FEniCSx' answer to the same energy; and how far [mm] from PD's it ends from rest, where that is another."""
-        answer, rest = self.pd[0].positions, self.scene.vertices
-        solution = solve(self.scene, solver="fenicsx", tolerance=TIGHT)
-        beside = difference(solution.positions, answer, rest)
-        if beside.relative <= APART:
-            return solution, None
-        return solve(self.scene, solver="fenicsx", start=answer, tolerance=WARM), beside.max
-
-    @cached_property
-    def neo(self) -> tuple[Solution, Scene, Floats | None]:
-        """The neo-Hookean law's answer by FEniCSx, its scene, and its start: PD's answer, or None for rest."""
-        pd = self.pd[0]
-        # Its energy is infinite where a tet is inverted: then PD's answer is no start for it.
-        start = pd.positions if pd.volume_ratio.min() > 0 else None
-        scene = neo_hookean_scene(self.scene)
-        return solve(scene, solver="fenicsx", tolerance=WARM, start=start), scene, start
-
-    @cached_property
-    def learned(self) -> Floats:
-        """The surrogate's skin [mm]."""
-        assert self._network is not None
-        of = self.of
-        shapes = of.space.expression_deltas(of.code)
-        bound = self._network.bind(of.head.skin, of.code, self.parameters, expressions=shapes)
-        return np.asarray(bound.frame(self.weights), dtype=np.float64)
-
-    def skin(self, solution: Solution) -> Floats:
-        """The skin [mm] of an answer."""
-        return self.of.head.skin_after(self.targets, solution.positions[: len(self.of.head.bone)])
-
-    def solved(self, method: str) -> dict:
-        """What a solver did, and how far its answer is from the others'."""
-        if method == PD:
-            solution, trace = self.pd
-            lips = self.of.head.regions["lips"]
-            wrap = solution.positions[: len(self.of.head.bone)]
-            left = distances(wrap, self.of.head.wrap_targets(self.targets))[lips]
-            return _row(solution, "rest", self._between(solution, TO_FENICSX, self.fenicsx[0])) | {
-                "to_001_mm": trace.settled(ACCURACY),
-                "least_ratio": float(solution.volume_ratio.min()),
-                "lips_mm": [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())],
-            }
-        if method == PLAIN:
-            plain, truth = prepare(self.scene, method="plain"), self.pd[0].positions
-            solution, trace = traced(plain, truth, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
-            reached = trace.settled(ACCURACY)
-            row = _row(solution, "rest", self._between(solution, TO_PD, self.pd[0]))
-            return row | {"to_001_mm": reached, "done": reached is not None}
-        if method == FENICSX:
-            solution, another = self.fenicsx
-            begun = "rest" if another is None else "PD's answer"
-            return _row(solution, begun, self._between(solution, TO_PD, self.pd[0])) | {"another_minimum_mm": another}
-        if method == SKFEM:
-            rough = solve(self.scene, tolerance=ROUGH).positions
-            solution = solve(self.scene, solver="skfem", tolerance=TIGHT / ROUGH, start=rough)
-            return _row(solution, "PD, stopped early", self._between(solution, TO_FENICSX, self.fenicsx[0]))
-        solution, scene, start = self.neo
-        said = "rest" if start is None else "PD's answer"
-        if method == NEO:
-            skins = difference(self.skin(solution), self.skin(self.pd[0]), self.of.head.skin.vertices)
-            between = self._between(solution, TO_PD, self.pd[0])
-            return _row(solution, said, [*between, {"compared": TO_PD + SKIN, **asdict(skins)}])
-        checked = solve(scene, solver="skfem", tolerance=WARM, start=start)
-        return _row(checked, said, self._between(checked, TO_NEO, solution))
-
-    def skins_compared(self, method: str) -> dict:
-        """How far the surrogate's skin, or that of blendshapes, is from the solvers'."""
-        skin, rest = self.learned if method == SURROGATE else self.shape, self.of.head.skin.vertices
-        others = {TO_PD: self.pd[0], TO_FENICSX: self.fenicsx[0], TO_NEO: self.neo[0]}
-        return {
-            "compared": [
-                {"compared": what + SKIN, **asdict(difference(skin, self.skin(other), rest))}
-                for what, other in others.items()
-            ]
-        }
-
-    def picture(self) -> bytes:
-        """Target, simulated, and the distances of blendshapes, neo-Hookean law and surrogate: PNG."""
-        pd, head = self.skin(self.pd[0]), self.of.head
-        simulated = head.skin.with_vertices(pd)
-        others = {"blendshapes - PD": self.shape, "neo-Hookean - PD": self.skin(self.neo[0])}
-        others |= {} if self._network is None else {"surrogate - PD": self.learned}
-        errors = {text: distances(skin, pd) for text, skin in others.items()}
-        top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
-        panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]
-        panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
-        return strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)
-
-    def _between(self, solution: Solution, what: str, other: Solution) -> list[dict]:
-        apart = difference(solution.positions, other.positions, self.scene.vertices)
-        return [{"compared": what + ALL, **asdict(apart)}]
-
-
 @cache
-def _face(study: Agreement, case: str) -> Face:
+def _face(study: Agreement, case: str) -> SceneFace:
     return study.make(case)
 
 
-def _row(solution: Solution, start: str, compared: Sequence[dict]) -> dict:
-    norms = solution.history.gradient_norm
-    return {
-        "compared": compared,
-        "start": start,
-        "iterations": solution.iterations,
-        "linear_iterations": solution.detail.get("linear_iterations"),
-        "gradient": float(norms[-1] / norms[0]) if norms[0] > 0 else 0.0,
-        "reason": solution.reason.name,
-        "done": solution.converged,
-    }
+def _spread(rows: Sequence[Row], what: str) -> str:
+    """Mean and largest distance [mm] of some rows' comparison, least to most."""
+    lines = [line for row in rows for line in row.values["compared"] if line["compared"] == what]
+    mean, largest = ([line[key] for line in lines] for key in ("mean", "max"))
+    if len(lines) == 1:
+        return f"{mean[0]:.3f} mm on average and {largest[0]:.2f} mm at most"
+    return f"{min(mean):.3f} to {max(mean):.3f} mm on average and {min(largest):.2f} to {max(largest):.2f} mm at most"
 
 
 def _means(rows: Sequence[Row], method: str, what: str) -> list[float]:

@@ -24,6 +24,7 @@ from ...lhm.head import FREE, LayeredHead
 from ...lhm.mesh import Floats
 from ...lhm.wraps.harmonic import harmonic
 from .. import terms
+from ..added import all_solvers
 from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import prepare
@@ -123,6 +124,9 @@ def settled(
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
+    by = ("projective" if law == PD_ENERGY else "fenicsx") if solver is None else solver
+    if by not in all_solvers():
+        raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
     stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
     if not changes_neutral(parameters):
         kept = scene_under(facial_scene(head, parameters, head.skin.vertices, **choices), law)
@@ -132,7 +136,6 @@ def settled(
     start[: len(stack.vertices)] = carried_by_bones(head, parameters, stack)
     if law != PD_ENERGY:
         start, scene = _start_of_law(scene, start), scene_under(scene, law)
-    by = solver or ("projective" if law == PD_ENERGY else "fenicsx")
     solution = prepare(scene, solver=by).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
     moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
     return Settled(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)

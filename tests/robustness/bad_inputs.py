@@ -89,7 +89,7 @@ EMPTY_OF = {
 }
 BY_DEFAULT = {
     "space", "folder", "values", "tets", "rest", "positions", "velocities", "kappa", "start", "max_iterations", "scene",
-    "keep", "acceleration", "region", "velocity",
+    "keep", "acceleration", "region", "velocity", "hinge", "centre",
 }  # fmt: skip
 
 
@@ -105,6 +105,8 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "a direction, or suction in place of pressure"
     if (function, what) == ("Surrogate.load", "None"):
         return "the one that is shipped"
+    if (function, argument, what) == ("settled", "solver", "None"):
+        return "the law's own"
     if (argument, what) in (("text", "a text"), ("acceleration", "a function")):
         return "what it takes"
     return ""
@@ -248,7 +250,12 @@ def functions() -> Iterator[Function]:
     yield Function("facial_scene", facial_scene, face | choices | {"rule": "clamp"})
     faces = facial_scene(**face)
     yield Function("neo_hookean_scene", reference.neo_hookean_scene, {"scene": faces})
-    yield Function("settled", reference.settled, {"head": HEAD, "parameters": Parameters(), "tolerance": 1e-3})
+    settling = {"head": HEAD, "parameters": Parameters(), "law": "PD", "solver": "projective", "tolerance": 1e-3}
+    yield Function("settled", reference.settled, settling)
+    jaw = {"head": HEAD, "parameters": Parameters(), "angle": 5.0, "hinge": np.zeros(3)}
+    yield Function("open_jaw_scene", reference.open_jaw_scene, jaw)
+    push = {"pressure": 0.5, "radius": 80.0, "centre": HEAD.skin.vertices[0]}
+    yield Function("push_cheek_scene", reference.push_cheek_scene, {"head": HEAD, "parameters": Parameters(), **push})
     yield Function("Sequence", Sequence, {"head": HEAD, "parameters": Parameters(), "time_step": 0.02, "dynamic": True})
     frames = Sequence(HEAD, Parameters())
     yield Function("Sequence.frame", frames.frame, {"targets": HEAD.skin.vertices})

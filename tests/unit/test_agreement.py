@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softdeca.benchmarks import agreement_faces
+from softdeca.benchmarks.agreement_faces import TO_NEO
 from softdeca.benchmarks.differences import difference, distances
 from softdeca.benchmarks.harness import Row, run
 from softdeca.benchmarks.studies import agreement
@@ -17,6 +19,7 @@ from softdeca.benchmarks.studies.agreement import (
     BESIDE,
     BLENDSHAPES,
     FENICSX,
+    FEWER,
     FIT,
     HEAD,
     NEO,
@@ -27,7 +30,6 @@ from softdeca.benchmarks.studies.agreement import (
     SKIN,
     SOLVERS,
     TO_FENICSX,
-    TO_NEO,
     TO_PD,
     TURNED,
     Agreement,
@@ -120,7 +122,45 @@ def test_a_second_minimum_stands_in_the_words(rows):
     assert "jawOpen has two minima of PD's energy: FEniCSx from rest ends 0.23 mm" in words
 
 
-@pytest.mark.parametrize("wrong", [{"gravity": -1.0}, {"expressions": ("jaw",)}, {"identities": "nobody"}])
+def test_the_law_is_told_by_its_largest_distance_over_all_vertices(rows, insides):
+    """Skin that targets hold differs least: its mean alone is no answer to how far two laws are apart."""
+    held = next(row for row in rows if row.method == NEO)
+    held.values["compared"][0]["max"], held.values["inside"] = 1.74, insides
+    free = replace(held, case="jaw opened by its bone, 12 degrees", values=copy.deepcopy(held.values))
+    words = Agreement().words([*rows, free])
+    assert "there by 0.100 mm on average and 0.30 mm at most, and over all vertices by" in words
+    assert "0.100 mm on average and 1.74 mm at most." in words
+    assert (
+        "Where no target holds the skin (jaw opened by its bone, 12 degrees), the law moves it by 0.100 mm" in words
+        and "from 0.3 to 0.4 kPa" in words
+    )
+    assert "from 900 to 700 mN" in words
+    inside, jaw = Agreement().tables([free])
+    assert inside.rows[0][:3] == (free.case, 0.03, 1.74) and jaw.rows[0][-4:] == (900.0, 700.0, 80.0, 70.0)
+
+
+@pytest.fixture
+def insides():
+    stress = {law: {layer: {"mean": mean, "p95": 1.0} for layer in ("soft", "muscle")} for law, mean in LAW_STRESS}
+    loads = {"PD": {"force": 900.0, "torque": 80.0}, "neo-Hookean": {"force": 700.0, "torque": 70.0}}
+    vertices = {"mean": 0.03, "max": 1.74}
+    return {"vertices": vertices, "stress": stress, "mandible": None, "held_at_pd": None, "prescribed": loads}
+
+
+LAW_STRESS = (("PD", 0.3), ("neo-Hookean", 0.4))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"gravity": -1.0},
+        {"jaw": 90.0},
+        {"push": -1.0},
+        {"volume": 9.0},
+        {"expressions": ("jaw",)},
+        {"identities": "nobody"},
+    ],
+)
 def test_options_are_checked(wrong):
     with pytest.raises(InputError):
         Agreement(**wrong).tasks()
@@ -133,19 +173,20 @@ def sphere(monkeypatch):
     import sphere_studies
 
     agreement._face.cache_clear()
-    return sphere_studies.SphereAgreement(expressions=("jawOpen",))
+    return sphere_studies.SphereAgreement(expressions=("jawOpen",), volume=1.2, push=0.0)
 
 
 def test_the_study_of_a_sphere(sphere, tmp_path):
     results = run(sphere, tmp_path)
     assert [(row.case, row.reason) for row in results.rows if row.status == "failed"] == []
-    cases = ("jawOpen", "gravity 3 g")
-    methods = (*SOLVERS, BLENDSHAPES, BESIDE)
-    asked = [(HEAD, FIT), *((case, method) for case in cases for method in methods), (TURNED, BESIDE)]
+    methods = dict.fromkeys(("jawOpen", "gravity 3 g"), (*SOLVERS, BLENDSHAPES, BESIDE))
+    methods["soft tissue of 1.2 times the volume"] = (*FEWER, BLENDSHAPES, BESIDE)
+    methods["jaw opened by its bone, 12 degrees"] = (*FEWER, BESIDE)  # a sphere has no cheeks to push
+    asked = [(HEAD, FIT), *((case, method) for case, by in methods.items() for method in by), (TURNED, BESIDE)]
     assert [(row.case, row.method) for row in results.rows] == asked
-    assert results.passed and len(results.gates) == 7 and "in all 2 scenes" in results.words
+    assert results.passed and len(results.gates) == 7 and "in all 4 scenes" in results.words
     text = unescape((tmp_path / "index.html").read_text())
-    assert text.count("<iframe") == 1 and "three.js" in text and text.count('<div class="panels">') == 3
+    assert text.count("<iframe") == 1 and "three.js" in text and text.count('<div class="panels">') == 5
     blends = next(row for row in results.rows if row.method == BLENDSHAPES)
     assert [line["compared"] for line in blends.values["compared"]] == [
         what + SKIN for what in (TO_PD, TO_FENICSX, TO_NEO)
@@ -155,14 +196,14 @@ def test_the_study_of_a_sphere(sphere, tmp_path):
 
 
 def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere, monkeypatch):
-    solve, starts = agreement.solve, []
+    solve, starts = agreement_faces.solve, []
 
     def elsewhere(scene, **asked):
         solution = solve(scene, **asked)
         starts.append(asked.get("start"))
         return solution if starts[-1] is not None else replace(solution, positions=solution.positions + [0, 0.5, 0])
 
-    monkeypatch.setattr(agreement, "solve", elsewhere)
+    monkeypatch.setattr(agreement_faces, "solve", elsewhere)
     face = sphere.make("gravity 3 g")
     row = face.solved(FENICSX)
     assert starts[0] is None and np.array_equal(starts[1], face.pd[0].positions) and len(starts) == 2
