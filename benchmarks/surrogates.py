@@ -61,7 +61,7 @@ EXTERNAL = "external"
 
 def _options(surrogate: Path | None, corpora: Mapping[str, Path | None], **counts: int | None) -> dict[str, Any]:
     """What scores are of: each corpus by its plan with seeds, the weights' file by a digest, and counts."""
-    plans = {name: None if folder is None else dict(read_manifest(folder)) for name, folder in corpora.items()}
+    plans = {name: None if folder is None else dict(read_manifest(folder).said) for name, folder in corpora.items()}
     digest = hashlib.sha256((surrogate or SHIPPED).read_bytes()).hexdigest()[:16]
     return {"weights": digest, "shipped": surrogate is None} | plans | counts
 
