@@ -95,11 +95,9 @@ class Surrogate:
         chosen = Parameters() if parameters is None else parameters
         at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which the next line refuses
-            modes = self._modal.bound(code, skin.vertices, at_vertices, shapes)
-        if not all(np.isfinite(array).all() for array in (modes.offset, modes.responses, modes.modes)):
-            raise InputError("weights: what they give for this face is not finite; they are damaged")
-        modes = compressed(modes)
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
+            modes = _finite(self._modal.bound(code, skin.vertices, at_vertices, shapes))
+            modes = _finite(compressed(modes))
         if exact:
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
@@ -232,6 +230,13 @@ def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
         normalised = info.normalise(column)
         found[:, k] = around_vertices(normalised, mean) if normalised.ndim else normalised
     return found
+
+
+def _finite(modes: BoundModes) -> BoundModes:
+    """Return what weights give for a face; InputError unless it is finite."""
+    if not all(np.isfinite(array).all() for array in (modes.offset, modes.responses, modes.modes)):
+        raise InputError("weights: what they give for this face is not finite; they are damaged")
+    return modes
 
 
 def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:

@@ -15,6 +15,7 @@ import io
 import numpy as np
 
 from ..arkit import ARKIT
+from ..bounds import shown
 from ..errors import InputError
 from ..mesh import Floats
 from .head_rotation import angles_of, of_quaternions
@@ -68,7 +69,7 @@ def _named(rows: list[tuple[int, list[str]]]) -> dict[str, tuple[int, list[str]]
     for line, name in unknown:
         near = difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=0.85)
         if near:
-            raise InputError(f"line {line}: unknown quantity {name!r}; did you mean {lacking[near[0]]}?")
+            raise InputError(f"line {line}: unknown quantity {shown(name)!r}; did you mean {lacking[near[0]]}?")
     return named
 
 
@@ -78,9 +79,9 @@ def _numbers(name: str, line: int, row: list[str]) -> Floats:
         try:
             values[frame] = float(text)
         except ValueError:
-            raise InputError(f"line {line}, {name}, frame {frame}: {text!r} is no number") from None
+            raise InputError(f"line {line}, {name}, frame {frame}: {shown(text)!r} is no number") from None
         if not np.isfinite(values[frame]):
-            raise InputError(f"line {line}, {name}, frame {frame}: {text} is not finite")
+            raise InputError(f"line {line}, {name}, frame {frame}: {shown(text)} is not finite")
     return values
 
 
