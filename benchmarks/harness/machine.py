@@ -14,8 +14,8 @@ from typing import Any
 
 DIRTY = "-dirty"
 """At the end of a commit: the code had changes that it does not hold."""
-_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", "*.npz", "*.safetensors")
-_CODE += (":(exclude)docs", ":(exclude)tests", ":(exclude)tools", ":(exclude)benchmarks/results")
+_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", "*.npz", "*.safetensors",
+         ":(exclude)docs", ":(exclude)tests", ":(exclude)tools", ":(exclude)benchmarks/results")  # fmt: skip
 """What a figure can depend on; texts and results of other studies may change while one is measured."""
 _PACKAGES = ("softdeca", "numpy", "scipy", "numba", "cholespy", "scikit-fem", "torch", "anny", "fenics-dolfinx")
 
