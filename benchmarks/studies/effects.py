@@ -35,8 +35,8 @@ from .person import OfPerson
 ACCURACY = 0.01
 """How near [mm] answers must be to a tight run's, and to another solver's.
 
-Of PD beside FEniCSx this excludes the neo-Hookean law, which is 0.2 mm off at most under a palsy and 0.5 mm with 40 %
-more volume, and the surrogate and the rules without physics, which are 1 to 15 mm off there.
+Of PD beside FEniCSx this excludes the neo-Hookean law, whose largest distance is 0.02 to 0.4 mm over the effects, and
+the surrogate and the rules without physics, which are 0.15 to 15 mm off.
 """
 NO_REFERENCE = "none"
 METHODS = (PD, SAME, LAW, SURROGATE, CARRIED, BLENDED)
