@@ -149,7 +149,8 @@ def _option(field: Field) -> click.Option:
         return click.Option([name, field.name], is_flag=True, **words)
     if several:
         return click.Option([name, field.name], multiple=True, **words)
-    kind = counted(COUNTS[field.name]) if field.name in COUNTS else type(field.default)
+    is_count = field.name in COUNTS and type(field.default) is int
+    kind = counted(COUNTS[field.name]) if is_count else type(field.default)
     return click.Option([name, field.name], type=kind, **words)
 
 

@@ -48,6 +48,9 @@ ELSEWHERE = {
     "softdeca evaluate corpus --rivals --out scores": (
         "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
     ),
+    "softdeca evaluate fresh --people all --out scores": (
+        "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
+    ),
     "softdeca evaluate corpus --curve half.safetensors --curve all.safetensors": (
         "test_train_command.py::test_errors_over_the_number_of_people_are_told_of_networks_trained_on_shares"
     ),
@@ -99,6 +102,7 @@ ELSEWHERE = {
     ),
     "softdeca bench material": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
+    "softdeca bench locking": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
     "softdeca bench parts": "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory",
     "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
