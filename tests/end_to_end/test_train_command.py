@@ -56,6 +56,10 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert kept["machine"]["commit"] and kept["machine"]["versions"]["numpy"] and kept["corpus"]["seed"] == PLAN.seed
     told = (scores / "scores.md").read_text()
     assert told.count("\n| ") == len(rows) + 1 and told.startswith("The network loses to a rival without learning on")
+    everybody = command("evaluate", corpus, "--surrogate", out / "modal.safetensors", "--people", "all", "--out",
+                        tmp_path / "everybody", "--json")  # fmt: skip
+    frames = [max(row["frames"] for row in json.loads(run.out)) for run in (ended, everybody)]
+    assert everybody.status == 0 and frames[1] > frames[0] > 0
     assert (scores / "cost.png").read_bytes().startswith(b"\x89PNG")
     # The study of the same gives the same figures; so little training beats nothing, which is told.
     study = command(
