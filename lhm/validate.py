@@ -12,14 +12,17 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from .bounds import FILE_BYTES, JSON_BYTES, JSON_DEPTH, JSON_DIGITS, Bound, plain, shown
 from .errors import InputError
-from .mesh import Floats, Ints
+
+if TYPE_CHECKING:
+    # The folder of compiled code (`files.cache`) has to be known before `mesh` compiles, and `files` imports this.
+    from .mesh import Floats, Ints
 
 Shape = tuple[int | None, ...]
 """Lengths of an array's axes; None for any."""
