@@ -12,6 +12,7 @@ from ..lhm import fit_head, identities, load_template
 from ..lhm.errors import SoftdecaError
 from ..lhm.files.alone import alone_in
 from ..lhm.progress import OnProgress
+from ..lhm.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.person import OfSpace
 from ..surrogate.corpus.plan import PRESETS
@@ -114,4 +115,6 @@ def _simulate(whose: str, template, folder: Path, progress: OnProgress) -> None:
     """What is missing of the corpus."""
     space = identities.from_text(whose)
     people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
-    Corpus(folder, PLAN, people).generate(on=schedule(min(2, processors())), on_progress=progress)
+    Corpus(folder, PLAN, people, {"identities": whose, "level": DEFAULT_LEVEL}).generate(
+        on=schedule(min(2, processors())), on_progress=progress
+    )
