@@ -4,7 +4,7 @@
 
 A mutant is refused by a SoftdecaError of one line, or read as something finite and in range. Anything else is a defect:
 another exception, a crash, more than `SECONDS` of work, or more than `MEMORY` bytes. The mutants of a seed are always
-the same. The process limits its own memory, so that it is run as a child of a test (`test_file_mutants.py`), and says
+the same. The process limits its own memory, so that it is run as a child of a test (`test_mutants.py`), and says
 on stdout which mutant it is at, so that the one that ends it is known.
 """
 
