@@ -236,9 +236,9 @@ def prepare(
     """Factor the PD matrix of a scene.
 
     method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
-    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.base.geometry.cholesky`.
-    With "cholmod", a scene prepared `like` another of the same topology, such as another identity, takes over its
-    symbolic factorisation. `threads` share the local step. Terms: Strain, Volume, SurfaceStrain, Bending, Target,
+    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see
+    `lhm.base.geometry.cholesky`. With "cholmod", a scene prepared `like` another of the same topology, such as another
+    identity, takes over its symbolic factorisation. `threads` share the local step. Terms: Strain, Volume, SurfaceStrain, Bending, Target,
     Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term, method or count,
     InputError for another linear solver and MissingDependencyError for one that is not installed.
     """
