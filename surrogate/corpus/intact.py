@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.base.checks import finite, in_range, indices_below, shape, whole
+from ...lhm.base.checks import finite, in_range, indices_below, integers, shape
 from ...lhm.base.errors import InputError
 from .fields import WAVES
 from .manifest import Manifest
@@ -53,7 +53,7 @@ def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) ->
 
 def check_person(said: np.ndarray, numbers: list[int]) -> None:
     """InputError unless a shard's groups/number are the parameter sets that the plan gives its person and no other."""
-    found = whole("groups/number", said, 0, 2**62, (None,)).tolist()
+    found = integers("groups/number", said, 0, 2**62, (None,)).tolist()
     if found != numbers:
         raise InputError(f"of another person, with parameter sets {found[:3]}, expected {numbers[:3]}")
 

@@ -7,7 +7,7 @@ from os import PathLike
 from pathlib import Path
 
 from ...lhm.base.checks import finite
-from ...lhm.base.errors import InputError, SoftdecaError, shown
+from ...lhm.base.errors import InputError, SoftdecaError, quote
 from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.mesh import Floats, Surface
 
@@ -36,7 +36,7 @@ def read_template(folder: str | PathLike[str]) -> CorpusTemplate:
     arrays = read_arrays(path, of="a corpus' template")
     try:
         if not {"vertices", "triangles"} <= set(arrays) <= {"vertices", "triangles", "shapes"}:
-            raise InputError(f"expected vertices, triangles and shapes, got {shown(', '.join(arrays))}")
+            raise InputError(f"expected vertices, triangles and shapes, got {quote(', '.join(arrays))}")
         vertices = finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST)
         shapes = arrays.get("shapes")
         if shapes is not None:
