@@ -150,7 +150,7 @@ def _tangent_of(
     scene: Scene, start: Floats, like: Linearised | Analysed | None, accuracy: float = TIGHT
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """A scene prepared and solved: by the PD matrix, where need be then by the tangent; and the tangent in the end."""
-    linear_solver: LinearSolver | None = None if cholesky.cholmod_library() is None else "cholmod"
+    linear_solver: LinearSolver | None = "cholmod" if cholesky.has_cholmod() else None
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm = spring_norm(scene)
     direct = accuracy >= DIRECT

@@ -17,10 +17,10 @@ SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
 def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
     """The solution, shape (size,), or None if the matrix is not positive definite to working precision.
 
-    By CHOLMOD where the system has it, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
+    By CHOLMOD where it is installed, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
     signs of D count the negative eigenvalues (Sylvester).
     """
-    solve = _superlu(matrix) if cholesky.cholmod_library() is None else _cholmod(matrix)
+    solve = _cholmod(matrix) if cholesky.has_cholmod() else _superlu(matrix)
     if solve is None:
         return None
     solution = solve(right)
