@@ -12,9 +12,9 @@ from typing import IO
 import numpy as np
 
 from ..errors import InputError, quote
-from ..limits import ARRAYS, FILE_BYTES, UNPACKED_BYTES
+from ..limits import ARRAYS, UNPACKED_BYTES
 from .atomic import write_whole
-from .text import read_bytes
+from .text import check_file, read_bytes
 
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _KINDS = "biufcSU"
@@ -40,10 +40,7 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
     """
     path = Path(path)
     try:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
-        FILE_BYTES.check(str(path), path.stat().st_size)
-        if not zipfile.is_zipfile(path):
+        if not zipfile.is_zipfile(check_file(path)):
             raise InputError(f"{path}: not {of}, or damaged (no .npz file, or its end is missing)")
         with zipfile.ZipFile(path) as archive:
             members = {part.filename.removesuffix(".npy"): part for part in archive.infolist()}
