@@ -69,7 +69,7 @@ def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
     `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, damaged, has
     no tets or too many, values that are not finite, inverted tets, or an extent [mm] that shows a wrong unit.
     """
-    factor = MILLIMETRES[one_of("unit", unit, MILLIMETRES)]
+    one_of("unit", unit, MILLIMETRES)
     path = check_file(path)
     kind = _kind(path)
     # meshio prints warnings, and ends the process where it finds no reader for a content.
