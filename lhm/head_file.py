@@ -66,7 +66,7 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
 
 
 def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
-    """A rig as arrays: displacements of the vertices that it moves."""
+    """Return a rig as arrays: displacements of the vertices that it moves."""
     if rig is None:
         return {}
     moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
@@ -77,21 +77,21 @@ def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
 
 
 def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
-    """A surface as two named arrays; none for None."""
+    """Return a surface as two named arrays; none for None."""
     if surface is None:
         return {}
     return {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
 
 
 def surface_in(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
-    """The surface of that name, or None where there is none; KeyError for half of one, InputError for a bad one."""
+    """Return the surface of that name, or None; KeyError for half of one, InputError for a bad one."""
     if f"{name}_vertices" not in arrays:
         return None
     return surface_of(name, arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
 
 
 def surface_of(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surface:
-    """The surface of two arrays; InputError names what is wrong with them."""
+    """Return the surface of two arrays; InputError names what is wrong with them."""
     points = checks.real(f"{name} vertices", vertices, (None, 3), most=LARGEST)
     VERTICES.check(name, len(points))
     TRIANGLES.check(name, len(triangles) if np.ndim(triangles) else 0)
@@ -102,7 +102,7 @@ def surface_of(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surfac
 
 
 def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """The arrays named region_*, masks (count,), by the rest of their names; InputError for others."""
+    """Return the arrays named region_*, masks (count,), by the rest of their names; InputError for others."""
     names = [name for name in arrays if name.startswith("region_")]
     REGIONS.check("it has", len(names))
     masks = {name.removeprefix("region_"): checks.mask(name, arrays[name], (count,)) for name in names}
@@ -112,7 +112,7 @@ def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarr
 
 
 def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
-    """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
+    """Return the sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
     weights = checks.sparse_rows(name, data, indices, indptr, rows, columns)
     checks.in_range(f"{name}_data", weights.data, -1.0, 2.0)
@@ -126,7 +126,7 @@ def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: 
 def ties_in(
     arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface, extent: float
 ) -> tuple[csr_matrix, csr_matrix]:
-    """`wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
+    """Return `wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
     n, skin_n = len(wrap.vertices), len(skin.vertices)
     ties = weights_in(arrays, "wrap_from_skin", n, skin_n), weights_in(arrays, "skin_from_wrap", skin_n, n)
     for name, weights, there, here in zip(_WEIGHTS, ties, (skin, wrap), (wrap, skin), strict=True):
@@ -157,7 +157,7 @@ class HeadParts:
     notes: tuple[str, ...]
 
     def head(self) -> LayeredHead:
-        """The head; MeshError where tets are inverted."""
+        """Return the head; MeshError where tets are inverted."""
         ties = (self.wrap_from_skin, self.skin_from_wrap)
         volume = None
         if self.volume is not None:
@@ -180,7 +180,7 @@ class HeadParts:
         )
 
     def report(self) -> HeadReport:
-        """The gates, also where wraps cross and tets are inverted, so that no head can be made."""
+        """Measure the gates, also where wraps cross and tets are inverted, so that no head can be made."""
         rigged = None if self.rig is None else (self.rig, self.skin_from_wrap)
         return check_layers(self.skin, self.wraps, self.bone, self.regions, rigged=rigged)
 
@@ -193,7 +193,7 @@ def load_head(path: str | os.PathLike[str]) -> LayeredHead:
 
 
 def check_file(path: str | os.PathLike[str]) -> HeadReport:
-    """The gates of the head in a file, also where its wraps cross and tets are inverted, so that no head can be made.
+    """Measure the gates of the head in a file, also where its wraps cross and tets are inverted.
 
     InputError names a file that is missing, damaged or something else.
     """
@@ -209,7 +209,7 @@ def read_parts(path: str | os.PathLike[str]) -> HeadParts:
 
 @contextmanager
 def naming(path: str | os.PathLike[str], of: str) -> Iterator[None]:
-    """Have every error name the file, once, in an InputError; `of` is what the file should be."""
+    """Make every error an InputError that names the file, once; `of` is what the file should be."""
     try:
         yield
     except KeyError as error:
@@ -248,7 +248,7 @@ def _parts(path: str | os.PathLike[str]) -> HeadParts:
 
 
 def check_extent(surfaces: Mapping[str, Surface]) -> float:
-    """The largest extent [mm] of the skin wrap; InputError unless it is a head's and all surfaces are near it.
+    """Return the skin wrap's largest extent [mm]; InputError unless it is a head's and all surfaces are near it.
 
     A head in another unit is refused here, in a line that names the unit: measures of it take no end.
     """
@@ -313,7 +313,7 @@ def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig
 
 
 def notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Notes of a file, control characters escaped; InputError for what is no list of texts."""
+    """Return the notes of a file, control characters escaped; InputError for what is no list of texts."""
     if "notes" not in arrays:
         return ()
     notes = checks.texts("notes", parse_json(checks.text("notes", arrays["notes"])))
@@ -352,7 +352,7 @@ NAMES = {"soft_tissue": (SOFT, 3), "muscle": (MUSCLE, 3), "skin": (11, 2), "musc
 
 
 def of_head(head: LayeredHead, layers: tuple[int, int] = (1, 1)) -> TaggedTets:
-    """A head's tets, with so many layers of soft tissue and of muscle or its own volume mesh, and its three wraps.
+    """Return a head's tets, in so many layers of soft tissue and muscle or its own volume mesh, and its three wraps.
 
     Raises MeshError for layers of a head whose tets are a volume mesh, InputError for counts below one.
     """

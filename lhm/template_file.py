@@ -24,7 +24,7 @@ _SURFACES = ("muscles", "skull")
 
 
 def arrays_of(template: Template) -> dict[str, np.ndarray]:
-    """All that a template holds, as named arrays."""
+    """Return all that a template holds, as named arrays."""
     arrays = {name: getattr(template, name) for name in _ARRAYS}
     arrays |= {"name": np.array(template.name)}
     arrays |= {"skin_vertices": template.skin.vertices, "skin_triangles": template.skin.triangles}
@@ -41,7 +41,7 @@ def arrays_of(template: Template) -> dict[str, np.ndarray]:
 
 
 def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
-    """The template of such arrays; KeyError for one that is missing, InputError for one that is damaged."""
+    """Return the template of such arrays; KeyError for one that is missing, InputError for one that is damaged."""
     skin = surface_of("skin", arrays["skin_vertices"], arrays["skin_triangles"])
     stack = checks.finite("stack", arrays["stack"], (None, 3), most=LARGEST)
     n, skin_n = len(stack) // 3, len(skin.vertices)

@@ -188,7 +188,7 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
 
 
 def _place(flat: int, array: np.ndarray) -> str:
-    """The index of an entry, "3" or "(3, 1)"."""
+    """Return the index of an entry, "3" or "(3, 1)"."""
     place = tuple(int(each) for each in np.unravel_index(int(flat), array.shape))
     return str(place[0]) if len(place) == 1 else str(place)
 
@@ -239,7 +239,7 @@ LISTS = (list, collections.abc.Sequence, collections.abc.Collection, collections
 
 
 def is_of_kind(value: object, kind: Any) -> bool:
-    """Whether a value is of an annotation's kind."""
+    """Return whether a value is of an annotation's kind."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if kind is Any or isinstance(kind, TypeVar) or getattr(kind, "_is_protocol", False):
         return True

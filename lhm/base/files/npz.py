@@ -47,8 +47,12 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
             ARRAYS.check("it holds", len(members))
             UNPACKED_BYTES.check("it holds", sum(part.file_size for part in members.values()))
             missing = [name for name in names if name not in members]
-            wanted = [] if missing else names or list(members)
-            arrays = {name: _array(archive, members[name]) for name in wanted}
+            arrays = {}
+            for name in [] if missing else names or list(members):
+                part = members[name]
+                with archive.open(part) as file:
+                    arrays[name] = _parse(file, part.file_size, part.filename)
+                    file.read(1)  # at the end the checksum is compared
     except Exception as error:  # zipfile, zlib and numpy raise whatever the damage makes them raise
         if isinstance(error, InputError) and str(error).startswith(str(path)):
             raise
@@ -63,20 +67,12 @@ def read_npy(path: Path) -> np.ndarray:
     """Read an .npy file; InputError names one that is missing or damaged."""
     content = read_bytes(path)
     try:
-        return _parsed(io.BytesIO(content), len(content), "it")
+        return _parse(io.BytesIO(content), len(content), "it")
     except Exception as error:  # numpy raises whatever the damage makes it raise
         raise InputError(f"{path}: no .npy file, or damaged ({' '.join(str(error).split())[:100]})") from None
 
 
-def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo) -> np.ndarray:
-    """Read one array of an archive."""
-    with archive.open(part) as file:
-        array = _parsed(file, part.file_size, part.filename)
-        file.read(1)  # at the end the checksum is compared
-        return array
-
-
-def _parsed(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
+def _parse(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
     """Read an array, whose header has to promise just the bytes that are there."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:

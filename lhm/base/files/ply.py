@@ -203,7 +203,7 @@ def _strips(corners: Ints, lengths: Ints) -> Ints:
 
 @njit(cache=True)
 def _walk(body, is_text, at, count, sizes, widths, signed, big, wanted):
-    """Place and length of the wanted list of each element, and the place behind the last; -1 where the body ends.
+    """Return place and length of the wanted list of each element, and the place behind the last; -1 at the body's end.
 
     `body` holds bytes, or the numbers of a text, of which each has size and width 1.
     """
@@ -240,7 +240,7 @@ def _walk(body, is_text, at, count, sizes, widths, signed, big, wanted):
 
 @njit(cache=True)
 def _gather(body, starts, counts):
-    """The entries of all lists, one after another."""
+    """Return the entries of all lists, one after another."""
     out = np.empty(counts.sum(), body.dtype)
     to = 0
     for row in range(len(starts)):

@@ -1,9 +1,8 @@
-"""Work of hours in a folder, which goes on where it was stopped: a file that says what it is of, and what is done.
+"""Long work in a folder, which resumes where it was interrupted: a manifest, records of what is done, and a lock.
 
-Simulated takes and studies keep a line of JSON per piece here, takes and corpora what they are of. A piece that is
+Simulated takes and studies keep a line of JSON per piece here; takes and corpora keep a manifest. A piece that is
 arrays is a file of its own, whole or not there (`atomic`): a take's frame, and a corpus' person, whose shard has a
-checksum and its corpus' name as well, since it is copied and read without its folder. `lock_folder` keeps a second run
-out.
+checksum and its corpus' name as well, since it is copied and read without its folder.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import fcntl
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +26,19 @@ class Records:
         self.path = path
 
     def read(self) -> list[dict[str, Any]]:
-        """All whole records in the order in which they were added; none where there is no file."""
+        """Return all whole records in the order in which they were added; none where there is no file."""
         try:
             lines = self.path.read_bytes().splitlines()
         except OSError:
             return []
-        return [record for line in lines if (record := _record(line)) is not None]
+        records = []
+        for line in lines:
+            with suppress(ValueError, RecursionError):
+                records.append(json.loads(line))
+        return [record for record in records if isinstance(record, dict)]
 
     def add(self, record: Mapping[str, Any]) -> None:
-        """Append one, without NaN; InputError if it cannot be written."""
+        """Append a record, without NaN; InputError if it cannot be written."""
         line = json.dumps(record, allow_nan=False).encode() + b"\n"
         try:
             with self.path.open("a+b") as file:
@@ -46,44 +49,36 @@ class Records:
             raise InputError(f"{self.path}: cannot be written ({error.strerror})") from None
 
     def keep(self, records: Iterable[Mapping[str, Any]]) -> None:
-        """Have these and no others."""
+        """Keep these records and no others."""
         write_whole(self.path, b"".join(json.dumps(each, allow_nan=False).encode() + b"\n" for each in records))
 
 
-def _record(line: bytes) -> dict[str, Any] | None:
-    try:
-        found = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) else None
-
-
 def read_manifest(path: Path, what: str, names: Iterable[str] = ()) -> dict[str, Any] | None:
-    """What a folder's file says that its work is of, `what` in words, with all these names; None if there is none.
+    """Read what a folder's work is of, `what` in words, with all these names; None if there is no such file.
 
     Raises InputError for a file that says something else.
     """
     if not path.exists():
         return None
     try:
-        found = read_json(path)
+        manifest = read_json(path)
     except InputError:
-        found = None
-    if not isinstance(found, dict) or not set(names) <= set(found):
+        manifest = None
+    if not isinstance(manifest, dict) or not set(names) <= set(manifest):
         raise InputError(f"{path}: damaged, or of no {what} of softdeca; use another folder")
-    return found
+    return manifest
 
 
 def check_manifest(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
-    """Whether the folder's work has begun; InputError, naming what differs, if it is not of this manifest."""
-    found = read_manifest(path, what)
+    """Return whether the folder's work has begun; InputError names what differs from this manifest."""
+    begun = read_manifest(path, what)
     for name, value in manifest.items():
-        if found is not None and found.get(name) != value:
+        if begun is not None and begun.get(name) != value:
             raise InputError(
-                f"{path.parent}: holds a {what} of another {name} ({found.get(name)}, expected {value}); "
+                f"{path.parent}: holds a {what} of another {name} ({begun.get(name)}, expected {value}); "
                 "use another folder or remove it"
             )
-    return found is not None
+    return begun is not None
 
 
 def begin_work(path: Path, what: str, manifest: Mapping[str, Any]) -> None:
@@ -94,7 +89,7 @@ def begin_work(path: Path, what: str, manifest: Mapping[str, Any]) -> None:
 
 @contextmanager
 def lock_folder(folder: Path, what: str) -> Iterator[None]:
-    """Make the folder and hold it against a second `what`; InputError if one runs there or it cannot be made."""
+    """Make the folder and lock it against a second `what`; InputError if one runs there or it cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = open(folder / ".lock", "w")

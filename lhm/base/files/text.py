@@ -17,7 +17,7 @@ from ..limits import FILE_BYTES, JSON_BYTES, JSON_DEPTH, JSON_DIGITS, TOML_BYTES
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether there is a file of that name, no folder or device; False for what can be no name."""
+    """Return whether there is a file of that name, no folder or device; False for what can be no name."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, or with a NUL

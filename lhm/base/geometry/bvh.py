@@ -101,7 +101,7 @@ def _closest(points, corners, order, start, stop, left, box):
 
 @njit(cache=True)
 def _closest_facing(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
-    """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
+    """Search as `_closest` among triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
 
     Where no cost, that is distance² with what turning counts, is less than `most`, there is none.
     """
@@ -164,11 +164,11 @@ def _boxes(corners):
 
 @njit(cache=True)
 def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, left, box):
-    """Pairs (query, triangle) that cross, at most about `most`, leaving out pairs with a common vertex.
+    """Return pairs (query, triangle) that cross, at most about `most`, leaving out pairs with a common vertex.
 
     `same` lists each pair once.
     """
-    found, count = [], 0
+    pairs, count = [], 0
     stack = np.empty(128, np.int64)
     boxes = _boxes(corners)
     own = boxes if same else _boxes(query)
@@ -190,9 +190,9 @@ def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, l
                 if (same and t <= q) or _apart(own[q], boxes[t]) or _common(query_ids[q], ids[t]):
                     continue
                 if triangles_cross(query[q], corners[t]):
-                    found.append((q, t))
+                    pairs.append((q, t))
                     count += 1
-    return found
+    return pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,17 +212,17 @@ class TriangleTree:
         object.__setattr__(self, "_nodes", nodes)
 
     def moved(self, vertices: Floats) -> TriangleTree:
-        """The tree of the same triangles over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        """Return the tree of the same triangles over other vertices (n, 3) [mm]: quicker, good for small motions."""
         return TriangleTree(vertices, self.triangles, self._nodes[:-1])
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
-        """Triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each of `points`."""
+        """Return triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each point."""
         return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
 
     def closest_facing(
         self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0, reach: float = np.inf
     ) -> tuple[Ints, Floats, Floats]:
-        """As `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
+        """Search as `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
 
         A unit of difference between the normals counts as `turned` [mm] beside the distance. Triangles farther than
         `reach` [mm] may be left out, which is quicker.
@@ -237,11 +237,11 @@ class TriangleTree:
         )
 
     def self_crossings(self, *, most: int = ALL) -> Ints:
-        """Pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
+        """Return pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
         return self._pairs(self.corners, self.triangles, True, most)
 
     def crossings(self, other: TriangleTree, *, shared_ids: bool = False, most: int = ALL) -> Ints:
-        """Pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
+        """Return pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
 
         With `shared_ids` the two number their vertices alike, and pairs with a common vertex are left out.
         """
@@ -249,8 +249,8 @@ class TriangleTree:
         return self._pairs(other.corners, ids, False, most)
 
     def _pairs(self, query, query_ids, same, most) -> Ints:
-        found = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
-        return np.array(found, dtype=np.int64).reshape(-1, 2)
+        pairs = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 @njit(cache=True)
@@ -265,7 +265,7 @@ def _tet_boxes(corners):
 
 @njit(cache=True)
 def _six_volumes(a, b, c, d):
-    """Six times the signed volume of a tet."""
+    """Return six times the signed volume of a tet."""
     b0, b1, b2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     c0, c1, c2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     d0, d1, d2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
@@ -274,7 +274,7 @@ def _six_volumes(a, b, c, d):
 
 @njit(cache=True)
 def _containing(points, besides, ids, corners, order, start, stop, left, box):
-    """Pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
+    """Return pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
     pairs, weights = [], []
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -326,11 +326,11 @@ class TetTree:
         object.__setattr__(self, "_nodes", nodes)
 
     def moved(self, vertices: Floats) -> TetTree:
-        """The tree of the same tets over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        """Return the tree of the same tets over other vertices (n, 3) [mm]: quicker, good for small motions."""
         return TetTree(vertices, self.tets, self._nodes[:-1])
 
     def containing(self, points: Floats, besides: Ints) -> tuple[Ints, Floats]:
-        """Pairs (point, tet), shape (k, 2), of each of `points` with each tet that holds it; weights (k, 4) in it.
+        """Return pairs (point, tet), shape (k, 2), of points with each tet that holds them; weights (k, 4) in it.
 
         Tets that have the vertex `besides`, shape (points,), of a point are left out; give -1 to leave out none.
         """

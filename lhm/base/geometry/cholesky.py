@@ -68,7 +68,7 @@ def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, 
 
 
 def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
-    """Factor a matrix that may turn out not to be positive definite: then LinAlgError is raised.
+    """Factor a matrix; raise LinAlgError if it is not positive definite.
 
     linear_solver None takes CHOLMOD by supernodes where it is installed, which is what factors of three unknowns per
     vertex need most, else what `factorise` takes; `like` and errors are as there.
@@ -92,7 +92,7 @@ def _superlu(matrix: csc_matrix) -> Any:
 
 
 def has_cholmod() -> bool:
-    """Whether the system's CHOLMOD can be called."""
+    """Return whether the system's CHOLMOD can be called."""
     return analyze is not None
 
 
@@ -108,7 +108,7 @@ class CholmodAnalysis:
         self.symbolic = analyze(matrix, mode="supernodal" if definite else "auto")
 
     def fits(self, matrix: csc_matrix) -> bool:
-        """Whether a matrix has the analysed pattern."""
+        """Return whether a matrix has the analysed pattern."""
         return np.array_equal(matrix.indptr, self.indptr) and np.array_equal(matrix.indices, self.indices)
 
 
