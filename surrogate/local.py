@@ -10,7 +10,7 @@ from ..lhm.errors import InputError
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
-from .modal.features import STATIC
+from .corpus.mixture import STATIC
 
 
 def around_vertices(values: Floats, surface: Surface) -> Floats:

@@ -23,7 +23,7 @@ from ...lhm.mesh import Floats, Surface
 from ...lhm.progress import OnProgress, silent
 from ...lhm.registration import register
 from ..codes import nearest_code
-from .person import Person
+from .people import Person
 
 SCANS = 24
 """Expressions of one person that the rig is made of; the paper's heads have 20 to 35."""
