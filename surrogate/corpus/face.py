@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Floats32
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32
 from .mixture import ParameterSet
 from .people import Person
 

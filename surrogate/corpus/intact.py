@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.validate import in_range, indices_below, of_kind, real, shape, whole
+from ...lhm.base.checks import in_range, indices_below, of_kind, real, shape, whole
+from ...lhm.base.errors import InputError
 from .manifest import Manifest
 from .shard import ACCEPTED, TABLES, VERTICES, Shard, columns_of, read_shard
 

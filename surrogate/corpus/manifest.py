@@ -8,11 +8,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ...lhm.bounds import shown
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.files.npz import read_arrays, write_arrays
-from ...lhm.mesh import Floats, Surface
-from ...lhm.validate import finite, read_json, text
+from ...lhm.base.checks import finite, text
+from ...lhm.base.errors import InputError, SoftdecaError, shown
+from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.files.text import read_json
+from ...lhm.base.mesh import Floats, Surface
 from .plan import CorpusPlan
 
 MANIFEST = "corpus.json"

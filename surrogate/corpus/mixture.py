@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Surface
 from ...reference import Parameters
 
 KINDS = ("few", "materials", "effects", "both", "single")

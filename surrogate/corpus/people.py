@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from ...lhm import fit_head, identities, load_template
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Surface
+from ...lhm.base.progress import OnProgress, silent
 from ...lhm.head import LayeredHead
 from ...lhm.identities import IdentitySpace
-from ...lhm.mesh import Floats, Surface
-from ...lhm.progress import OnProgress, silent
 from ...lhm.template import DEFAULT_LEVEL
 from ..sphere import Spheres
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Ints, Surface
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Ints, Surface
 from ..surface_hash import surface_hash
 from .face import Derivatives, Face, Frames
 from .folder import shard_path

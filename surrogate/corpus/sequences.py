@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.mesh import Floats
+from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import Take, conversation, rotations
-from ...lhm.files.npz import read_arrays, write_arrays
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
-from ...lhm.progress import OnProgress, silent
 from ...reference import Parameters, Sequence, settled
 from ...reference.face.base import turns_before
 from ...reference.face.velocities import Velocities, plausible

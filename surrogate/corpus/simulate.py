@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.errors import SoftdecaError
+from ...lhm.base.errors import SoftdecaError
 from ...lhm.head import LayeredHead
 from ...reference.face.velocities import Velocities
 from .mixture import ParameterSet

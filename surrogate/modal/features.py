@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...lhm.mesh import Floats, Floats32, Ints, Surface
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
 from ...reference.face.palsy import kept_share, left_share
 from ...reference.face.settling import GROWING

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..corpus.face import Face
 from ..corpus.mixture import STATIC
 from ..corpus.reading import Faces

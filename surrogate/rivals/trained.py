@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from ...lhm.mesh import Floats32, Ints
+from ...lhm.base.mesh import Floats32, Ints
 from ..corpus.face import Face
 from ..corpus.reading import Faces
 from ..learning import nn, torch
