@@ -16,7 +16,7 @@ import numpy as np
 
 from ..lhm.base.errors import InputError, SoftdecaError
 from ..lhm.base.files.npz import read_arrays, write_arrays
-from ..lhm.base.files.resumable import alone_in, begin
+from ..lhm.base.files.resumable import begin_work, lock_folder
 from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import Derivatives, Face, Frames
 from .corpus.folder import simulated_of
@@ -107,8 +107,8 @@ def evaluate_generalisation(
     check_learned(plan, people, weights)
     wanted = pairs(plan, weights, count)
     work = _Work(folder, plan, people)
-    with alone_in(folder, "generalisation"):
-        begin(folder / "generalisation.json", "generalisation", simulated_of(plan, people))
+    with lock_folder(folder, "generalisation"):
+        begin_work(folder / "generalisation.json", "generalisation", simulated_of(plan, people))
         pending = [pair for pair in wanted if not work.is_whole(pair)]
         for done, _ in enumerate(results_of(work, pending, on=on, name="generalisation")):
             on_progress("generalisation: pairs of people simulated", (done + 1) / len(pending))

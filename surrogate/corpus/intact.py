@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.base.checks import in_range, indices_below, of_kind, real, shape, whole
+from ...lhm.base.checks import array_of_kind, in_range, indices_below, integers, real, shape
 from ...lhm.base.errors import InputError
 from .manifest import Manifest
 from .shard import ACCEPTED, TABLES, VERTICES, Shard, columns_of, read_shard
@@ -48,7 +48,7 @@ def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) ->
 
 def check_person(said: np.ndarray, numbers: list[int]) -> None:
     """InputError unless a shard's groups/number are the parameter sets that the plan gives its person and no other."""
-    found = whole("groups/number", said, 0, 2**62, (None,)).tolist()
+    found = integers("groups/number", said, 0, 2**62, (None,)).tolist()
     if found != numbers:
         raise InputError(f"of another person, with parameter sets {found[:3]}, expected {numbers[:3]}")
 
@@ -73,7 +73,7 @@ def _check_arrays(shard: Shard, vertices: int) -> None:
             axes = (vertices if length == VERTICES else length for length in column.shape)
             shape(f"{table}/{name}", arrays[name], (count, *axes))
             if column.dtype.kind == "S":
-                of_kind(f"{table}/{name}", arrays[name], "S", "texts")
+                array_of_kind(f"{table}/{name}", arrays[name], "S", "texts")
         accepted = arrays["status"] == ACCEPTED.encode() if "status" in arrays else slice(None)
         for name, column in columns_of(kind).items():
             if column.below:

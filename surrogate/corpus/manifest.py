@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...lhm.base.checks import finite, text
-from ...lhm.base.errors import InputError, SoftdecaError, shown
+from ...lhm.base.errors import InputError, SoftdecaError, quote
 from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
 from ...lhm.base.mesh import Floats, Surface
@@ -64,19 +64,19 @@ def read_manifest(folder: str | PathLike[str]) -> Manifest:
 
 def _checked(folder: Path, said: Any) -> Manifest:
     if not isinstance(said, dict):
-        raise InputError(f"expected an object, got {shown(said)}")
+        raise InputError(f"expected an object, got {quote(said)}")
     for name in ("plan", "people", "template"):
         text(name, said.get(name))
     for name in ("generator", "format"):
         if isinstance(said.get(name), bool) or not isinstance(said.get(name), (int, str)):
-            raise InputError(f"{name}: expected a number, got {shown(said.get(name))}")
+            raise InputError(f"{name}: expected a number, got {quote(said.get(name))}")
     content, made_with = said.get("content"), said.get("made_with", {})
     if not isinstance(content, dict) or not isinstance(made_with, dict):
         raise InputError("content and made_with: expected objects")
     text("takes", said.get("takes", ""))
     counts = CorpusPlan(**_options(content))
     if said.get("tested") != counts.tested:
-        raise InputError(f"tested: {shown(said.get('tested'))}, expected {counts.tested}")
+        raise InputError(f"tested: {quote(said.get('tested'))}, expected {counts.tested}")
     return Manifest(folder, said, counts, made_with)
 
 
@@ -86,7 +86,7 @@ def _options(content: Mapping[str, Any]) -> dict[str, Any]:
     missing = known - set(content)
     if missing or set(content) - known - {"recordings", "takes"}:
         wrong = min(missing or set(content) - known)
-        raise InputError(f"content: {shown(wrong)} is {'missing' if missing else 'not known'}")
+        raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
     return {name: content[name] for name in known}
 
 
@@ -110,7 +110,7 @@ def read_template(folder: str | PathLike[str]) -> CorpusTemplate:
     arrays = read_arrays(path, of="a corpus' template")
     try:
         if not {"vertices", "triangles"} <= set(arrays) <= {"vertices", "triangles", "shapes"}:
-            raise InputError(f"expected vertices, triangles and shapes, got {shown(', '.join(arrays))}")
+            raise InputError(f"expected vertices, triangles and shapes, got {quote(', '.join(arrays))}")
         vertices = finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST)
         shapes = arrays.get("shapes")
         if shapes is not None:
