@@ -14,7 +14,7 @@ from ..lhm.base.files.resumable import lock_folder
 from ..lhm.base.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
-from ..surrogate.corpus.person import OfSpace
+from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.schedule import processors, schedule
 from .harness import Asked, Results, Study, run_together

@@ -63,7 +63,7 @@ def train(
     the learning curve as OUT/curve.json and curve.png. Several processes, a device each, share a training of the modal
     network under `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
     """
-    from ..benchmarks.plots import learning_curve
+    from ..animation.plots import draw_learning_curve
 
     with shown() as progress:
         if network == "modal":
@@ -74,7 +74,7 @@ def train(
             path, curve = _paper(corpus, out, steps, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
-    (out / "curve.png").write_bytes(learning_curve(curve))
+    (out / "curve.png").write_bytes(draw_learning_curve(curve))
     for written in (path, out / "curve.json", out / "curve.png"):
         click.echo(f"wrote {written}")
     return 0
@@ -82,14 +82,14 @@ def train(
 
 def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_of
-    from ..surrogate.modal.faces import Faces, Neutrals
+    from ..surrogate.corpus.reading import Faces
     from ..surrogate.modal.looseness import Looseness
     from ..surrogate.modal.training import ModalTraining, train_modal
     from ..surrogate.modal.weights import ModalWeights
 
     config = ModalTraining(**{name: value for name, value in options.items() if value is not None})
     faces = Faces(corpus, "train", **read)
-    more = None if neutrals is None else Neutrals(neutrals, "train", **read)
+    more = None if neutrals is None else Faces(neutrals, "train", table="groups", **read)
     out.mkdir(parents=True, exist_ok=True)
     begun = None if start is None else ModalWeights.load(start)
     weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)

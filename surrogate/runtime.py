@@ -21,11 +21,11 @@ from ..lhm.head import LayeredHead
 from ..lhm.identities import LinearSpace
 from ..reference import Parameters
 from .baked import BakedRig, baked
+from .corpus.mixture import STATIC
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .linear import derivatives
 from .local import around_vertices, of_static, on_wraps
 from .modal.compressed import compressed
-from .modal.features import STATIC
 from .modal.rig import BoundModes, Modal, Remainder
 from .modal.weights import ModalWeights
 from .rigs import (

@@ -22,14 +22,13 @@ from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
 from .intact import REMEDY, check_person, read_intact
-from .manifest import MANIFEST, read_manifest
+from .manifest import MANIFEST, CorpusTemplate, read_manifest, read_template, write_template
 from .mixture import NAMES
-from .person import People
+from .people import People
 from .plan import IDENTITY, CorpusPlan, Split
+from .sequences import velocities_of
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
 from .simulate import GENERATOR, simulate_person
-from .template import CorpusTemplate, read_template, write_template
-from .velocities import velocities_of
 
 SERIAL = Schedule()
 PARTIAL = ".person-*"

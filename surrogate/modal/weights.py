@@ -20,8 +20,8 @@ from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.text import parse_json, read_bytes
 from ...lhm.base.limits import CURVE_POINTS, WEIGHTS_BYTES
 from ...lhm.base.mesh import Floats, Surface
+from ..corpus.mixture import STATIC
 from ..surface_hash import surface_hash
-from .features import STATIC
 from .looseness import Looseness
 from .shapes import check_network
 
@@ -73,6 +73,13 @@ class ModalWeights:
     def template(self) -> str:
         """The hash of the mean skin."""
         return surface_hash(self.mean)
+
+    def check_mesh(self, mean: Surface) -> None:
+        """Raise InputError for faces over another mean skin."""
+        if self.template != surface_hash(mean):
+            raise InputError(
+                f"weights: of a mean skin of {len(self.mean.vertices)} vertices, not of the corpus' space and level"
+            )
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write one .safetensors file; `path` is whole or as it was.

@@ -30,7 +30,7 @@ BARE = WITHOUT.format(missing=("dolfinx", "basix", "ufl", "torch", "anny"))
 CORPUS = """
 import sys
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.schedule import schedule
 from softdeca.surrogate.sphere import Spheres
@@ -295,7 +295,7 @@ def test_a_reader_that_has_gone_and_a_full_disk_are_no_traceback():
 def test_a_backend_of_matplotlib_that_is_not_installed_does_not_matter(monkeypatch):
     ended = run("bench", "list", env={**os.environ, "MPLBACKEND": "nonsense"})
     assert ended.returncode == 0 and ended.stderr == ""
-    draw = "from softdeca.benchmarks.plots import subplots; from softdeca.lhm import InputError\ntry:\n    subplots()\n"
+    draw = "from softdeca.animation.plots import subplots; from softdeca.lhm import InputError\ntry:\n    subplots()\n"
     draw += "except InputError as error:\n    print(error)"
     ended = subprocess.run(
         [sys.executable, "-c", draw], capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "nonsense"}
