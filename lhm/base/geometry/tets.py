@@ -78,7 +78,7 @@ def untangle(vertices: Floats, tets: Ints, free: NDArray[np.bool_], least: Float
     """Move the `free` (n,) of the vertices [mm], shape (n, 3), that touch too small a tet until it is not.
 
     `least` (m,) [mm³] is the volume wanted. The squared shortfalls, each over its `least`, are minimised by L-BFGS.
-    Raises MeshError with the number of tets that stay inverted or below half of what was wanted for.
+    Raises MeshError with the number of tets that stay inverted or below half of that.
     """
     small = tet_volumes(vertices, tets) < least
     if not small.any():
