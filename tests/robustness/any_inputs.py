@@ -30,7 +30,7 @@ from softdeca.cli.head import _counts
 from softdeca.lhm import Surface, expressions, head_file, identities, template_file
 from softdeca.lhm.base.errors import SoftdecaError
 from softdeca.lhm.base.files import surface_file, tet_file
-from softdeca.lhm.head_file import of_head
+from softdeca.lhm.head_file import tets_from_head
 from softdeca.reference.face import parameter_file
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.plan import read_plan
@@ -193,7 +193,7 @@ def fill() -> None:
     whole = (folder / "head.npz").read_bytes()
     reads = (head_file.load_head, template_file.read_template, Surrogate.load, identities.ICTFaceKit, identities.FLAME)
     FILES.extend((f"{number}.npz", whole, read) for number, read in enumerate(reads))
-    tet_file.write_tets(folder / "head.vtu", of_head(bad_inputs.HEAD, (1, 1)))
+    tet_file.write_tets(folder / "head.vtu", tets_from_head(bad_inputs.HEAD, (1, 1)))
     FILES.append(("head.vtu", (folder / "head.vtu").read_bytes(), tet_file.read_tets))
     for file in folder.iterdir():
         file.unlink()

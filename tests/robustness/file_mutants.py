@@ -33,7 +33,7 @@ from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files import moving_surface, surface_file, tet_file
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-from softdeca.lhm.head_file import of_head
+from softdeca.lhm.head_file import tets_from_head
 from softdeca.lhm.registration import read_landmarks
 from softdeca.lhm.regressor import DepthPairs, DepthRegressor
 from softdeca.lhm.rig import Rig
@@ -460,7 +460,7 @@ def of_surface(surface: Surface | None) -> list[np.ndarray]:
 
 def read_head(path: Path) -> list[np.ndarray]:
     """The parts, the head of them, and what it does with an expression."""
-    made, report = head_file.load_head(path), head_file.check_file(path)
+    made, report = head_file.load_head(path), head_file.check_head_file(path)
     assert all(text.isprintable() for text in (*made.notes, *map(str, report.figures)))
     weights = np.zeros(52)
     weights[ARKIT.index("jawOpen")] = 1.0
@@ -519,7 +519,7 @@ def formats(folder: Path) -> list[Format]:
     for name, arrays in (("ict", ict()), ("flame", flame()), ("anatomy", anatomy())):
         np.savez(folder / f"{name}.npz", **arrays)
     np.savez(folder / "skin.npz", vertices=wrap.vertices, triangles=wrap.triangles)
-    tets = of_head(sphere_head)
+    tets = tets_from_head(sphere_head)
     for suffix in tet_file.FORMATS:
         tet_file.write_tets(folder / f"head{suffix}", tets)
     x = wrap.vertices

@@ -15,7 +15,7 @@ from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.topology import find_openings
-from softdeca.lhm.head_file import check_file, load_head
+from softdeca.lhm.head_file import check_head_file, load_head
 from softdeca.lhm.scans.repair import repaired
 
 RNG = np.random.default_rng(0)
@@ -223,7 +223,7 @@ def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, 
     ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
     assert ended.status == 0, ended.errors
     head = load_head(out)
-    assert check_file(out).problems == () and len(find_openings(head.skin.triangles)) == 2
+    assert check_head_file(out).problems == () and len(find_openings(head.skin.triangles)) == 2
     assert any("taken for in" in note for note in head.notes)
     # The same skin again, upright and in millimetres, and its expressions those of the head that it was.
     used = np.unique(torn)
