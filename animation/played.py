@@ -16,7 +16,7 @@ from ..lhm.files.gltf import write_gltf
 from ..lhm.files.vtkhdf import write_vtkhdf
 from ..lhm.mesh import Floats, Surface
 from ..lhm.progress import OnProgress
-from ..reference.face.base import turned_about
+from ..reference.face.dynamics import turn_about
 from .preview import Preview, pictures_of, steps_shown, write_preview
 
 Format = Literal["vtkhdf", "gltf"]
@@ -98,7 +98,7 @@ class Played:
         """A skin [mm], shape (n, 3), of the head's own frame as it is shown."""
         if not wanted.turned or self.take.head is None:
             return skin
-        return turned_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
+        return turn_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
 
     def _blended(self, number: int) -> Floats:
         return blended(self.neutral, self.deltas, self.take.weights[number])

@@ -9,7 +9,7 @@ import click
 from ..lhm.bounds import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
 from .take_options import WhichHead, of_takes, taken

@@ -8,7 +8,7 @@ import numpy as np
 from ..lhm.bounds import SEED
 from ..lhm.files.atomic import write_whole
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
 from .take_options import WhichHead

@@ -17,7 +17,7 @@ import numpy as np
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..reference import Parameters
-from ..reference.face.settling import carry_skin
+from ..reference.face.settle import carry_skin
 from .modal.features import STATIC
 
 MOVES = 0.05

@@ -10,7 +10,7 @@ from ..lhm import expressions
 from ..lhm.head import LayeredHead
 from ..lhm.mesh import Floats
 from ..reference import Parameters
-from ..surrogate.linear import linearised_face
+from ..reference.face.derivatives import differentiate_head
 from .page import Layer, Pose, Rig, page
 
 POSES = {
@@ -39,9 +39,9 @@ def face_page(
     Beside these blendshapes it has the linearised simulator (some seconds), and `rigs`. `poses` replace the usual ones.
     Raises InputError for a face that does not settle, and what the simulator raises.
     """
-    linear, n = linearised_face(head, parameters), len(head.bone)
-    moved = linear.first_order(np.asarray(shapes, dtype=np.float64))
-    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_moved(moved, shapes))
+    linear, n = differentiate_head(head, parameters), len(head.bone)
+    moved = linear.vertices_by_shapes(np.asarray(shapes, dtype=np.float64))
+    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return page(
         title,

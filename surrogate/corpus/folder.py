@@ -19,7 +19,7 @@ from ...lhm.files.alone import alone_in
 from ...lhm.files.atomic import write_whole
 from ...lhm.files.resumable import check_same
 from ...lhm.progress import OnProgress, silent
-from ...reference.face.velocities import Velocities
+from ...reference.face.sequence import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
 from .intact import REMEDY, check_person, read_intact

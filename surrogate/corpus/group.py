@@ -11,9 +11,9 @@ from ...lhm.errors import SceneError, SoftdecaError
 from ...lhm.geometry.bvh import TriangleTree
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Floats32, Surface
-from ...reference import Scene, Settled, Solution, settled
-from ...reference.face.linearised import DIRECT, Analysed, Linearised, linearised, spring_norm
-from ...reference.face.settling import FOR_TARGETS
+from ...reference import Scene, SettledFace, Solution, settle
+from ...reference.face.derivatives import QUICK_ACCURACY, Analysis, Derivatives, differentiate, spring_norm
+from ...reference.face.settle import TARGET_OPTIONS
 from .mixture import INFOS, ParameterSet
 from .person import People, Person
 from .plan import CorpusPlan
@@ -41,9 +41,9 @@ class Answer:
         return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
 
 
-def settled_neutral(people: People, head: LayeredHead, drawn: ParameterSet) -> Settled:
+def settled_neutral(people: People, head: LayeredHead, drawn: ParameterSet) -> SettledFace:
     """The neutral face under a parameter set; SceneError where it does not come to rest."""
-    neutral = settled(head, drawn.parameters(head, people.mean), **FOR_TARGETS)
+    neutral = settle(head, drawn.parameters(head, people.mean), **TARGET_OPTIONS)
     if not neutral.converged:
         raise SceneError(str(neutral.reason))
     return neutral
@@ -59,7 +59,7 @@ class Group:
     plan: CorpusPlan
     person: Person
     drawn: ParameterSet
-    linear: Linearised
+    linear: Derivatives
     first_order: Floats
     wanted: tuple[bool, bool]
 
@@ -68,10 +68,10 @@ class Group:
         """Settle the face under the plan's parameter set of this number; SceneError where it does not come to rest."""
         drawn = plan.parameter_set(number)
         neutral = settled_neutral(people, head, drawn)
-        linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
+        linear = differentiate(neutral, accuracy=QUICK_ACCURACY, like=_last.get(people.name))
         _last.clear()
-        _last[people.name] = linear.analysed
-        moved = linear.first_order(person.shapes)
+        _last[people.name] = linear.analysis
+        moved = linear.vertices_by_shapes(person.shapes)
         return cls(plan, person, drawn, linear, moved, plan.has_responses(number))
 
     @property
@@ -80,24 +80,24 @@ class Group:
         return self.linear.face.head
 
     @property
-    def neutral(self) -> Settled:
+    def neutral(self) -> SettledFace:
         """The settled face."""
         return self.linear.face
 
-    def neutral_under(self, law: str) -> Settled:
+    def neutral_under(self, law: str) -> SettledFace:
         """Settle the face by another law; each law once."""
         if law not in self._by_law:
-            self._by_law[law] = settled(self.head, self.neutral.parameters, law=law, **FOR_TARGETS)
+            self._by_law[law] = settle(self.head, self.neutral.parameters, law=law, **TARGET_OPTIONS)
         return self._by_law[law]
 
     @cached_property
-    def _by_law(self) -> dict[str, Settled]:
+    def _by_law(self) -> dict[str, SettledFace]:
         return {}
 
     @property
     def exact(self) -> bool:
         """Whether the derivatives are by the energy's own Hessian."""
-        return self.linear.exact
+        return self.linear.is_exact
 
     @cached_property
     def offset(self) -> Floats:
@@ -107,7 +107,7 @@ class Group:
     @cached_property
     def responses(self) -> Floats:
         """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
-        return self.linear.skin_moved(self.first_order, self.person.shapes) - self.person.shapes
+        return self.linear.skin_by_shapes(self.person.shapes, self.first_order) - self.person.shapes
 
     @cached_property
     def parameter_responses(self) -> dict[str, Floats]:
@@ -116,7 +116,7 @@ class Group:
         But for the strain limit: where it is 1 the energy has kinks.
         """
         along = {name: self._along(name) for name in self.drawn.names if name not in UNDIFFERENTIATED}
-        return self.linear.of_parameters(along) if along else {}
+        return self.linear.skin_by_parameters(along) if along else {}
 
     def _along(self, name: str) -> float | Floats:
         """Change of a parameter [its unit] per unit of its value mapped to [-1, 1]."""
@@ -219,5 +219,5 @@ class Group:
         return ACCEPTED
 
 
-_last: dict[str, Analysed] = {}
+_last: dict[str, Analysis] = {}
 """The last face of a process: what was analysed of its matrices, the same for all heads of a template, serves again."""

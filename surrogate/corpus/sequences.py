@@ -11,8 +11,8 @@ from ...lhm.expressions import Take, rotations
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats
 from ...reference import Sequence
-from ...reference.face.base import turns_before
-from ...reference.face.velocities import Velocities, plausible
+from ...reference.face.dynamics import extrapolate_turns
+from ...reference.face.sequence import Velocities, is_plausible
 from .group import Answer, Group
 from .plan import LENGTH, RATE, CorpusPlan
 from .shard import ACCEPTED
@@ -50,9 +50,9 @@ def rolled(
     weights, turned = _driven(take, first)
     try:
         velocity = _velocity(group.head, velocities, rng)
-        running = Sequence.of(group.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
+        running = Sequence.from_face(group.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
         expressions = [group.expression(w) for w in weights]
-        begun = running.begin(expressions[0], velocity=velocity, base=turns_before(turned))
+        begun = running.begin(expressions[0], velocity=velocity, base=extrapolate_turns(turned))
         at_rest = group.corrected(weights[0], begun.positions)
         frames = zip(weights, expressions, turned, strict=True)
         answers = [group.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
@@ -76,7 +76,7 @@ def _velocity(head: LayeredHead, velocities: Velocities, rng: np.random.Generato
     """One of the plausible velocities [mm/s], shape (n, 3); none of a hundred is none."""
     for _ in range(100):
         velocity = velocities.on(head, int(rng.integers(len(velocities))))
-        if plausible(velocity, 1.0 / RATE):
+        if is_plausible(velocity, 1.0 / RATE):
             return velocity
     return np.zeros(head.skin.vertices.shape)
 

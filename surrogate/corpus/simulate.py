@@ -17,7 +17,7 @@ import numpy as np
 from ...lhm.errors import SoftdecaError
 from ...lhm.head import LayeredHead
 from ...lhm.mesh import Floats, Floats32
-from ...reference.face.velocities import Velocities
+from ...reference.face.sequence import Velocities
 from .group import Answer, Group, settled_neutral
 from .mixture import ParameterSet
 from .person import People, Person

@@ -11,9 +11,8 @@ from ...lhm.errors import InputError
 from ...lhm.expressions import conversation
 from ...lhm.files.npz import read_arrays, write_arrays
 from ...lhm.progress import OnProgress, silent
-from ...reference import Parameters, Sequence, settled
-from ...reference.face import velocities
-from ...reference.face.velocities import Velocities
+from ...reference import Parameters, Sequence, settle
+from ...reference.face.sequence import Velocities
 from .person import People, Person
 from .plan import RATE, VELOCITIES, CorpusPlan
 
@@ -47,8 +46,8 @@ def _checksum(local: np.ndarray) -> str:
 def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:
     person = people.person(plan.rng(VELOCITIES))
     weights = conversation(plan.rng(VELOCITIES, 1), plan.run, rate=RATE)
-    running = Sequence.of(
-        settled(people.head(person), Parameters()), time_step=1.0 / RATE, dynamic=True, tolerance=TOLERANCE
+    running = Sequence.from_face(
+        settle(people.head(person), Parameters()), time_step=1.0 / RATE, dynamic=True, tolerance=TOLERANCE
     )
 
     def expressions():
@@ -56,7 +55,7 @@ def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocitie
             yield _expression(person, w)
             on_progress(f"a long run: frame {number + 1} of {plan.run}", (number + 1) / plan.run)
 
-    return velocities.run(running, expressions())
+    return Velocities.from_sequence(running, expressions())
 
 
 def _expression(person: Person, weights: np.ndarray) -> np.ndarray:

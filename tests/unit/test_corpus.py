@@ -14,8 +14,8 @@ import pytest
 from softdeca.lhm import FitError, InputError
 from softdeca.lhm.expressions import conversation_take
 from softdeca.reference import Parameters, Sequence
-from softdeca.reference.face.base import turns_before
-from softdeca.reference.face.velocities import Velocities
+from softdeca.reference.face.dynamics import extrapolate_turns
+from softdeca.reference.face.sequence import Velocities
 from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.folder import Corpus, summed
 from softdeca.surrogate.corpus.group import Group
@@ -79,8 +79,8 @@ def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
     off = []
     for bases in (turned, np.tile(np.eye(3), (LENGTH, 1, 1))):
-        running = Sequence.of(group.neutral, dynamic=True, tolerance=PLAN.tolerance)
-        running.begin(group.expression(kept.weights[0]), base=turns_before(bases))
+        running = Sequence.from_face(group.neutral, dynamic=True, tolerance=PLAN.tolerance)
+        running.begin(group.expression(kept.weights[0]), base=extrapolate_turns(bases))
         again = [
             group.corrected(w, running.frame(group.expression(w), base=base).positions)
             for w, base in zip(kept.weights, bases, strict=True)
@@ -98,7 +98,7 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
         step[5] = 1e-2
 
         def tight(weights, group=group):
-            near = group.linear.start(group.expression(weights))
+            near = group.linear.predict(group.expression(weights))
             return group.corrected(
                 weights, group.linear.prepared.solve(group.scene(weights), start=near, tolerance=1e-7).positions
             )
