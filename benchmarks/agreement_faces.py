@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 from ..reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
 from ..reference.face.facial import apply_law
 from ..surrogate import Surrogate

@@ -12,13 +12,7 @@ import numpy as np
 
 from softdeca.benchmarks.head_pictures import sections
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
-from softdeca.reference import (
-    Parameters,
-    apply_law,
-    facial_scene,
-    settle,
-    solve,
-)
+from softdeca.reference import Parameters, apply_law, facial_scene, settle, solve
 from softdeca.surrogate import Surrogate, linearised_rig
 from softdeca.viewer.pictures import Panel, cut_away, strip
 

@@ -19,10 +19,10 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import InputError, SceneError
-from ..lhm.files.atomic import replaced
-from ..lhm.mesh import Floats, tet_volumes
+from ..lhm.base.checks import check_arguments
+from ..lhm.base.errors import InputError, SceneError
+from ..lhm.base.files.atomic import replaced
+from ..lhm.base.mesh import Floats, tet_volumes
 from .clock import Clock, Seconds
 from .scene import Scene
 
@@ -238,7 +238,7 @@ def von_mises(cauchy: Floats) -> Floats:
 SUFFIXES = (".vtu", ".vtk")
 
 
-@checked
+@check_arguments
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with what the solution found, whole or not at all.
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats32
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats32
 from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 

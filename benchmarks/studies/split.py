@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Scene, Solution, settle, solve
-from ...reference.face.derivatives import TIGHT_ACCURACY, Derivatives, differentiate_head
+from ...reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives, differentiate_head
 from ...reference.face.facial import apply_law
 from ...reference.face.settle import SettledFace, carry_skin, neutral_scene
 from ...surrogate import Surrogate
@@ -281,7 +281,7 @@ def _lost(frames: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 @lru_cache(maxsize=1)
-def _prepared(study: Split, effect: str) -> Derivatives:
+def _prepared(study: Split, effect: str) -> FaceDerivatives:
     return differentiate_head(study.person().head, EFFECTS[effect])
 
 

@@ -1,4 +1,4 @@
-"""Derivatives of a settled face at its neutral expression: by blendshapes, and by the parameters p.
+"""FaceDerivatives of a settled face at its neutral expression: by blendshapes, and by the parameters p.
 
 At a minimum the gradient stays zero, so K dx = -∂(∇E)/∂p dp with K the exact Hessian: one factor serves all changes.
 What p does to the gradient is a difference quotient of scenes, which costs two gradients but no solve. Frames of one
@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import InputError
-from ...lhm.geometry import cholmod
-from ...lhm.geometry.factor import LinearSolver
+from ...lhm.base.checks import check_arguments
+from ...lhm.base.errors import InputError
+from ...lhm.base.geometry import cholesky
+from ...lhm.base.geometry.cholesky import LinearSolver
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from .. import terms
 from ..projective import Pattern, ProjectivePrepared, Tangent, prepare
 from ..scene import Scene
@@ -45,7 +45,7 @@ class Analysis:
 
 
 @dataclass(frozen=True, eq=False)
-class Derivatives:
+class FaceDerivatives:
     """A settled face, prepared, with its neutral answer and the factored Hessian there.
 
     Names read like quotients: `skin_by_shapes` is how the skin moves per unit weight of blendshapes.
@@ -141,10 +141,10 @@ class Derivatives:
         )
 
 
-@checked
+@check_arguments
 def differentiate(
-    face: SettledFace, *, accuracy: float = TIGHT_ACCURACY, like: Derivatives | Analysis | None = None
-) -> Derivatives:
+    face: SettledFace, *, accuracy: float = TIGHT_ACCURACY, like: FaceDerivatives | Analysis | None = None
+) -> FaceDerivatives:
     """Prepare a settled face's scenes, solve the neutral one and factor its Hessian.
 
     accuracy is the gradient norm of the neutral answer, relative to that of the targets' springs each 1 mm long: one
@@ -152,11 +152,11 @@ def differentiate(
     lends its symbolic work. Raises SceneError for choices with contact.
     """
     scene = face.scene(face.head.skin.vertices)
-    analysis = like.analysis if isinstance(like, Derivatives) else like
-    return Derivatives(face, *_solve_neutral(scene, face.positions, analysis, accuracy))
+    analysis = like.analysis if isinstance(like, FaceDerivatives) else like
+    return FaceDerivatives(face, *_solve_neutral(scene, face.positions, analysis, accuracy))
 
 
-def differentiate_head(head: LayeredHead, parameters: Parameters) -> Derivatives:
+def differentiate_head(head: LayeredHead, parameters: Parameters) -> FaceDerivatives:
     """Settle a head under p and differentiate it; some seconds. InputError for one that does not come to rest."""
     face = settle(head, parameters, **TARGET_OPTIONS)
     if not face.converged:
@@ -174,7 +174,7 @@ def _solve_neutral(
     scene: Scene, start: Floats, like: Analysis | None, accuracy: float = TIGHT_ACCURACY
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """Prepare a scene, solve it by the PD matrix and, where need be, the tangent; factor the tangent there."""
-    linear_solver: LinearSolver | None = None if cholmod.library() is None else "cholmod"
+    linear_solver: LinearSolver | None = None if cholesky.cholmod_library() is None else "cholmod"
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm, is_quick = spring_norm(scene), accuracy >= QUICK_ACCURACY
     first = (accuracy if is_quick else FRAME_ACCURACY) * norm

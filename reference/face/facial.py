@@ -12,10 +12,10 @@ from typing import get_args
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
+from ...lhm.base.checks import check_arguments
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.mesh import Floats, Ints
 from .. import terms
 from ..added import added_laws
 from ..materials import Material, NeoHookean
@@ -50,7 +50,7 @@ WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
 
-@checked
+@check_arguments
 def facial_scene(
     head: LayeredHead,
     parameters: Parameters,
@@ -288,7 +288,7 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
         raise SceneError("soft bones are the skull wrap itself: attach eyes to it, but no bone")
 
 
-@checked
+@check_arguments
 def apply_law(scene: Scene, law: FaceLaw) -> Scene:
     """Replace each layer's Strain and Volume by a law of the same moduli at rest; PD_ENERGY leaves the scene as it is.
 

@@ -21,12 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.bounds import plain, shown
-from ...lhm.checked import checked
-from ...lhm.errors import InputError, SceneError
-from ...lhm.files.toml_file import read_toml
-from ...lhm.mesh import Floats, Surface
-from ...lhm.validate import finite
+from ...lhm.base.checks import check_arguments, finite
+from ...lhm.base.errors import InputError, SceneError, escape, quote
+from ...lhm.base.files.text import read_toml
+from ...lhm.base.mesh import Floats, Surface
 
 STANDARD_GRAVITY = 9810.0
 """[mm/s²]"""
@@ -220,7 +218,7 @@ class Parameters:
         for info in cls.infos():
             if info.name == name:
                 return info
-        raise InputError(f"unknown parameter {shown(name)!r}; there are {', '.join(i.name for i in cls.infos())}")
+        raise InputError(f"unknown parameter {quote(name)!r}; there are {', '.join(i.name for i in cls.infos())}")
 
     def vector(self, names: tuple[str, ...] | None = None) -> Floats:
         """The values as an array, of all parameters or of the named ones; InputError for one that varies."""
@@ -235,11 +233,11 @@ class Parameters:
 def _checked(info: ParameterInfo, value: Any) -> float | Floats:
     """A parameter's value, a float or a read-only array (k,), within its range."""
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float, np.number, np.ndarray)):
-        raise InputError(f"parameter {info.name}: expected a number, got {shown(value)}")
+        raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}")
     try:
         array = np.array(value, dtype=np.float64)
     except (OverflowError, TypeError, ValueError):
-        raise InputError(f"parameter {info.name}: expected a number, got {shown(value)}") from None
+        raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}") from None
     if array.ndim and not info.local:
         raise InputError(f"parameter {info.name}: one number for the whole head, got an array of shape {array.shape}")
     if array.ndim > 1 or array.size == 0:
@@ -291,7 +289,7 @@ def spread_to_vertices(name: str, value: float | Floats, wrap: Surface) -> float
     return np.bincount(corners, weight * values, n) / np.maximum(np.bincount(corners, weight, n), 1e-300)
 
 
-@checked
+@check_arguments
 def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     """The parameters in a TOML file; what it does not name keeps its default.
 
@@ -314,12 +312,12 @@ def _value(path: Path, name: str, value):
 
 def _array(path: Path, name: str) -> Floats:
     if path.suffix != ".npy" or not os.path.isfile(path):  # False, too, for a name that is too long
-        raise InputError(f"parameter {name}: {shown(str(path), 200)}: expected a number, or an .npy file that is there")
+        raise InputError(f"parameter {name}: {quote(str(path), 200)}: expected a number, or an .npy file that is there")
     try:
         # A map of the file cannot be longer than the file, whatever its header says.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy's reader raises whatever the damage makes it raise
-        reason = plain(" ".join(str(error).split()))[:60]
+        reason = escape(" ".join(str(error).split()))[:60]
         raise InputError(f"parameter {name}: {path}: not an array of numbers ({reason})") from None
     values = np.array(finite(f"parameter {name}: {path}", array))
     try:

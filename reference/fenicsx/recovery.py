@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..solution import Stresses
 from .dolfinx_version import ALONE
@@ -48,7 +48,7 @@ def recover(scene: Scene, degree: int, answer: Nodal) -> Stresses:
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Stresses.from_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
+    return Stresses.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
 
 
 def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:

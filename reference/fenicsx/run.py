@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..clock import Seconds
 from ..scene import Scene
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, volume_ratio

@@ -23,7 +23,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Strain, Volume
 from .projections import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..solution import Stresses
 from .discretisation import Discretisation
@@ -21,4 +21,4 @@ def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     reactions = np.zeros(scene.vertices.shape)
     for end in at.ends.T:  # an edge's node gives half to each of its ends
         np.add.at(reactions, end, 0.5 * forces)
-    return Stresses.from_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)
+    return Stresses.of_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import FitError
-from ...lhm.mesh import Floats
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import FitError
+from ...lhm.base.mesh import Floats
+from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.dynamics import find_pivot, measure_looseness
-from ..corpus.person import People
+from ..corpus.people import People
 
 PEOPLE = 96
 SEED = 41

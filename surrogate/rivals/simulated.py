@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats
-from ...reference.face.derivatives import Derivatives, differentiate_head, spring_norm
-from ..carried import Heads
-from ..modal.faces import Face, Faces
+from ...lhm.base.mesh import Floats
+from ...reference.face.derivatives import FaceDerivatives, differentiate_head, spring_norm
+from ..corpus.face import Face
+from ..corpus.reading import Faces
+from ..heads import Heads
 from .protocol import Bound, Takes
 
 TOLERANCE, MOST = 5e-4, 200
@@ -19,7 +20,7 @@ class _Face:
 
     def __init__(self, heads: Heads, face: Face):
         self.head, self.shapes = heads.fit(face), heads.shapes(face)
-        self.linear: Derivatives = differentiate_head(self.head, heads.parameters(face, self.head))
+        self.linear: FaceDerivatives = differentiate_head(self.head, heads.parameters(face, self.head))
 
     def corrected(self, weights, *, iterations: int | None = None) -> Floats:
         """T - S [mm], shape (n, 3), from the first-order answer by so many iterations, or to the end."""

@@ -16,7 +16,7 @@ from PIL import Image
 from softdeca.animation.simulate import TakeConfig, run_take
 from softdeca.animation.takes import cut, take_from_text
 from softdeca.lhm import InputError, expressions
-from softdeca.lhm.progress import silent
+from softdeca.lhm.base.progress import silent
 from softdeca.reference import Parameters, SceneError, Sequence, settle, solve
 from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.reference.face.parameters import read_parameters

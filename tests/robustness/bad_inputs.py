@@ -35,8 +35,8 @@ from scipy.sparse import identity
 from softdeca import lhm, reference, surrogate
 from softdeca.benchmarks import study  # noqa: F401 (what commands import is not part of a case's time)
 from softdeca.cli.written_file import WrittenFile, WrittenFolder
-from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
-from softdeca.lhm.files import head_file, surface_file, template_file, tet_file
+from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, head_file, identities, template_file
+from softdeca.lhm.base.files import surface_file, tet_file
 from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, terms
 from softdeca.reference.face import parameters
 from softdeca.reference.problems.meshes import box
@@ -105,7 +105,7 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "a direction, or suction in place of pressure"
     if (function, what) == ("Surrogate.load", "None"):
         return "the one that is shipped"
-    if (function, argument, what) == ("settled", "solver", "None"):
+    if (function, argument, what) == ("settle", "solver", "None"):
         return "the law's own"
     if (argument, what) in (("text", "a text"), ("acceleration", "a function")):
         return "what it takes"
@@ -251,7 +251,7 @@ def functions() -> Iterator[Function]:
     faces = facial_scene(**face)
     yield Function("apply_law", reference.apply_law, {"scene": faces})
     settling = {"head": HEAD, "parameters": Parameters(), "law": "PD", "solver": "projective", "tolerance": 1e-3}
-    yield Function("settled", reference.settle, settling)
+    yield Function("settle", reference.settle, settling)
     jaw = {"head": HEAD, "parameters": Parameters(), "angle": 5.0, "hinge": np.zeros(3)}
     yield Function("open_jaw_scene", reference.open_jaw_scene, jaw)
     push = {"pressure": 0.5, "radius": 80.0, "centre": HEAD.skin.vertices[0]}

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm.errors import InputError, SceneError
+from softdeca.lhm.base.errors import InputError, SceneError
 from softdeca.reference import Parameters, SettledFace, facial_scene, prepare, settle, terms
 from softdeca.reference.face.derivatives import differentiate, vertices_by_parameters
 from softdeca.surrogate.sphere import Spheres

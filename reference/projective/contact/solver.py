@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from ....lhm.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...solution import Reason
 from ...terms import Contact
