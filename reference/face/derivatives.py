@@ -1,4 +1,4 @@
-"""FaceDerivatives of a settled face at its neutral expression: by blendshapes, and by the parameters p.
+"""Derivatives of a settled face at its neutral expression: by blendshapes, and by the parameters p.
 
 At a minimum the gradient stays zero, so K dx = -∂(∇E)/∂p dp with K the exact Hessian: one factor serves all changes.
 What p does to the gradient is a difference quotient of scenes, which costs two gradients but no solve. Frames of one

@@ -83,7 +83,7 @@ class Recurrence:
         rates = f"Hz at {1.0 / time_step:g} frames per second; raise the frame rate"
         _check_within("frequency", f, 0.0, 0.5 / time_step, rates)
         _check_within("damping", zeta, 0.0, 1.0, "as a ratio to critical damping")
-        share = np.asarray(measure_looseness, dtype=np.float64)
+        share = np.asarray(loose, dtype=np.float64)
         if not np.all((share >= 0.0) & (share <= 1.0)):
             raise InputError("loose: expected shares in [0, 1]")
         moving = share > 0.0
@@ -130,7 +130,7 @@ class Recurrence:
 
     def driven_by(self, lag: Floats) -> Floats:
         """By how much [mm] the base's motion moves what the skin seeks, from `base_lag`, shape (n, 3)."""
-        return _column(self.driven) * base_lag
+        return _column(self.driven) * lag
 
     def at(self, weights: csr_matrix) -> Recurrence:
         """Average the recurrence to other vertices by `weights` (other, n), not negative, rows summing to one.
@@ -190,15 +190,15 @@ def measure_looseness(head: LayeredHead) -> Floats:
 
 def check_rotation(name: str, base) -> Floats:
     """Return a rotation of the head in the room, shape (3, 3), as float64; InputError, by its name, for another."""
-    check_rotation = np.asarray(base, dtype=np.float64)
-    if check_rotation.shape != (3, 3):
-        raise InputError(f"{name}: expected a rotation of shape (3, 3), got {check_rotation.shape}")
-    off = np.abs(check_rotation.T @ check_rotation - np.eye(3)).max() if np.isfinite(check_rotation).all() else np.inf
+    rotation = np.asarray(base, dtype=np.float64)
+    if rotation.shape != (3, 3):
+        raise InputError(f"{name}: expected a rotation of shape (3, 3), got {rotation.shape}")
+    off = np.abs(rotation.T @ rotation - np.eye(3)).max() if np.isfinite(rotation).all() else np.inf
     if not off <= ORTHOGONAL:
         raise InputError(f"{name}: no rotation; R^T R is off the identity by {off:g}, at most {ORTHOGONAL:g} may be")
-    if np.linalg.det(check_rotation) < 0.0:
+    if np.linalg.det(rotation) < 0.0:
         raise InputError(f"{name}: no rotation but a reflection; its determinant is -1")
-    return check_rotation
+    return rotation
 
 
 def check_turns(name: str, base) -> Floats:
@@ -233,7 +233,7 @@ def turn_skin(head: LayeredHead, skin: Floats, base: Floats) -> Floats:
 
 def turn_about(pivot: Floats, skin: Floats, base: Floats) -> Floats:
     """Turn positions [mm], shape (n, 3), by a rotation (3, 3) about a point (3,)."""
-    return find_pivot + (skin - find_pivot) @ np.asarray(base, dtype=np.float64).T
+    return pivot + (skin - pivot) @ np.asarray(base, dtype=np.float64).T
 
 
 def base_lag(base: Floats, last: Floats, before: Floats, turns: Floats) -> Floats | None:
@@ -242,7 +242,7 @@ def base_lag(base: Floats, last: Floats, before: Floats, turns: Floats) -> Float
     base (3, 3): this frame's rotation; last, before (n, 3): the two frames before it, from the pivot, by which the head
     was turned by `turns` (2, 3, 3), the earlier first. None where it did not turn.
     """
-    if np.array_equal(base, check_turns[1]) and np.array_equal(base, check_turns[0]):
+    if np.array_equal(base, turns[1]) and np.array_equal(base, turns[0]):
         return None
-    ahead = 2.0 * last @ check_turns[1].T - before @ check_turns[0].T
+    ahead = 2.0 * last @ turns[1].T - before @ turns[0].T
     return ahead @ base - (2.0 * last - before)

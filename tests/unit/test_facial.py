@@ -171,7 +171,7 @@ def test_what_lines_a_paralysed_eye_stays_with_the_face_at_rest_and_a_mouths_lin
         assert np.all(springs.stiffness[rim & left] < 1e-9 * whole.stiffness[rim & left])
         assert np.allclose(springs.positions(smile, x)[far & left], drawn[far & left])
         assert np.array_equal(springs.positions(smile, x)[x[:, 0] < -12.0], smile[x[:, 0] < -12.0])
-        assert np.array_equal(springs.moved(smile - x), springs.positions(smile, x) - x)
+        assert np.array_equal(springs.move(smile - x), springs.positions(smile, x) - x)
     half = Springs.from_head(eyed, Parameters(paralysis_left=0.5))
     assert np.allclose(half.positions(smile, x)[far & left], 0.5 * (smile + x)[far & left])
 
