@@ -19,13 +19,13 @@ from ..lhm.head import LayeredHead
 from ..reference import Parameters, Reason, Sequence, SettledFace, Solution, settle
 from ..reference.face.dynamics import extrapolate_turns, find_pivot
 from ..reference.face.sequence import TOLERANCE
-from .played import Played, Wanted, blended
+from .play import Output, PlayedTake, blend_linearly
 from .preview import check_preview
 from .store import TakeStore, digest
 
 
 @dataclass(frozen=True)
-class TakeConfig(Wanted):
+class TakeConfig(Output):
     """What is made of a take, and how; `choices` go to `facial_scene`."""
 
     tolerance: float = TOLERANCE
@@ -73,7 +73,9 @@ def run_take(
         log = store.log()
         # The wrap ends below the neck: of a bust it is the head.
         framed = head.skin_wrap.vertices
-        played = Played(head.skin, deltas, find_pivot(head), framed, take, lambda numbers: map(store.moved, numbers))
+        played = PlayedTake(
+            head.skin, deltas, find_pivot(head), framed, take, lambda numbers: map(store.moved, numbers)
+        )
         files = [played.export(config, progress)]
         if config.preview != "none":
             files.append(played.show(config, "simulated", progress))
@@ -138,7 +140,7 @@ def _simulate(
     bases = rotations(take.head) if config.dynamic and take.head is not None else np.array([np.eye(3)] * count)
     for number in range(done, count):
         begin = time.perf_counter()
-        targets = blended(head.skin, deltas, take.weights[number])
+        targets = blend_linearly(head.skin, deltas, take.weights[number])
         skin, record = _frame(sequence, neutral, targets, bases[number:])
         record = {"frame": number, "time": float(take.times[number]), **record}
         record["seconds"] = round(time.perf_counter() - begin, 4)

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ..animation.pictures import Panel, draw_strip
 from ..lhm.base.mesh import Floats
 from ..reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
 from ..reference.face.facial import apply_law
 from ..surrogate import Surrogate
-from ..viewer.pictures import Panel, strip
 from .differences import difference, distances
 from .insides import compare_insides, load_on_mandible
 from .studies.person import Person
@@ -147,7 +147,7 @@ class SceneFace:
             Panel(f"{LAW} law", skin.with_vertices(law)),
             Panel(f"{LAW} - PD", skin.with_vertices(simulated), apart, top),
         ]
-        return strip(panels, rest=skin)
+        return draw_strip(panels, rest=skin)
 
     def _between(self, solution: Solution, what: str, other: Solution) -> list[dict]:
         apart = difference(solution.positions, other.positions, self.scene.vertices)
@@ -220,7 +220,7 @@ class Face(SceneFace):
         top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
         panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]
         panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
-        return strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)
+        return draw_strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)
 
     @property
     def _law_settled(self) -> bool:

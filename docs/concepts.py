@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softdeca.benchmarks.head_pictures import sections
+from softdeca.animation.head_pictures import draw_sections
+from softdeca.animation.pictures import Panel, draw_cut_away, draw_strip
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
 from softdeca.reference import Parameters, apply_law, facial_scene, settle, solve
 from softdeca.surrogate import Surrogate, linearised_rig
-from softdeca.viewer.pictures import Panel, cut_away, strip
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,13 @@ def mean(a, b):
 # soft tissue outside, muscle inside. The skull wrap knows which of its vertices are cranium, mandible, or free.
 
 # %% tags=["remove-input"]
-Picture(cut_away(head))
+Picture(draw_cut_away(head))
 
 # %% tags=["remove-input"]
 print(
     f"{n:,} vertices a wrap, {len(head.soft.tets):,} tets of soft tissue and {len(head.muscle.tets):,} of muscle"
 )
-Picture(sections(head, head.vertices, head.skin))
+Picture(draw_sections(head, head.vertices, head.skin))
 
 # %% [markdown]
 # The skin itself keeps its own mesh, finer than the wrap. Displacements go to and fro by fixed weights
@@ -102,7 +102,7 @@ panels = [
     Panel("T, simulated", Surface(T, triangles)),
     Panel("|T - S|", Surface(T, triangles), away, 0.5),
 ]
-Picture(strip(panels, rest=head.skin))
+Picture(draw_strip(panels, rest=head.skin))
 
 # %% [markdown]
 # ## Settling
@@ -178,7 +178,7 @@ for name in ("jawOpen", "mouthSmileLeft", "cheekPuff"):
         response - (head.skin.vertices + np.tensordot(one, deltas, axes=1)), axis=1
     )
     panels.append(Panel(name, Surface(response, triangles), beyond, 0.5))
-Picture(strip(panels, rest=head.skin))
+Picture(draw_strip(panels, rest=head.skin))
 
 # %% [markdown]
 # ## The surrogate

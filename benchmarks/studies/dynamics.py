@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import LayeredHead
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
@@ -18,7 +19,6 @@ from ...reference.march import SCHEMES
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..release import FEWEST, FINE, FRAME, TIGHT, Frames, Release, Swing, swing
 from .person import OfPerson
 
@@ -148,7 +148,7 @@ class Dynamics(OfPerson):
         axis.set(xlabel="time [s]", ylabel="share of the first displacement")
         axis.axhline(0.0, color="#bbbbbb", lw=0.8)
         figure.legend(loc="outside right upper")
-        return {"What is left of the first displacement.": svg(figure)}
+        return {"What is left of the first displacement.": to_svg(figure)}
 
 
 @lru_cache(maxsize=1)

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
@@ -21,7 +22,6 @@ from ..differences import distances
 from ..harness.gates import at_least, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import subplots, svg
 from ..traces import Stopwatch
 from .person import OfPerson
 
@@ -167,7 +167,7 @@ class Minimal(OfPerson):
         if not axis.lines[1:]:
             return {}
         figure.legend(loc="outside right upper")
-        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": svg(figure)}
+        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": to_svg(figure)}
 
 
 def _cost(rows: Sequence[Row], case: str, method: str) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
@@ -18,7 +19,6 @@ from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import subplots, svg
 from .person import OfPerson
 
 MEMORY_MB = 8000.0
@@ -125,7 +125,7 @@ class Mixed(OfPerson):
             axis.set_xlabel(what)
             axis.grid(False, axis="y")
         axes[0].invert_yaxis()
-        return {"What a solve takes.": svg(figure)}
+        return {"What a solve takes.": to_svg(figure)}
 
 
 def _poisson(law: str) -> float | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...reference import Parameters, Scene, apply_law, facial_scene
 from ..costs import NEO_HOOKEAN, PD_ENERGY
@@ -20,7 +21,6 @@ from ..harness.gates import at_most
 from ..harness.mpirun import by_mpirun
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import subplots, svg
 from .person import OfPerson
 
 PHASES = ("prepare", "energy", "gradient", "hessian", "first_solve", "next_solve", "whole")
@@ -103,7 +103,7 @@ class Ranks(OfPerson):
             axis.set_title(row.case, fontsize=10)
             axis.legend()
         axes[0][0].set_ylabel("times as fast as one process")
-        return {"What several processes gain, phase by phase.": svg(figure)}
+        return {"What several processes gain, phase by phase.": to_svg(figure)}
 
 
 def agreement(rows: Sequence[Row]) -> list[dict]:

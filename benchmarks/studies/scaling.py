@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
@@ -21,7 +22,6 @@ from ..floor import factor_bytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Stopwatch, traced_to_itself
 from .person import OfPerson
 
@@ -168,7 +168,7 @@ class Scaling(OfPerson):
         for axis, what in zip(axes, ("processor time [s]", "iterations", "scene and solver [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="tets", ylabel=what)
         axes[0].legend()
-        return {"Cost of a cold frame against the tets of the template's levels.": svg(figure)}
+        return {"Cost of a cold frame against the tets of the template's levels.": to_svg(figure)}
 
 
 def _neo_hookean(make: Callable[[], Scene]) -> Scene:

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
@@ -27,7 +28,6 @@ from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..richardson import limit_of_two
 from .person import OfPerson
 
@@ -249,7 +249,7 @@ class Split(OfPerson):
         axis.set_xlabel("mean over the skin's vertices [mm]")
         figure.legend(loc="outside upper center", ncol=3)
         axis.grid(False, axis="y")
-        return {"Mean distances, one after another; | is what simulation moves.": svg(figure)}
+        return {"Mean distances, one after another; | is what simulation moves.": to_svg(figure)}
 
 
 APART = 2e-5

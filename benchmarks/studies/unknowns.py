@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
@@ -23,7 +24,6 @@ from ..harness.apart import forget_peak, peak_megabytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..traces import Stopwatch
 from .person import OfPerson
 
@@ -170,7 +170,7 @@ class Unknowns(OfPerson):
         for axis, what in zip(axes, ("processor time per unknown [µs]", "most memory [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="unknowns", ylabel=what)
         axes[0].legend()
-        return {"Time and memory against unknowns.": svg(figure)}
+        return {"Time and memory against unknowns.": to_svg(figure)}
 
 
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.base.mesh import Floats
@@ -20,7 +21,6 @@ from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Stopwatch, Trace, farthest, traced
 from .person import OfPerson, Person
 
@@ -259,7 +259,7 @@ class WorkPrecision(OfPerson):
         for axis in (axes[0], *axes[2:]):
             if axis.get_legend_handles_labels()[0]:
                 axis.legend()
-        return {"Error against time and iterations, a line per expression.": svg(figure)}
+        return {"Error against time and iterations, a line per expression.": to_svg(figure)}
 
 
 def law_energy(law: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from softdeca.benchmarks.head_pictures import sections
+from softdeca.animation.head_pictures import draw_sections
 from softdeca.lhm import check_head, expressions, identities, load_template, scans
 from softdeca.lhm.head_file import load_head, save_head
 from softdeca.reference import Parameters, facial_scene, settle, solve
@@ -71,7 +71,7 @@ head = load_head(out / "head.npz")
 # Cut open: soft tissue and muscle between the wraps of skin, muscle and skull.
 
 # %%
-Picture(sections(head, head.vertices, head.skin))
+Picture(draw_sections(head, head.vertices, head.skin))
 
 # %% [markdown]
 # ## Simulate

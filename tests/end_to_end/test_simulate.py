@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from softdeca.animation.simulate import TakeConfig, run_take
-from softdeca.animation.takes import cut, take_from_text
+from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.base.progress import silent
 from softdeca.reference import Parameters, SceneError, Sequence, settle, solve
@@ -304,8 +304,8 @@ def test_frames_are_cut_as_python_does():
     whole = take_from_text("conversation:0.5:3")
     assert len(whole.times) == 30
     for text, expected in (("5:9", range(5, 9)), (":3", range(3)), ("-2:", range(28, 30))):
-        assert np.array_equal(cut(whole, text).weights, whole.weights[list(expected)])
-        assert cut(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
+        assert np.array_equal(cut_take(whole, text).weights, whole.weights[list(expected)])
+        assert cut_take(whole, text).times == pytest.approx(np.array(list(expected)) / 60)
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path):
