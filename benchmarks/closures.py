@@ -21,7 +21,7 @@ from ..lhm.base.progress import OnProgress
 from ..lhm.base.provenance import describe_machine
 from ..lhm.expressions import Take
 from ..lhm.wraps.landmarks import landmarks
-from ..reference import Parameters, settled
+from ..reference import Parameters, settle
 from ..reference import Sequence as Simulation
 from ..surrogate import Surrogate
 
@@ -89,7 +89,7 @@ def closures(
     openings = gaps(skin, space.parts, space.expressions)
     network = surrogate.bind(skin, code, parameters)
     exact = surrogate.bind(skin, code, parameters, exact=True, head=head)
-    neutral = settled(head, parameters)
+    neutral = settle(head, parameters)
     simulation = Simulation.of(neutral, time_step=1.0 / take.rate, dynamic=dynamic)
     rigs = {"network": network, "network + simulator at bind": exact}
     playing = {name: rig.dynamic(1.0 / take.rate) if dynamic else rig for name, rig in rigs.items()}

@@ -29,7 +29,7 @@ from softdeca.lhm.base.errors import SoftdecaError
 
 EXAMPLES = 500
 # What is right takes these too long to be tried by the hundred.
-SLOW = {"check_head", "load_template", "fit_head", "settled", "transfer_expressions", "personalised", "recordings"}
+SLOW = {"check_head", "load_template", "fit_head", "settle", "transfer_expressions", "personalised", "recordings"}
 NUMBERS = st.one_of(
     st.floats(width=64),
     st.integers(-(10**18), 10**18),
