@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from ..errors import InputError, MissingDependencyError
+from ..checks import one_of
+from ..errors import MissingDependencyError
 
 try:
     from cholespy import CholeskySolverD, CholeskySolverF, MatrixType
@@ -44,8 +45,8 @@ def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, 
     matrix of the same pattern, or its analysis, which is used again; others have no use for it. Raises InputError for
     an unknown linear solver and MissingDependencyError for one that is not installed.
     """
-    if linear_solver not in (None, *get_args(LinearSolver)):
-        raise InputError(f"unknown linear solver {linear_solver!r}; there are {', '.join(get_args(LinearSolver))}")
+    if linear_solver is not None:
+        one_of("linear solver", linear_solver, get_args(LinearSolver))
     if linear_solver == "cholmod":
         if not has_cholmod():
             raise MissingDependencyError("linear solver 'cholmod' needs scikit-sparse: pip install 'softdeca[cholmod]'")
