@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 from ..errors import MeshError
 from ..mesh import Floats, Ints, Surface
 from .cholesky import factorise
-from .topology import connected_parts
+from .topology import connected_parts, directed_edges
 
 
 def sumner_frames(vertices: Floats, triangles) -> Floats:
@@ -218,7 +218,7 @@ def torn_area(rest: Floats, moved: Floats, triangles: Ints) -> float:
 
 def folded_length(rest: Floats, moved: Floats, triangles: Ints) -> float:
     """Return the length [mm], as moved, of the edges that fold sharply: from less than 60 to more than 110 degrees."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = np.sort(directed_edges(triangles), axis=1)
     order = np.lexsort(edges.T)
     same = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=1))
     ends, a, b = edges[order[same]], order[same] // 3, order[same + 1] // 3

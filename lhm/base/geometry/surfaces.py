@@ -10,6 +10,7 @@ from numba import njit
 
 from ..errors import InputError
 from ..mesh import Floats, Ints, Surface
+from .topology import unique_edges
 
 
 def geodesic_sphere(frequency: int) -> tuple[Floats, Ints]:
@@ -134,14 +135,9 @@ def simplify(surface: Surface, most: int) -> Surface:
     if len(surface.triangles) <= most:
         return surface
     x, triangles = surface.vertices.copy(), surface.triangles.copy()
-    alive = _collapse(x, triangles, _quadrics(surface), _edges(triangles), most)
+    alive = _collapse(x, triangles, _quadrics(surface), unique_edges(triangles), most)
     used, numbers = np.unique(triangles[alive], return_inverse=True)
     return Surface(x[used], numbers.reshape(-1, 3))
-
-
-def _edges(triangles: Ints) -> Ints:
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(edges, axis=0)
 
 
 def _quadrics(surface: Surface) -> Floats:

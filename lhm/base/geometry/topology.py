@@ -11,19 +11,32 @@ from ..errors import MeshError
 from ..mesh import Floats, Ints, Surface
 
 
+def directed_edges(triangles: Ints) -> Ints:
+    """Return the three edges of each triangle (m, 3) in its direction, shape (3 m, 2): edge k from corner k to k + 1."""
+    return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def unique_edges(triangles: Ints) -> Ints:
+    """Return each edge of triangles (m, 3) once, its smaller vertex first, in rising order, shape (e, 2)."""
+    return np.unique(np.sort(directed_edges(triangles), axis=1), axis=0)
+
+
+def _edge_keys(triangles: Ints) -> tuple[Ints, Ints]:
+    """Return one number for each directed edge, and that of the edge run back, shape (3 m,)."""
+    a, b = directed_edges(triangles).T
+    n = int(triangles.max()) + 1
+    return a * n + b, b * n + a
+
+
 def is_closed(triangles: Ints) -> bool:
     """Return whether each edge is run through once in either direction: a closed, consistently oriented surface."""
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    n = int(triangles.max()) + 1
-    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
+    forth, back = (np.sort(keys) for keys in _edge_keys(triangles))
     return bool((np.diff(forth) > 0).all() and np.array_equal(forth, back))
 
 
 def across_edges(triangles: Ints) -> Ints:
     """Return the triangle across edge k (corner k to k + 1) of each triangle of a closed surface, shape (m, 3)."""
-    n = int(triangles.max()) + 1
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    forth, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    forth, back = _edge_keys(triangles)
     order = np.argsort(forth)
     return order[np.searchsorted(forth[order], back)].reshape(-1, 3) // 3
 
@@ -48,13 +61,11 @@ def find_openings(triangles: Ints) -> list[Ints]:
     Where the boundary touches itself at a vertex it is several loops. Raises MeshError for edges with more than two
     triangles, and for neighbours oriented against one another.
     """
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    n = int(triangles.max()) + 1
-    forth, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    forth, back = _edge_keys(triangles)
     if len(np.unique(forth)) < len(forth):
         raise MeshError("skin: edges with more than two triangles, or neighbours oriented against one another")
     following: dict[int, list[int]] = {}
-    for start, end in edges[~np.isin(forth, back)].tolist():
+    for start, end in directed_edges(triangles)[~np.isin(forth, back)].tolist():
         following.setdefault(start, []).append(end)
     loops = []
     while following:
