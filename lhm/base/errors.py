@@ -46,6 +46,6 @@ def quote(value: Any, longest: int = 40) -> str:
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):
         if abs(int(value)) < 10**18:  # Python refuses to print more than 4,300 digits
             return f"{int(value):,}"
-        return "more than 10^18" if value > 0 else "less than -10^18"
+        return "more than 10^18" if int(value) > 0 else "less than -10^18"
     text = escape(value if isinstance(value, str) else repr(value))
     return text if len(text) <= longest else text[:longest] + "..."

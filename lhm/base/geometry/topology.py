@@ -12,7 +12,7 @@ from ..mesh import Floats, Ints, Surface
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return the three edges of each triangle (m, 3) in its direction, shape (3 m, 2): edge k from corner k to k + 1."""
+    """Return the edges of triangles (m, 3), shape (3 m, 2): edge k of a triangle runs from corner k to k + 1."""
     return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
