@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..lhm.base.mesh import Floats, Surface
-from ..lhm.regressor import MeasuredDepths
+from ..lhm.regressor.pairs import MeasuredDepths
 from ..viewer.pictures import Panel, strip
 
 HALF_TURN = np.array([-1.0, 1.0, -1.0])

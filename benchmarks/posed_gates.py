@@ -9,7 +9,7 @@ import numpy as np
 from ..lhm import expressions
 from ..lhm.check import Figure
 from ..lhm.head import LayeredHead
-from ..lhm.membranes import BLINK, OPEN
+from ..lhm.openings import BLINK, OPEN
 from ..reference import Parameters, facial_scene, solve
 
 INVERTED = 100

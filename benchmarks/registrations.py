@@ -22,7 +22,7 @@ from ..lhm.expressions.transfer import transfer_expressions
 from ..lhm.fit import transferred_rig
 from ..lhm.identities import LinearSpace
 from ..lhm.identities.space import OUTSIDE
-from ..lhm.registration.matching import Target
+from ..lhm.registration.alignment import Target
 from ..lhm.registration.registration import Registration, face_of, register
 from ..lhm.wraps.landmarks import Mask
 from .harness.machine import describe

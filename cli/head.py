@@ -15,7 +15,7 @@ from ..lhm.check import Figure
 from ..lhm.head_file import export_vtk, load_head, naming, read_parts, save_head
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
-from ..lhm.regressor import DepthRegressor
+from ..lhm.regressor.depths import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
 from ..lhm.template_file import read_template, save_template
 from .imports import import_bodyparts3d, import_ict

@@ -20,8 +20,7 @@ from .base.geometry.triangles import fan_crossings
 from .base.mesh import Floats, Ints, Surface, tet_volumes
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
-from .membranes import BLINK, EYES, MOUTH, OPEN, at, folded, torn
-from .openings import lid_path, lip_path
+from .openings import BLINK, EYES, MOUTH, OPEN, at, folded, lid_path, lip_path, torn
 from .rig import Rig
 
 Direction = Literal["at least", "at most", "above", "below"]

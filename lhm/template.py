@@ -18,7 +18,7 @@ from .wraps.columns import Columns
 from .wraps.landmarks import Landmarks, Mask, landmarks
 
 if TYPE_CHECKING:
-    from .regressor import DepthRegressor
+    from .regressor.depths import DepthRegressor
 
 DEFAULT_LEVEL = 2
 LEVELS = {1: 1212, 2: 4842, 3: 19362}

@@ -15,7 +15,7 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.refine import refined_head
+from ...lhm.remesh import refined_head
 from ...reference import Parameters, Scene, Solution, facial_scene, prepare, solve
 from ..differences import difference
 from ..harness.gates import at_most

@@ -14,16 +14,17 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.files.surface_file import MILLIMETRES
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats
-from ...lhm.regressor import (
-    DepthErrors,
-    DepthRegressor,
+from ...lhm.regressor.depths import DepthErrors, DepthRegressor
+from ...lhm.regressor.pairs import (
     MeasuredDepths,
-    default_regressor,
+    check_inside,
     inward_normals,
     measured_depths,
     moved_wrap,
+    read_skin,
+    read_skull,
 )
-from ...lhm.regressor.files import check_inside, read_skin, read_skull
+from ...lhm.regressor.prior import default_regressor
 from ...lhm.wraps.depth import LANDMARKS
 from ...lhm.wraps.landmarks import Mask
 from ..depth_pictures import depth_comparison, depth_error

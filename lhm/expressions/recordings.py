@@ -21,11 +21,9 @@ from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import RECORDED_FILES, RECORDINGS
 from ..base.mesh import Ints
-from .combinations import combinations, hard_expressions
-from .conversation import conversation_take
-from .speech import PACE, speech, texts
-from .take import Take, check_frames, resampled
-from .take_file import read_take
+from .made_up import PACE, combinations, conversation_take, hard_expressions, speech, texts
+from .readers import read_take
+from .takes import Take, check_frames, resampled
 
 Kind = Literal["real", "speech", "conversation", "random", "hard"]
 RATE = 60.0

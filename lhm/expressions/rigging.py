@@ -19,12 +19,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from ..arkit import ARKIT
+from ..arkit import ARKIT, checked_weights
 from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
-from .blending import checked_weights
 from .transfer import HELD, Anchors, checked_deltas
 
 ROUNDS = 10

@@ -19,9 +19,8 @@ from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
 from ..base.limits import SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Surface
-from .cut import boundary_loops, close_loop, even_loop, largest_piece
-from .lips import lips_together
-from .pickled import read_pickled
+from .cut import boundary_loops, close_loop, even_loop, largest_piece, lips_together
+from .safe_pickle import read_pickled
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
 MM = 1000.0

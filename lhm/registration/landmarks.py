@@ -12,14 +12,18 @@ from ..base.checks import finite
 from ..base.errors import InputError, MeshError, quote
 from ..base.files.surface_file import FARTHEST
 from ..base.files.text import read_json
+from ..base.geometry.bvh import TriangleTree
 from ..base.mesh import Floats, Ints, Surface, as_points
 from ..identities.space import MOUTH, OUTSIDE
 from ..wraps.landmarks import landmarks
+from .alignment import similarity
 
 Pairs = tuple[Ints, Floats]
 """Vertices of the template, shape (k,), and the points [mm] on the skin that belong to them, shape (k, 3)."""
 
 LEAST = 4
+SCALES = (0.7, 1.5)
+FAR = 20.0  # [mm] farther from the skin, or from where the others put it, a landmark is on something else
 
 
 def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
@@ -106,3 +110,38 @@ def checked_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     if len(np.unique(ids)) < len(ids):
         raise InputError("landmarks: a vertex of the template is given twice")
     return ids.astype(np.int64), points
+
+
+# DOC """What a skin of any topology has to be before a template is registered with it."""
+def check_placed(template: Floats, pairs: Pairs, skin: Surface) -> None:
+    """Raise InputError for landmarks that are mirrored, of another scale, off the skin, or that contradict each other.
+
+    `template` (n, 3) [mm] are the template's vertices.
+    """
+    ids, points = pairs
+    rest = template[ids]
+    moved, mirrored = similarity(rest, points), similarity(rest * [-1.0, 1.0, 1.0], points)
+    off = np.linalg.norm(moved(rest) - points, axis=1)
+    as_mirrored = np.linalg.norm(mirrored(rest * [-1.0, 1.0, 1.0]) - points, axis=1)
+    if as_mirrored.mean() < 0.5 * off.mean() and off.mean() > 2.0:
+        raise InputError(
+            f"landmarks: they fit a mirrored head ({as_mirrored.mean():.1f} mm) better than a head "
+            f"({off.mean():.1f} mm): are left and right exchanged?"
+        )
+    if not SCALES[0] <= moved.scale <= SCALES[1]:
+        raise InputError(
+            f"landmarks: they are those of a head {moved.scale:.3g} times the template's size, "
+            f"expected {SCALES[0]:g}..{SCALES[1]:g}: units off?"
+        )
+    away = TriangleTree(skin.vertices, skin.triangles).closest(points)[2]
+    if away.max() > FAR:
+        worst = away.argmax()
+        raise InputError(
+            f"landmarks: that of template vertex {ids[worst]} is {away[worst]:.0f} mm off the skin (at most {FAR:g})"
+        )
+    if off.max() > 2 * FAR:
+        worst = off.argmax()
+        raise InputError(
+            f"landmarks: that of template vertex {ids[worst]} is {off[worst]:.0f} mm from where the others put it "
+            f"(at most {2 * FAR:g})"
+        )

@@ -15,7 +15,7 @@ from ..identities.space import LinearSpace
 from ..wraps import depth
 from ..wraps.landmarks import landmarks
 from .depths import DepthPairs, DepthRegressor
-from .measured import moved_wrap
+from .pairs import moved_wrap
 
 if TYPE_CHECKING:
     from ..template import Template

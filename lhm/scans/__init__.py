@@ -1,9 +1,7 @@
 """Scans of heads: read from any usual file, repaired, put upright in millimetres, fitted."""
 
-from .guesses import read_guesses
-from .intake import HeadScan, Said, fit_head_scan, fit_scan, read_head_scan, topology_of
-from .marks import found_landmarks
-from .personal import Personal, personalised_head, told
+from .intake import HeadScan, Said, fit_head_scan, fit_scan, found_landmarks, read_head_scan, topology_of
+from .personal import Personal, personalised_head, read_guesses, told
 from .placing import AXES, UNITS, Placement, placed
 from .repair import Repaired, repaired
 

@@ -13,12 +13,10 @@ from ..base.errors import MeshError
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
 from ..registration.registration import Registration
-from ..wraps.harmonic import harmonic
+from ..wraps.columns import harmonic, neighbours
 from ..wraps.landmarks import Mask
-from ..wraps.shrinkwrap import neighbours
-from .cutting import Slit, slit
-from .lip_ties import of_lips, shares, side_by_side
-from .lips import LipLine, lip_line
+from .lips import LipLine, lip_line, of_lips, shares, side_by_side
+from .slit import Slit, slit
 
 BESIDE, HIGH, BEHIND, BEFORE = 8.0, 12.0, 15.0, 35.0
 """[mm] The mouth's zone: beyond the corners, above and below the line, behind the corners and before them."""

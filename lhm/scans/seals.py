@@ -10,15 +10,14 @@ from ..base.errors import MeshError
 from ..base.geometry.deformation import torn_area
 from ..base.mesh import Floats, Ints, Surface
 from ..head import LayeredHead
-from ..membranes import MOUTH, at, torn
+from ..openings import MOUTH, at, torn
 from ..registration.registration import Registration
 from ..rig import Rig
 from ..template import Template
 from ..wraps.landmarks import distance_to
-from .eyes import Eyes, eyes_of
+from .eyes import Eyes, carried_along, eyes_of
 from .lips import lip_line
 from .mouth import is_sealed, opened
-from .still import carried_along
 
 AROUND = 25.0
 """[mm] Where a membrane between the lips is looked for, from the registered template's rim of them."""

@@ -17,7 +17,7 @@ from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from ...lhm.flesh import cheeks
 from ...lhm.head import FREE, MANDIBLE, LayeredHead
-from ...lhm.wraps.harmonic import harmonic
+from ...lhm.wraps.columns import harmonic
 from .. import terms
 from ..scene import Scene
 from .bones import condyles, scaled_skull

@@ -22,7 +22,7 @@ from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ...lhm.flesh import LEAN_REGIONS, fleshy
 from ...lhm.head import FREE, LayeredHead
-from ...lhm.wraps.harmonic import harmonic
+from ...lhm.wraps.columns import harmonic
 from .. import terms
 from ..added import all_solvers
 from ..scene import Scene

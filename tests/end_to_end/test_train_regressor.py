@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import identities, load_template
-from softdeca.lhm.regressor import DepthRegressor, moved_wrap
+from softdeca.lhm.regressor.depths import DepthRegressor
+from softdeca.lhm.regressor.pairs import moved_wrap
 
 
 @pytest.fixture(scope="module")

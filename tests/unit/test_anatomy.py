@@ -6,7 +6,6 @@ import trimesh
 
 from softdeca.lhm import identities
 from softdeca.lhm.anatomy import bodyparts
-from softdeca.lhm.anatomy.connectors import connectors_to
 from softdeca.lhm.anatomy.envelope import bone_at, closed_envelope, muscle_surface, skull_surface
 from softdeca.lhm.anatomy.placement import THICKEST, part_of, place, without_pockets
 from softdeca.lhm.base.errors import InputError
@@ -14,6 +13,7 @@ from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplify, zero_surface
 from softdeca.lhm.base.mesh import Surface
+from softdeca.lhm.build import connectors_to
 from softdeca.lhm.head import CRANIUM, FREE, MANDIBLE
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.warp import rigid_motion
-from softdeca.lhm.refine import refined_head
+from softdeca.lhm.remesh import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
 from softdeca.reference.face.bones import carried
 from softdeca.reference.face.connecting import Attached, bone_points, connecting_tets, eyeballs

@@ -4,7 +4,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.lhm.head_file import export_vtk, load_head, save_head
-from softdeca.lhm.refine import refined_head
+from softdeca.lhm.remesh import refined_head
 
 
 def test_a_head_survives_the_file(tmp_path, sphere_head):

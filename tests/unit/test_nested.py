@@ -9,7 +9,7 @@ from scipy.sparse import identity
 from softdeca.lhm.base.geometry.topology import subdivide
 from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head import LayeredHead
-from softdeca.lhm.refine import refined_head
+from softdeca.lhm.remesh import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, nested_start, solve
 
 LAYERS = (2, 3)

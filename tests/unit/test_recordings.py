@@ -8,9 +8,8 @@ from scipy.signal import find_peaks
 
 from softdeca.lhm import InputError
 from softdeca.lhm.expressions import ARKIT, combinations, index, recordings, sample_weights, speech, starts
-from softdeca.lhm.expressions.combinations import contradict, hard_expressions
-from softdeca.lhm.expressions.speech import texts
-from softdeca.lhm.expressions.take import Take, resampled
+from softdeca.lhm.expressions.made_up import contradict, hard_expressions, texts
+from softdeca.lhm.expressions.takes import Take, resampled
 
 fx = pytest.importorskip("openfacefx")
 CLOSED = ("mouthPressLeft", "mouthPressRight", "mouthRollUpper", "mouthRollLower")

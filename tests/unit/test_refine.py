@@ -9,7 +9,7 @@ import pytest
 from softdeca.lhm import TetMesh
 from softdeca.lhm.base.errors import MeshError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
-from softdeca.lhm.refine import refined_head, refined_tets
+from softdeca.lhm.remesh import refined_head, refined_tets
 
 
 def test_a_tet_is_split_into_eight_of_its_volume():

@@ -13,10 +13,9 @@ from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 from softdeca.lhm.registration import landmark_ids, named_landmarks, read_landmarks, register, registered_by
-from softdeca.lhm.registration.affine import SmoothAffine
-from softdeca.lhm.registration.matching import Target
-from softdeca.lhm.registration.start import similarity
-from softdeca.lhm.registration.ties import on_skin
+from softdeca.lhm.registration.alignment import Target, similarity
+from softdeca.lhm.registration.nonrigid import SmoothAffine
+from softdeca.lhm.registration.registration import on_skin
 from softdeca.lhm.wraps.landmarks import landmarks
 
 

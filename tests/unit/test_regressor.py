@@ -11,19 +11,9 @@ from softdeca.lhm import FitError, InputError, Surface, identities, load_templat
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.registration import Registration, Residual
-from softdeca.lhm.regressor import (
-    DepthErrors,
-    DepthPairs,
-    DepthRegressor,
-    default_regressor,
-    inward_normals,
-    leave_one_out,
-    measured_depths,
-    moved_wrap,
-    prior_pairs,
-    read_pairs,
-)
-from softdeca.lhm.regressor.depths import _left_out
+from softdeca.lhm.regressor.depths import DepthErrors, DepthPairs, DepthRegressor, _left_out, leave_one_out
+from softdeca.lhm.regressor.pairs import inward_normals, measured_depths, moved_wrap, read_pairs
+from softdeca.lhm.regressor.prior import default_regressor, prior_pairs
 from softdeca.lhm.wraps import depth
 
 BALL = trimesh.creation.icosphere(3)

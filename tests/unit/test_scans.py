@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, load_template, scans
-from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.arkit import ARKIT, arkit_name, arkit_named
 from softdeca.lhm.base.files.surface_file import Scan, read_scan
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.expressions.naming import arkit_name, arkit_named
 from softdeca.lhm.registration.registration import face_of
 from softdeca.lhm.scans.repair import repaired
 

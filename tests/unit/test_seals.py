@@ -17,12 +17,11 @@ from softdeca.lhm.fit import fit_registered, space_rig
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH
 from softdeca.lhm.openings import lid_path, lip_path
 from softdeca.lhm.registration import registered_by
-from softdeca.lhm.registration.ties import on_skin, on_template
+from softdeca.lhm.registration.registration import on_skin, on_template
 from softdeca.lhm.rig import Rig
 from softdeca.lhm.scans import lips, mouth, seals
-from softdeca.lhm.scans.cutting import slit
-from softdeca.lhm.scans.eyes import Eyes, eyes_of
-from softdeca.lhm.scans.still import REACH, carried_along
+from softdeca.lhm.scans.eyes import REACH, Eyes, carried_along, eyes_of
+from softdeca.lhm.scans.slit import slit
 from softdeca.lhm.wraps.landmarks import distance_to
 
 
