@@ -41,7 +41,7 @@ def posed(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, S
 
     The default parameters' projective dynamics.
     """
-    used = np.flatnonzero(expressions.checked_weights(weights))
+    used = np.flatnonzero(expressions.check_weights(weights))
     shape = head.skin.vertices + np.tensordot(weights[used], deltas[used], axes=1)
     solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
     return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))

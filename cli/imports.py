@@ -24,7 +24,7 @@ def import_ict(folder: Path, out: Path) -> int:
 
     with shown() as progress:
         arrays = ict.read_folder(folder, progress=progress)
-        space = ict.space_of(arrays, folder)
+        space = ict.space_from_arrays(arrays, folder)
         write_arrays(out, arrays)
     n, names = len(arrays["vertices"]), len(arrays["expression_names"])
     click.echo(f"{n} vertices, {space.code_size} identity shapes, {names} expression shapes")
@@ -50,10 +50,10 @@ def import_bodyparts3d(folder: Path, out: Path) -> int:
 
     with shown() as progress:
         arrays = bodyparts.read_folder(folder, progress=progress)
-        bodyparts.anatomy_of(arrays, folder)
+        bodyparts.anatomy_from_arrays(arrays, folder)
         write_arrays(out, arrays)
     click.echo(f"{len(arrays['part_name'])} parts of {len(arrays['faces'])} triangles")
-    if missing := bodyparts.left_out(arrays):
+    if missing := bodyparts.missing_parts(arrays):
         click.echo(f"without {', '.join(missing)}")
     click.echo(f"wrote {out}")
     return 0

@@ -100,7 +100,7 @@ def taken(text: str, fps: float | None, chosen: str | None, turned: bool) -> Tak
     from ..animation.takes import cut, take_from_text
 
     take = take_from_text(text)
-    take = expressions.resampled(take, take.rate if fps is None else fps)
+    take = expressions.resample(take, take.rate if fps is None else fps)
     take = take if chosen is None else cut(take, chosen)
     if turned and take.head is None:
         raise InputError(f"--turned: {text} has no head rotation")

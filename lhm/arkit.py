@@ -51,7 +51,7 @@ def arkit_name(name: str) -> str | None:
     return None
 
 
-def arkit_named(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
+def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
     """Morph targets (n, 3) by ARKit's names, halves added; those of other names, or that are zero, are left out."""
     found: dict[str, Floats] = {}
     for name, delta in morphs.items():
@@ -89,7 +89,7 @@ def weights_of(named: Mapping[str, float]) -> Floats:
     return weights
 
 
-def parsed(text: str) -> Floats:
+def parse_weights(text: str) -> Floats:
     """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
     named: dict[str, float] = {}
     for part in text.split("+"):
@@ -108,7 +108,7 @@ def parsed(text: str) -> Floats:
     return weights_of(named)
 
 
-def checked_weights(weights) -> Floats:
+def check_weights(weights) -> Floats:
     """Weights as float64, shape (..., 52), clipped to [0, 1] with a warning that counts those outside.
 
     Raises InputError for another shape, and for NaN or infinity (by frame and name).

@@ -27,7 +27,7 @@ from .template import DEFAULT_LEVEL, LEVELS, Template
 from .template_file import arrays_of, template_from
 from .wraps import depth, inner
 from .wraps.columns import Columns, unit
-from .wraps.landmarks import Landmarks, Mask, bone_labels, distance_to, held_labels, landmarks, regions
+from .wraps.landmarks import Landmarks, Mask, distance_to, find_landmarks, find_regions, label_bones, limit_bones
 from .wraps.shrinkwrap import shrink
 
 FORMAT = 17
@@ -45,7 +45,7 @@ MUSCLE_BOUNDS = (0.35, 0.7)
 """Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
 
 
-class InSpace(TypedDict):
+class SpaceOptions(TypedDict):
     """What an identity space knows of its mean head; see `build_template`."""
 
     parts: Ints
@@ -53,7 +53,7 @@ class InSpace(TypedDict):
     lids: Floats
 
 
-def in_space(space: LinearSpace) -> InSpace:
+def space_options(space: LinearSpace) -> SpaceOptions:
     """The mean head's parts, and the expressions that open its mouth and lids."""
     wide = space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")]
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
@@ -73,7 +73,7 @@ def load_template(
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
 
     def make():
-        return arrays_of(build_template(of.mean, **in_space(of), level=level, name=of.name, progress=progress))
+        return arrays_of(build_template(of.mean, **space_options(of), level=level, name=of.name, progress=progress))
 
     name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
     template = load_or_make(name, make, template_from)
@@ -111,7 +111,7 @@ def build_template(
     for inside, what in ((muscles, "muscles"), (skull, "skull")):
         if inside is not None:
             _check_inside(inside, skin, what)
-    marks = landmarks(skin, parts)
+    marks = find_landmarks(skin, parts)
     if jaw.any() and not marks.known:
         raise InputError("parts: a jaw that opens needs vertices of the mouth's lining and of the eye sockets")
     opened = skin.with_vertices(x + jaw + lids)
@@ -125,17 +125,17 @@ def build_template(
     skin_from_wrap = _barycentric(wrap.triangles[triangle], skin_weights, shape[::-1])
     columns = Columns(wrap.triangles, len(wrap.vertices))
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
-    masks = {region: mask[nearest] for region, mask in regions(skin, parts, marks).items()}
+    masks = {region: mask[nearest] for region, mask in find_regions(skin, parts, marks).items()}
 
     progress("layers", 0.7)
     try:
-        rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
+        rest = inner.smooth_creases(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
         wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull)
-        stack = inner.valid_layers(columns, wanted.stack(rest, rest + wanted.connectors))
+        stack = inner.make_valid(columns, wanted.stack(rest, rest + wanted.connectors))
         for _ in range(PULLS):
             if skull is None:
                 break
-            stack = inner.valid_layers(columns, _pulled(columns, stack, wanted, skull))
+            stack = inner.make_valid(columns, _pulled(columns, stack, wanted, skull))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
@@ -146,9 +146,9 @@ def build_template(
     if not marks.known:
         bone = np.full(columns.n, CRANIUM) if bone_of is None else bone_of(skull_wrap)
     elif bone_of is None:
-        bone = bone_labels(rest, opened_wrap, depths, masks, from_lips, columns.edges)
+        bone = label_bones(rest, opened_wrap, depths, masks, from_lips, columns.edges)
     else:
-        bone = held_labels(bone_of(skull_wrap), rest, opened_wrap, depths, masks, from_lips)
+        bone = limit_bones(bone_of(skull_wrap), rest, opened_wrap, depths, masks, from_lips)
     progress("layers", 1.0)
     ties = (wrap_from_skin, skin_from_wrap)
     skull_bone = None if bone_of is None or skull is None else bone_of(skull.vertices)
@@ -218,15 +218,15 @@ def _wanted(
     """Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance."""
     normals = inner.cone_normals(columns, wrap)[0]
     if marks.known:
-        length = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
+        length = depth.mean_depth(wrap, marks.eyes, marks.mouth)
     else:
         length = np.full(columns.n, depth.SCALP)
     length[parts == MOUTH], length[parts == EYES] = depth.LINING, depth.SOCKET
     room = depth.ROOM * depth.inscribed_radius(wrap, normals, 40.0)
     met, on_skull, smoothing = np.zeros_like(wrap), np.zeros(columns.n, bool), 1.0
     if skull is not None:
-        directions = unit(inner.smoothed(columns, -normals, 4.0))
-        met, on_skull = connectors_to(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
+        directions = unit(inner.smooth(columns, -normals, 4.0))
+        met, on_skull = find_connectors(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
         reach = np.linalg.norm(met, axis=1)
         on_skull = on_skull & ~(reach > OUTLIER * _middle_around(columns, np.where(on_skull, reach, length)))
         # A ray that meets bone shows that there is room up to it.
@@ -234,15 +234,15 @@ def _wanted(
         smoothing = 0.2
     wanted = length
     length = np.maximum(np.minimum(length, room), depth.LEAST)
-    connectors = inner.smoothed(columns, np.where(on_skull[:, None], met, -length[:, None] * normals), smoothing)
+    connectors = inner.smooth(columns, np.where(on_skull[:, None], met, -length[:, None] * normals), smoothing)
     size = np.linalg.norm(connectors, axis=1)
     connectors *= (np.minimum(length, size) / size)[:, None]
     share = np.full(columns.n, MUSCLE)
     if muscles is not None:
-        met, found = connectors_to(columns.surface(wrap), normals, unit(connectors), muscles)
+        met, found = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
         reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
         share[found] = np.clip(reach, *MUSCLE_BOUNDS)
-        share = inner.smoothed(columns, share[:, None], 0.5)[:, 0]
+        share = inner.smooth(columns, share[:, None], 0.5)[:, 0]
     return _Wanted(connectors, share, wanted, room, on_skull)
 
 
@@ -268,7 +268,7 @@ GRAZING = 0.2
 """A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
 
 
-def connectors_to(
+def find_connectors(
     skin_wrap: Surface, normals: Floats, directions: Floats, surface: Surface, *, longest: float = LONGEST_RAY
 ) -> tuple[Floats, Mask]:
     """Connectors (n, 3) [mm] from the vertices of a closed skin wrap to a closed surface inside it, and where found.

@@ -19,7 +19,7 @@ from .base.progress import OnProgress, silent
 from .expressions.transfer import transfer_expressions
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .identities.space import LinearSpace
-from .registration import Registration, register, registered_by
+from .registration import Registration, register, register_by_mapping
 from .registration.landmarks import Pairs
 from .regressor.depths import DepthRegressor
 from .rig import Rig
@@ -80,7 +80,7 @@ def fit_head(
     that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
 
     A skin with the template's triangles needs nothing else. On another topology the template's skin is laid first,
-    by `mapping` (as in `registered_by`), or found (`register`, half a minute) from `landmarks` if given; the head's
+    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the head's
     skin is then the given one, tied to the wraps through the other.
 
     The head's rig has the expressions of the template's space, transferred to the registered skin (Sumner and Popović
@@ -88,19 +88,19 @@ def fit_head(
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
     InputError for a skin of the template's triangles that is not of its size or does not look its way; and what
-    `register` and `registered_by` raise.
+    `register` and `register_by_mapping` raise.
     """
     same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
         skin.triangles, template.skin.triangles
     )
     if same and mapping is None:
         _check_place(template.skin.vertices, skin.vertices)
-        rig = None if template.space is None else own_first(space_rig(template.space), own)
+        rig = None if template.space is None else add_own_expressions(rig_from_space(template.space), own)
         return replace(_fitted(template, skin, regressor), rig=rig)
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
     else:
-        laid = registered_by(template.skin, template.parts, mapping, skin)
+        laid = register_by_mapping(template.skin, template.parts, mapping, skin)
     return fit_registered(template, skin, laid, regressor=regressor, own=own)
 
 
@@ -114,7 +114,7 @@ def fit_registered(
 ) -> LayeredHead:
     """The layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
     head = _fitted(template, laid.surface, regressor)
-    rig = None if template.space is None else own_first(transferred_rig(template.space, laid), own)
+    rig = None if template.space is None else add_own_expressions(transfer_rig(template.space, laid), own)
     return replace(
         head,
         skin=skin,
@@ -125,19 +125,19 @@ def fit_registered(
     )
 
 
-def space_rig(space: LinearSpace) -> Rig:
+def rig_from_space(space: LinearSpace) -> Rig:
     """The expressions of a space's own topology."""
     return Rig(space.expressions.astype(np.float32), space.name, space.missing)
 
 
-def transferred_rig(space: LinearSpace, laid: Registration) -> Rig:
+def transfer_rig(space: LinearSpace, laid: Registration) -> Rig:
     """A space's expressions transferred to its registered mean skin, and from there to the skin that it lies on."""
     deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
     carried = np.stack([laid.skin_weights @ delta for delta in deltas])
     return Rig(carried.astype(np.float32), f"transferred from {space.name}", space.missing)
 
 
-def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
+def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
     """The rig with the expressions in `own` in place of its own, by ARKit names."""
     if not own:
         return rig
@@ -148,7 +148,7 @@ def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
     return Rig(deltas, source, tuple(name for name in rig.missing if name not in own), rig.doubtful)
 
 
-def stands(template: Surface, skin: Surface) -> bool:
+def is_upright(template: Surface, skin: Surface) -> bool:
     """Whether a skin of the template's triangles has a head's size in millimetres and looks where the template does."""
     size, turned = _place(template.vertices, skin.vertices)
     return LEAST_SIZE <= size <= MOST_SIZE and turned <= MOST_TURNED
@@ -178,7 +178,7 @@ def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None)
     depths = _depths(template, prepared, wrap, regressor or template.regressor)
     skull, _ = prepared.skull_fit.fitted(wrap, depths, start)
     stack = np.vstack([wrap, _muscle(template, wrap, skull), skull])
-    stack = inner.valid_layers(template.columns, stack)
+    stack = inner.make_valid(template.columns, stack)
     _, muscle, skull = stack.reshape(3, -1, 3)
     return template.layered(
         skin,

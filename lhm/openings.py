@@ -30,7 +30,7 @@ def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np
     ring = _ring(triangles, regions["mouth"])
     if not ring.size:
         return 0.0
-    vertices = upright(vertices, regions)
+    vertices = turn_upright(vertices, regions)
     x = vertices[ring, 0]
     middle = ring[np.abs(x - 0.5 * (x.min() + x.max())) < LIP_MIDDLE]
     return float(_ways(vertices, triangles, middle[:1])[middle].max(initial=0.0)) if middle.size else 0.0
@@ -51,14 +51,14 @@ def lid_path(
     eyes = np.asarray(regions["eyes"], dtype=bool)
     if not eyes.any():
         return 0.0, 0.0
-    vertices = upright(vertices, regions)
+    vertices = turn_upright(vertices, regions)
     x = vertices[:, 0]
     middle = 0.5 * (x[eyes].min() + x[eyes].max())
     found = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
     return min(found, key=lambda pair: pair[1])
 
 
-def upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
+def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
     """Points (n, 3) [mm] in the face's own axes, by its regions "mouth" and "eyes": across, up from mouth to eyes, out.
 
     Across is the way between the eyes, to either side. As they are where a region is missing.
@@ -114,7 +114,7 @@ MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
 OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
 
 
-def at(
+def triangles_at(
     skin: Surface, skin_from_wrap: csr_matrix, regions: Mapping[str, NDArray[np.bool_]], names: Sequence[str]
 ) -> Ints:
     """The skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
@@ -125,12 +125,12 @@ def at(
     return skin.triangles[there[skin.triangles].any(axis=1)]
 
 
-def torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
+def measure_torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
     """The area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
     return torn_area(skin.vertices, _moved(skin, rig, names), triangles)
 
 
-def folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
+def measure_folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
     """The length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
     return folded_length(skin.vertices, _moved(skin, rig, names), triangles)
 

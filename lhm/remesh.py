@@ -24,7 +24,7 @@ DIAGONALS = np.array([[4, 9], [5, 8], [6, 7]])
 AROUND = np.array([[5, 6, 8, 7], [4, 7, 9, 6], [4, 5, 9, 8]])
 
 
-def refined_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
+def refine_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
     """Every tet split into eight (Bey's red refinement), and each new tet's parent, shape (8 m,).
 
     The domain and each parent's volume stay; old vertices come first. The inner octahedron is cut along its shortest
@@ -45,7 +45,7 @@ def refined_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
     return TetMesh(vertices, tets), np.repeat(np.arange(len(mesh.tets)), 8)
 
 
-def refined_head(head: LayeredHead) -> LayeredHead:
+def refine_head(head: LayeredHead) -> LayeredHead:
     """The head with every triangle of its wraps split into four at its edges' middles: the same surfaces, finer.
 
     Its tets, a `volume`, are the head's split into eight (prisms between the finer wraps could be inverted where the
@@ -80,7 +80,7 @@ def refined_head(head: LayeredHead) -> LayeredHead:
 def _refined_volume(head: LayeredHead, ends: Ints) -> tuple[TetMesh, TetMesh]:
     """Soft tissue and muscle split into eight, the finer wraps' vertices first; `ends` (e, 2) of a wrap's edges."""
     old, n = len(head.vertices), len(head.bone)
-    finer, parent = refined_tets(TetMesh(head.vertices, head.tets))
+    finer, parent = refine_tets(TetMesh(head.vertices, head.tets))
     edges, _ = midpoints(head.tets, EDGES, old)
     keys = edges[:, 0] * old + edges[:, 1]
     wraps = []
@@ -107,12 +107,12 @@ NETGEN = "Netgen"
 SMALLEST_SIZE = 0.2
 
 
-def remeshed(head: LayeredHead, size: float) -> LayeredHead:
+def remesh(head: LayeredHead, size: float) -> LayeredHead:
     """The head with free tets of `size` [mm] between its wraps, as its `volume`; wraps and all else are kept.
 
     The wraps' triangles stay as they are and grade the size: tets are as large as the triangles by the wraps, and where
     a layer is thick no larger than `size` inside. Where it is thinner than its triangles are wide, tets reach from wrap
-    to wrap whatever the size: smaller ones take finer wraps (`refined_head`) first.
+    to wrap whatever the size: smaller ones take finer wraps (`refine_head`) first.
     Raises InputError for a size outside 0.2..1000 mm, MissingDependencyError without gmsh, and MeshError with gmsh's
     reason where it fails (wraps that cross or all but touch), or where it changed a wrap.
     """

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .arkit import ARKIT, checked_weights
+from .arkit import ARKIT, check_weights
 from .base.checks import check_arguments
 from .base.errors import InputError, MeshError
 from .base.mesh import Floats
@@ -66,7 +66,7 @@ def blend(space: LinearSpace, code, weights) -> Floats:
     `code` as in `space.skin`, `weights` (frames, 52) or (52,) in [0, 1] (clipped with a warning that counts them);
     returns (frames, n, 3). Raises InputError for another shape and for weights that are not finite.
     """
-    values = np.atleast_2d(checked_weights(weights))
+    values = np.atleast_2d(check_weights(weights))
     deltas = space.expression_deltas(code)
     used = np.flatnonzero(values.any(axis=0))
     moved = np.tensordot(values[:, used], deltas[used], axes=1)

@@ -55,7 +55,7 @@ def _pieces(edges: Ints) -> int:
     return int(connected_components(graph, directed=False)[0])
 
 
-def registrable(skin: Surface) -> Surface:
+def check_registrable(skin: Surface) -> Surface:
     """The skin's largest connected piece over the same vertices; a warning says how many others are left out.
 
     It may be open. Raises MeshError if it is empty, has edges with more than two triangles or neighbours oriented

@@ -21,7 +21,7 @@ from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.lhm.base.files.npz import write_arrays
 from softdeca.lhm.base.mesh import Floats, Ints
 from softdeca.lhm.identities import ANNY, ANNY_WITHIN
-from softdeca.lhm.identities.cut import cut_and_close, largest_piece, lips_together
+from softdeca.lhm.identities.cut import cut_and_close, keep_lips_together, largest_piece
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 
 MM = 100.0  # MakeHuman's unit is the decimetre.
@@ -146,7 +146,7 @@ def _build(folder: Path) -> dict[str, np.ndarray]:
     head_parts = np.append(parts[kept], np.full(cut.shape[0] - len(kept), CAP))
     mean = (mean - [0.0, mean[:, 1].max() - 1.3, 0.0]) * MM
     shapes = MM * _DEVIATION * np.stack([cut @ direction for direction in directions])
-    identity = _principal(mean, lips_together(mean, triangles, head_parts, shapes))
+    identity = _principal(mean, keep_lips_together(mean, triangles, head_parts, shapes))
     return {
         "mean": mean,
         "triangles": triangles,

@@ -59,10 +59,10 @@ class Anatomy:
 
 def load(path: str | os.PathLike[str]) -> Anatomy:
     """The anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
-    return anatomy_of(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
+    return anatomy_from_arrays(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
 
 
-def anatomy_of(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:
+def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:
     """The anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _anatomy(data)
@@ -188,7 +188,7 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     }
 
 
-def left_out(arrays: Mapping[str, np.ndarray]) -> list[str]:
+def missing_parts(arrays: Mapping[str, np.ndarray]) -> list[str]:
     """Names of the parts that the arrays of `read_folder` lack; eyeballs may be there as such or as their scleras."""
     there = set(arrays["part_name"].tolist())
     names = [name for text in FMA_PARTS.values() for _, name in _named(text)]

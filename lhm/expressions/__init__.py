@@ -1,12 +1,12 @@
 """ARKit's 52 expressions: names, weights, takes, blending, and shapes carried to other faces."""
 
-from ..arkit import ARKIT, checked_weights, index, parsed, weights_of
+from ..arkit import ARKIT, check_weights, index, parse_weights, weights_of
 from ..rig import blend
 from .made_up import combinations, conversation, conversation_take, head_motion, sample_weights, speech
 from .readers import read_take
 from .recordings import Recording, recordings, starts
-from .rigging import PersonalRig, personalised
-from .takes import Take, resampled, rotations
+from .rigging import PersonalRig, personalise
+from .takes import Take, resample, rotations
 from .transfer import transfer_expressions
 
 __all__ = [
@@ -15,17 +15,17 @@ __all__ = [
     "Recording",
     "Take",
     "blend",
-    "checked_weights",
+    "check_weights",
     "combinations",
     "conversation",
     "conversation_take",
     "head_motion",
     "index",
-    "parsed",
-    "personalised",
+    "parse_weights",
+    "personalise",
     "read_take",
     "recordings",
-    "resampled",
+    "resample",
     "rotations",
     "sample_weights",
     "speech",

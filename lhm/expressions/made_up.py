@@ -465,7 +465,7 @@ def _spoken(word: str, sounds_of) -> list[str]:
     return sounds
 
 
-def texts() -> tuple[str, ...]:
+def shipped_sentences() -> tuple[str, ...]:
     """Sentences to be spoken, each of some seconds, with every sound of English and many closed lips."""
     lines = resources.files(__package__).joinpath("speech.txt").read_text(encoding="utf-8").splitlines()
     return tuple(line for line in lines if line.strip())

@@ -20,7 +20,7 @@ from ..base.files.text import parse_json as from_json
 from ..base.files.text import read_bytes
 from ..base.limits import TAKE_BYTES, TAKE_FRAMES
 from ..base.mesh import Floats
-from .takes import Take, angles_of, check_rate, of_quaternions, take_of
+from .takes import Take, angles_from_rotations, check_rate, rotations_from_quaternions, take_of
 
 
 @check_arguments
@@ -274,7 +274,7 @@ def _head_from_quaternions(values: dict[str, Floats]) -> Floats | None:
     none = np.flatnonzero(~quaternions.any(axis=1))
     if len(none):
         raise InputError(f"head, frame {none[0]}: a quaternion of zeros is no rotation")
-    return angles_of(of_quaternions(quaternions))
+    return angles_from_rotations(rotations_from_quaternions(quaternions))
 
 
 # DOC """Takes as JSON: an object with `frames`, and `rate` (or `fps`) [Hz] unless the frames carry their times.

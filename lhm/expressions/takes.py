@@ -158,7 +158,7 @@ def take_of(
 
 
 @check_arguments
-def resampled(take: Take, rate: float) -> Take:
+def resample(take: Take, rate: float) -> Take:
     """The take at evenly spaced times from its first to its last, `rate` [Hz].
 
     Between frames weights and head are linear in time, also where frames were lost: what is further apart than GAP
@@ -218,14 +218,14 @@ def rotations(angles) -> Floats:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def angles_of(matrices) -> Floats:
+def angles_from_rotations(matrices) -> Floats:
     """Yaw, pitch and roll [rad], shape (frames, 3), of rotation matrices; each without jumps from frame to frame."""
     r = np.asarray(matrices, dtype=np.float64)
     yaw, roll = np.arctan2(r[:, 0, 2], r[:, 2, 2]), np.arctan2(r[:, 1, 0], r[:, 1, 1])
     return np.unwrap(np.stack([yaw, np.arcsin(np.clip(-r[:, 1, 2], -1.0, 1.0)), roll], axis=1), axis=0)
 
 
-def of_quaternions(quaternions) -> Floats:
+def rotations_from_quaternions(quaternions) -> Floats:
     """Rotation matrices, shape (frames, 3, 3), of quaternions (x, y, z, w), shape (frames, 4), of any length but 0."""
     q = np.asarray(quaternions, dtype=np.float64)
     x, y, z, w = (q / np.linalg.norm(q, axis=1, keepdims=True)).T

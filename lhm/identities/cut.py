@@ -97,7 +97,7 @@ REACH = 6.0
 WIDTH = 5.0
 
 
-def lips_together(mean: Floats, triangles: Ints, parts: Ints, directions: Floats) -> Floats:
+def keep_lips_together(mean: Floats, triangles: Ints, parts: Ints, directions: Floats) -> Floats:
     """The directions (k, n, 3) [mm], averaged near the lips' rim over both lips alike.
 
     A linear model of neutral heads knows no contact: the lips of `mean` (n, 3) [mm] are half a millimetre apart, and

@@ -20,7 +20,7 @@ from ..base.files.surface_file import read_obj
 from ..base.limits import PARTS, SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
-from .cut import cut_and_close, largest_piece, lips_together
+from .cut import cut_and_close, keep_lips_together, largest_piece
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
 MM = 10.0
@@ -45,10 +45,10 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
     Raises InputError naming the file if it is missing, damaged or lacks an array.
     """
-    return space_of(read_arrays(path, *_NEEDED, of="ICT-FaceKit's data"), path)
+    return space_from_arrays(read_arrays(path, *_NEEDED, of="ICT-FaceKit's data"), path)
 
 
-def space_of(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> LinearSpace:
+def space_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> LinearSpace:
     """The space of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _space(data)
@@ -105,7 +105,7 @@ def _space(given: Mapping[str, np.ndarray]) -> LinearSpace:
     if not len(data["identity_deltas"]):
         raise InputError("identity_deltas: there are none")
     shapes = np.stack([cut @ delta.astype(np.float64) for delta in data["identity_deltas"][:CODE_SIZE]]) * MM
-    identity = lips_together(mean.vertices, closed, parts, shapes)
+    identity = keep_lips_together(mean.vertices, closed, parts, shapes)
     return LinearSpace("ict", mean, identity, expressions, parts, missing)
 
 

@@ -54,7 +54,7 @@ class Target:
         return corners, shares, (triangle >= 0) & ~open_edge & (over | (distance < SHARP) | (turned > 0))
 
 
-def robust(distance: Floats, limit: float) -> Floats:
+def tukey_weights(distance: Floats, limit: float) -> Floats:
     """Tukey's biweight of distances [mm]: 1 at zero, 0 from `limit` on."""
     inside = np.maximum(1 - (distance / limit) ** 2, 0.0)
     return inside * inside
@@ -91,7 +91,7 @@ class Similarity:
         return self.scale * points @ self.rotation.T + self.shift
 
 
-def similarity(rest: Floats, moved: Floats) -> Similarity:
+def fit_similarity(rest: Floats, moved: Floats) -> Similarity:
     """The least-squares fit moved = s R rest + t of points (n, 3) (Umeyama, IEEE TPAMI 13(4), 1991, Eq. 39-42)."""
     rotation, _ = rigid_motion(rest, moved)
     a, b = rest - rest.mean(axis=0), moved - moved.mean(axis=0)
@@ -99,7 +99,7 @@ def similarity(rest: Floats, moved: Floats) -> Similarity:
     return Similarity(scale, rotation, moved.mean(axis=0) - scale * rotation @ rest.mean(axis=0))
 
 
-def automatic(points: Floats, normals: Floats, target: Target) -> tuple[Similarity, float]:
+def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similarity, float]:
     """The similarity that lays a template's face on a skin, by ICP from 27 starts, and its score [mm].
 
     `points` (n, 3) [mm] and their `normals` are the template's face; both look along +z with +y up. Each start puts
@@ -115,9 +115,9 @@ def automatic(points: Floats, normals: Floats, target: Target) -> tuple[Similari
         rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
         start = Similarity(scale, rotation, goal + [0.0, height, 0.0] - scale * rotation @ tip)
         moved = icp(start, points[some], normals[some], target, COARSE_STEPS)
-        found.append((score(moved, points[some], normals[some], target), len(found), moved))
+        found.append((score_start(moved, points[some], normals[some], target), len(found), moved))
     moved = icp(min(found)[2], points, normals, target, FINE_STEPS)
-    return moved, score(moved, points, normals, target)
+    return moved, score_start(moved, points, normals, target)
 
 
 def icp(start: Similarity, points: Floats, normals: Floats, target: Target, steps: int) -> Similarity:
@@ -125,14 +125,14 @@ def icp(start: Similarity, points: Floats, normals: Floats, target: Target, step
     limits = np.geomspace(30.0, CAP, steps)
     for limit in limits:
         closest, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=limit)
-        used = (weight * robust(distance, limit)) > 0.2
+        used = (weight * tukey_weights(distance, limit)) > 0.2
         if used.sum() < 0.25 * len(points):
             break
-        start = similarity(points[used], closest[used])
+        start = fit_similarity(points[used], closest[used])
     return start
 
 
-def score(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
+def score_start(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
     """How far the points are off the target on average [mm at the points' own size], 10 mm where there is no match."""
     _, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=CAP)
     return float(np.where(weight > 0, np.minimum(distance, CAP), CAP).mean()) / start.scale

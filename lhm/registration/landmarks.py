@@ -15,8 +15,8 @@ from ..base.files.text import read_json
 from ..base.geometry.bvh import TriangleTree
 from ..base.mesh import Floats, Ints, Surface, as_points
 from ..identities.space import MOUTH, OUTSIDE
-from ..wraps.landmarks import landmarks
-from .alignment import similarity
+from ..wraps.landmarks import find_landmarks
+from .alignment import fit_similarity
 
 Pairs = tuple[Ints, Floats]
 """Vertices of the template, shape (k,), and the points [mm] on the skin that belong to them, shape (k, 3)."""
@@ -35,7 +35,7 @@ def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
     x = skin.vertices
     if not (parts == MOUTH).any():
         raise MeshError("landmarks: the template has no mouth among its parts")
-    marks = landmarks(skin, parts)
+    marks = find_landmarks(skin, parts)
     if not len(marks.lids):
         raise MeshError("landmarks: the template has no eyes among its parts")
     ids = {}
@@ -64,7 +64,7 @@ def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
     return {name: int(vertex) for name, vertex in ids.items()}
 
 
-def named_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pairs:
+def pair_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pairs:
     """Pairs for points [mm] given by the names of `landmark_ids`; InputError names an unknown one or a bad point."""
     ids = landmark_ids(skin, parts)
     unknown = [name for name in points if name not in ids]
@@ -94,10 +94,10 @@ def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
     return read
 
 
-def checked_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
+def check_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     """The pairs as arrays; InputError for fewer than four, vertices out of range or repeated, points not finite."""
     try:
-        ids, points = np.asarray(pairs[0]), as_points("landmarks", pairs[1])
+        ids, points = np.asarray(pairs[0]), as_points("find_landmarks", pairs[1])
     except MeshError as error:
         raise InputError(str(error)) from None
     if ids.shape != (len(points),) or not np.issubdtype(ids.dtype, np.integer):
@@ -120,7 +120,7 @@ def check_placed(template: Floats, pairs: Pairs, skin: Surface) -> None:
     """
     ids, points = pairs
     rest = template[ids]
-    moved, mirrored = similarity(rest, points), similarity(rest * [-1.0, 1.0, 1.0], points)
+    moved, mirrored = fit_similarity(rest, points), fit_similarity(rest * [-1.0, 1.0, 1.0], points)
     off = np.linalg.norm(moved(rest) - points, axis=1)
     as_mirrored = np.linalg.norm(mirrored(rest * [-1.0, 1.0, 1.0]) - points, axis=1)
     if as_mirrored.mean() < 0.5 * off.mean() and off.mean() > 2.0:

@@ -13,7 +13,7 @@ from ..base.progress import OnProgress
 from ..identities.space import EYES, MOUTH, OUTSIDE
 from ..wraps.columns import neighbours
 from ..wraps.landmarks import Landmarks, Mask, distance_to
-from .alignment import FACING, Target, robust
+from .alignment import FACING, Target, tukey_weights
 from .landmarks import Pairs
 
 RETURN = 0.01
@@ -84,7 +84,7 @@ exact."""
 LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
 
 
-def laid_onto(
+def lay_onto(
     start: Surface, parts: Ints, places: Landmarks, target: Target, marks: Pairs | None, progress: OnProgress
 ) -> tuple[Floats, int]:
     """The vertices (n, 3) [mm] of a template that stands at `start`, laid onto a skin; how many pairs cross anew.
@@ -113,7 +113,7 @@ def laid_onto(
             normals, turned = start.with_vertices(x).vertex_normals, TURNED[which]
             goals, weights, limit = x.copy(), np.zeros(len(x)), LIMITS[which]
             goals[drawn], distance, found = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
-            weights[drawn] = found * robust(distance, limit) * (EARLY if turned else 1.0)
+            weights[drawn] = found * tukey_weights(distance, limit) * (EARLY if turned else 1.0)
             x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()

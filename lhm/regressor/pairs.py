@@ -50,7 +50,7 @@ class MeasuredDepths:
         return int(np.count_nonzero(~self.met))
 
 
-def moved_wrap(template: Template, skin: Floats) -> Floats:
+def move_wrap(template: Template, skin: Floats) -> Floats:
     """The template's skin wrap (n, 3) [mm] moved with a skin (skin vertices, 3) of its topology."""
     return template.skin_wrap.vertices + template.wrap_from_skin @ (skin - template.skin.vertices)
 
@@ -66,7 +66,7 @@ def inward_normals(skin_wrap: Surface) -> Floats:
     return inward / np.linalg.norm(inward, axis=1, keepdims=True)
 
 
-def measured_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) -> MeasuredDepths:
+def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) -> MeasuredDepths:
     """Distances from a skin wrap's vertices (n, 3) [mm] along `inward` (n, 3) to the first bone that a ray meets.
 
     Where none is met within the plausible range (eye sockets, the nose's tip, the neck), or only one far behind the
@@ -124,9 +124,9 @@ def read_pairs(
         progress("depth regressor: pairs", i / len(files))
         skull = read_skull([skull_file], unit=unit)
         skin, off = read_skin(skin_file, space, unit=unit)
-        wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
+        wrap = template.skin_wrap.with_vertices(move_wrap(template, skin.vertices))
         check_inside(f"pair {name}", template, wrap, skull)
-        measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
+        measured = measure_depths(wrap.vertices, inward_normals(wrap), [skull])
         wraps.append(wrap.vertices)
         depths.append(measured.depths)
         reports.append(PairReport(name, measured.missed, off))

@@ -14,7 +14,7 @@ from ..arkit import ARKIT
 from ..base.geometry.cholesky import factorise
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import OUTSIDE, LinearSpace
-from ..registration.alignment import Target, similarity
+from ..registration.alignment import Target, fit_similarity
 from ..rig import Rig
 from ..wraps.columns import neighbours
 from ..wraps.landmarks import Mask, distance_to
@@ -77,7 +77,9 @@ _WORDS = {
 }
 
 
-def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface) -> Eyes:
+def classify_eyes(
+    space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface
+) -> Eyes:
     """The states of a skin's eyes, which the registered template (n vertices) [mm] lies on.
 
     `space`: whose expressions the template has; `lids`: the vertices of its lids' rims.
@@ -112,13 +114,13 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
     """Mean distance [mm] of the template's lids, moved by `delta` and laid rigidly, to the skin."""
     shape = template.with_vertices(template.vertices + delta)
     x, normals = shape.vertices[patch], shape.vertex_normals[patch]
-    motion = similarity(template.vertices[patch], registered[patch])
+    motion = fit_similarity(template.vertices[patch], registered[patch])
     for limit in LIMITS:
         closest, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=limit)
         used = (weight > 0) & (distance < limit)
         if used.sum() < 10:
             return FAR
-        motion = similarity(x[used], closest[used])
+        motion = fit_similarity(x[used], closest[used])
     _, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=FAR)
     off = np.where(weight > 0, np.minimum(distance, FAR), FAR)
     return float(off[close[patch]].mean())
@@ -165,7 +167,7 @@ LEAST = 0.1
 """[mm] Shorter edges count as this long."""
 
 
-def carried_along(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:
+def calm_lids(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:
     """The rig in which a skin near the registered rims (k, 3) [mm] of lids that stay still goes with what is around it.
 
     Displacements there are those of least squared Laplacian, so that no expression draws one lid over the other; the

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ..base.errors import FitError, InputError
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
-from ..registration.alignment import Similarity, Target, icp, score, similarity
+from ..registration.alignment import Similarity, Target, fit_similarity, icp, score_start
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 """Millimetres in a unit."""
@@ -37,7 +37,7 @@ class Placement:
     """
 
     motion: Similarity
-    score: float
+    score_start: float
     notes: tuple[str, ...]
 
     def inverse(self, points: Floats) -> Floats:
@@ -45,7 +45,7 @@ class Placement:
         return (points - self.motion.shift) @ self.motion.rotation / self.motion.scale
 
 
-def placed(
+def find_placement(
     skin: Surface,
     face: tuple[Floats, Floats],
     *,
@@ -67,7 +67,7 @@ def placed(
     rotations = _rotations(up, front)
     used = skin.vertices[np.unique(skin.triangles)]
     if landmarks is not None:
-        found = similarity(*landmarks)
+        found = fit_similarity(*landmarks)
         off = float(np.linalg.norm(found(landmarks[0]) - landmarks[1], axis=1).mean() / found.scale)
     else:
         found, off = _searched(skin, used, face, given, rotations, progress)
@@ -175,11 +175,11 @@ def _best(
     for number, start in enumerate(starts):
         moved = icp(start, points[more], normals[more], target, 20)
         if 0.3 < moved.scale < 3.0:
-            fine.append((score(moved, points[more], normals[more], target), number, moved))
+            fine.append((score_start(moved, points[more], normals[more], target), number, moved))
     if not fine:
         return Similarity(1.0, np.eye(3), np.zeros(3)), np.inf
     moved = icp(min(fine, key=lambda item: item[:2])[2], points, normals, target, 10)
-    return moved, score(moved, points, normals, target)
+    return moved, score_start(moved, points, normals, target)
 
 
 def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:

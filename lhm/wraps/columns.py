@@ -74,7 +74,7 @@ class Columns:
 
 
 # DOC """Values spread over a mesh's vertices from those that are given, as evenly as edges allow."""
-def harmonic(triangles: Ints, values: Floats, given: np.ndarray) -> Floats:
+def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Floats:
     """Values (n, ...) where `given` (n,) holds; elsewhere each the mean of its neighbours'.
 
     A piece of the mesh in which nothing is given stays as it is.

@@ -39,7 +39,7 @@ class Landmarks:
         return 0.5 * float(np.linalg.norm(self.eyes[0] - self.eyes[1]))
 
 
-def landmarks(skin: Surface, parts: Ints) -> Landmarks:
+def find_landmarks(skin: Surface, parts: Ints) -> Landmarks:
     """Find them on a neutral skin whose vertices' parts are known; +x is the subject's left.
 
     Without a mouth's lining or eye sockets among the parts there are none: no face is known, and places are NaN.
@@ -65,7 +65,7 @@ def distance_to(points: Floats, places: Floats) -> Floats:
     return cKDTree(places).query(points)[0]
 
 
-def regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
+def find_regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask]:
     """Masks over the skin's vertices: lips, teeth, mouth, eyes, lids, ears, neck, face.
 
     "face": visible skin in front of the eyes' plane moved back by the face's width, above the chin's underside;
@@ -124,7 +124,7 @@ def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
     return share
 
 
-def bone_labels(
+def label_bones(
     rest: Floats, opened: Floats, depths: Floats, regions: Mapping[str, Mask], from_lips: Floats, edges: csr_matrix
 ) -> Ints:
     """FREE, CRANIUM or MANDIBLE per vertex, shape (n,), from how the skin over it follows jawOpen.
@@ -134,7 +134,7 @@ def bone_labels(
     ring eroded, and departs from the jaw's rigid motion by little of the depth. Cranium: hardly moves; at
     the neck's cut a little more is allowed. Lids and what lines the eye sockets glide over the eyeball: FREE.
     """
-    inside = regions["mouth"] | regions["eyes"] | regions["neck"]
+    inside = find_regions["mouth"] | find_regions["eyes"] | find_regions["neck"]
     far = from_lips > FROM_LIPS
     share = jaw_share(rest, opened, far & ~inside)
     mandible = (share > FOLLOWS) & far & ~inside
@@ -142,29 +142,29 @@ def bone_labels(
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = regions["neck"] & (size < HELD * size.max())
-    still = held | ((size < STAYS * size.max()) & ~regions["mouth"])
+    held = find_regions["neck"] & (size < HELD * size.max())
+    still = held | ((size < STAYS * size.max()) & ~find_regions["mouth"])
     bone = np.full(len(rest), FREE)
-    bone[still & far & ~(regions["lids"] | regions["eyes"])] = CRANIUM
+    bone[still & far & ~(find_regions["lids"] | find_regions["eyes"])] = CRANIUM
     bone[mandible] = MANDIBLE
     return bone
 
 
-def held_labels(
+def limit_bones(
     bone: Ints, rest: Floats, opened: Floats, depths: Floats, regions: Mapping[str, Mask], from_lips: Floats
 ) -> Ints:
     """The given labels (n,), but FREE where tissue needs room to move.
 
     That is within 12 mm of the lips, in the mouth, at lids and eye sockets, over a cranium whose skin moves, and over a
-    mandible from whose rigid motion the skin departs by much of the depth. The arguments are those of `bone_labels`.
+    mandible from whose rigid motion the skin departs by much of the depth. The arguments are those of `label_bones`.
     The neck's cut, where no bone may be near, is held as CRANIUM.
     """
     far = from_lips > FROM_LIPS
-    mandible = (bone == MANDIBLE) & far & ~regions["mouth"]
+    mandible = (bone == MANDIBLE) & far & ~find_regions["mouth"]
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = regions["neck"] & (size < HELD * size.max())
-    gliding = regions["mouth"] | regions["lids"] | regions["eyes"]
+    held = find_regions["neck"] & (size < HELD * size.max())
+    gliding = find_regions["mouth"] | find_regions["lids"] | find_regions["eyes"]
     cranium = ((bone == CRANIUM) & far & ~gliding & (size < HELD * size.max())) | held
     return np.where(mandible, MANDIBLE, np.where(cranium, CRANIUM, FREE))

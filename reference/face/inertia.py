@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import LEAN_REGIONS, fleshy
+from ...lhm.flesh import LEAN_REGIONS, flesh_share
 from ...lhm.head import FREE, LayeredHead
 from .dynamics import Recurrence, coefficients
 from .local import on_vertices
@@ -31,7 +31,7 @@ def loose(head: LayeredHead) -> Floats:
     n = len(head.bone)
     if not all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")):
         return np.ones(n)
-    flesh, bone = fleshy(head, fade=RING), head.bone != FREE
+    flesh, bone = flesh_share(head, fade=RING), head.bone != FREE
     if not bone.any():
         return flesh
     depth = cKDTree(head.skull_wrap.vertices[bone]).query(head.skin_wrap.vertices)[0]

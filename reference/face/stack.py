@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ...lhm.head import LayeredHead
-from ...lhm.layers import prism_tets, stacked
+from ...lhm.layers import prism_tets, stack_wraps
 
 MOST_FOLDED = 2e-3
 """Share of the tets from skin to skull that may be left out because they are folded."""
@@ -66,7 +66,7 @@ class Stack:
     def _merged(cls, head: LayeredHead, layers: int) -> Stack:
         """Prisms straight from skin to skull; a few tets fold where columns bend at the muscle, and are left out."""
         n = len(head.bone)
-        vertices = stacked((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
+        vertices = stack_wraps((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
         tets = np.vstack([prism_tets(head.skin_wrap.triangles, k * n, (k + 1) * n) for k in range(layers)])
         volumes = tet_volumes(vertices, tets)
         sound = volumes > FLATTEST * np.median(volumes)
@@ -83,8 +83,8 @@ class Stack:
             # Vertices between twisted prisms' wraps are not evenly spaced, and stay as far off.
             now, n = (skin, skull) if self.muscle is None else (skin, muscle, skull), len(skin)
             firsts = n * np.cumsum([0, *self.counts])
-            rest = stacked([self.vertices[first : first + n] for first in firsts], self.counts)
-            return stacked(now, self.counts) + (self.vertices - rest)
+            rest = stack_wraps([self.vertices[first : first + n] for first in firsts], self.counts)
+            return stack_wraps(now, self.counts) + (self.vertices - rest)
         wraps = np.vstack([skin, muscle, skull])
         moved = wraps - self.vertices[: len(wraps)]
         return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])

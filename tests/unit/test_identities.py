@@ -17,7 +17,7 @@ from softdeca.lhm import InputError, Surface, expressions, identities
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 from softdeca.lhm.skin import check_skin
-from softdeca.lhm.wraps.landmarks import landmarks
+from softdeca.lhm.wraps.landmarks import find_landmarks
 
 JAW = np.array([0.0, -0.01, 0.0])
 
@@ -114,7 +114,7 @@ def test_flames_head_is_closed_with_pockets_and_a_jaw(arrays, tmp_path):
     mesh = trimesh.Trimesh(space.mean.vertices, space.triangles, process=False)
     assert mesh.is_watertight and mesh.euler_number == 2 and mesh.volume > 0
     assert all((space.parts == part).sum() > 20 for part in (OUTSIDE, MOUTH, EYES, CAP))
-    marks = landmarks(space.mean, space.parts)
+    marks = find_landmarks(space.mean, space.parts)
     assert marks.eyes[0, 0] > 20 > -20 > marks.eyes[1, 0] and marks.mouth[1] < -30
     lining = space.mean.vertices[space.parts == MOUTH]
     assert np.ptp(lining[:, 2]) > 20

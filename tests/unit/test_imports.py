@@ -159,7 +159,7 @@ def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path
     file = next(f for f in body.glob("*.obj") if f.stem == "FMA9710" or "FMA9710\n" in f.read_text())
     text = file.read_text()
     file.unlink()
-    assert bodyparts.left_out(bodyparts.read_folder(body)) == ["vomer"]
+    assert bodyparts.missing_parts(bodyparts.read_folder(body)) == ["vomer"]
     ended = command("head", "import-bodyparts3d", body, "--out", tmp_path / "bones.npz")
     assert ended.status == 0 and "without vomer" in ended.out
     file.write_text(text.replace("f 1/1", "f 99/1"))

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.lhm.flesh import fleshy
+from softdeca.lhm.flesh import flesh_share
 from softdeca.reference import Parameters, SceneError, Sequence
 from softdeca.reference.face.dynamics import coefficients
 from softdeca.reference.face.inertia import CLOSE, DEEP, RING, loose, recurrence
@@ -54,7 +54,7 @@ def test_the_recurrence_of_a_head_is_one_call(default, sphere_head):
 def test_without_bone_all_flesh_is_loose(default):
     head, _ = default
     boneless = replace(head, bone=np.zeros_like(head.bone))
-    assert np.array_equal(loose(boneless), fleshy(head, fade=RING))
+    assert np.array_equal(loose(boneless), flesh_share(head, fade=RING))
     assert np.all(loose(boneless) >= loose(head)) and loose(boneless).sum() > 1.2 * loose(head).sum()
 
 
