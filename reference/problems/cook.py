@@ -110,7 +110,7 @@ POISSON = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.49999)
 MU, TRACTION = 80.194, 6.25
 LOCKING_TOLERANCE = 1e-8
 NEAR_LIMIT = 5e-3
-LOCKING_SOURCE = "method: the same locking_panel by Taylor-Hood's element on a finer mesh"
+LOCKING_SOURCE = "method: the same panel by Taylor-Hood's element on a finer mesh"
 
 
 @dataclass(frozen=True)
