@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.mesh import Floats, Surface
-from ..lhm.progress import OnProgress
-from ..surrogate.corpus.group import UNDIFFERENTIATED
+from ..lhm.base.mesh import Floats, Surface
+from ..lhm.base.progress import OnProgress
 from ..surrogate.corpus.mixture import NAMES
 from ..surrogate.corpus.plan import SPLITS
 from ..surrogate.corpus.reading import Row, Table
+from ..surrogate.corpus.simulator import UNDIFFERENTIATED
 from ..viewer.pictures import Panel, strip
 
 SIZE = 220

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .errors import InputError
-from .mesh import Floats, Ints, TetMesh
-from .untangle import untangled
+from .base.errors import InputError
+from .base.geometry.tets import untangle
+from .base.mesh import Floats, Ints, TetMesh
 
 MOST = 32
 """Sub-layers of one gap: of the finest template's some 4 million tets, a gigabyte of them."""
@@ -80,4 +80,4 @@ def _upright(whole: Sequence[TetMesh], vertices: Floats, triangles: Ints, counts
     free = np.ones(len(vertices), dtype=bool)
     for first in np.concatenate([[0], np.cumsum(counts)]):
         free[first * n : (first + 1) * n] = False
-    return untangled(vertices, tets, free, SMALLEST * least)
+    return untangle(vertices, tets, free, SMALLEST * least)

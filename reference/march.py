@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..lhm.bounds import MARCH_STEPS, MARCH_VALUES
-from ..lhm.checked import checked
-from ..lhm.errors import InputError, SceneError
-from ..lhm.mesh import Floats, Ints
+from ..lhm.base.checks import check_arguments
+from ..lhm.base.errors import InputError, SceneError
+from ..lhm.base.limits import MARCH_STEPS, MARCH_VALUES
+from ..lhm.base.mesh import Floats, Ints
 from .scene import Scene
 from .schemes import Scheme, scheme
 from .terms import Inertia
@@ -75,7 +75,7 @@ class Motion:
         return course[step - 1] if step else None
 
 
-@checked
+@check_arguments
 def march(
     scene: Scene,
     *,

@@ -10,16 +10,16 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import InputError
-from ..lhm.files.atomic import replaced
+from ..lhm.base.checks import check_arguments
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.atomic import replaced
 from .scene import Scene
 from .solution import Solution
 
 SUFFIXES = (".vtu", ".vtk")
 
 
-@checked
+@check_arguments
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with what the solution found, whole or not at all.
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
-from .modal.features import STATIC
+from .corpus.mixture import STATIC
 
 
 def around_vertices(values: Floats, surface: Surface) -> Floats:

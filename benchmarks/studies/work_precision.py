@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
 from ...reference.added import added_laws, added_solvers
 from ...reference.face.settling import carry_skin
@@ -298,7 +298,7 @@ class _Run:
 def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
     from ...surrogate import Surrogate, linearised_rig
-    from ...surrogate.carried import neutral_at_rest
+    from ...surrogate.heads import neutral_at_rest
 
     head, parameters, network = of.head, Parameters(), Surrogate.load()
     shapes = of.space.expression_deltas(of.code)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import TAKE_FRAMES, shown
-from ..errors import InputError
-from ..mesh import Floats
-from ..validate import parse_json as from_json
+from ..base.errors import InputError, quote
+from ..base.files.text import parse_json as from_json
+from ..base.limits import TAKE_FRAMES
+from ..base.mesh import Floats
 from .blending import index
 from .take import Take, check_rate, take_of
 
@@ -94,7 +94,7 @@ def _number(value: Any, where: str) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"{where}: {shown(value)} is no finite number")
+        raise InputError(f"{where}: {quote(value)} is no finite number")
     return number
 
 

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..checked import checked
-from ..errors import InputError
-from ..mesh import Floats, Ints, Surface
+from ..base.checks import check_arguments
+from ..base.errors import InputError
+from ..base.mesh import Floats, Ints, Surface
 
 OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 """What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""
@@ -88,7 +88,7 @@ class LinearSpace:
         """The neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
         return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._checked(code), self.identity, axes=1))
 
-    @checked
+    @check_arguments
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
         """A random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
         code = np.clip(rng.standard_normal(self.code_size), -CLIP, CLIP)

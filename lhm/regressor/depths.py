@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..bounds import PAIRS
-from ..errors import InputError
-from ..files.npz import read_arrays, write_arrays
-from ..geometry.rigid import rigid_motion
-from ..mesh import Floats, Surface
-from ..validate import finite, in_range, text, whole
+from ..base.checks import finite, in_range, integers, text
+from ..base.errors import InputError
+from ..base.files.npz import read_arrays, write_arrays
+from ..base.geometry.warp import rigid_motion
+from ..base.limits import PAIRS
+from ..base.mesh import Floats, Surface
 
 FORMAT = "softdeca depth regressor 1"
 MODES = 15
@@ -179,7 +179,7 @@ class DepthRegressor:
         return cls(
             text("label", arrays["label"]),
             text("wrap", arrays["wrap"]),
-            int(whole("pairs", arrays["pairs"], 0, PAIRS.most, ())),
+            int(integers("pairs", arrays["pairs"], 0, PAIRS.most, ())),
             float(in_range("ridge", arrays["ridge"], 0.0, np.inf, ())),
             reference,
             axes,

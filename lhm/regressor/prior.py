@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from ..files.cache import cached_as
-from ..geometry.warp import farthest_points
+from ..base.files.cache import load_or_make
+from ..base.geometry.warp import farthest_points
+from ..base.mesh import Floats
 from ..identities.space import LinearSpace
-from ..mesh import Floats
 from ..wraps import depth
 from ..wraps.landmarks import landmarks
 from .depths import DepthPairs, DepthRegressor
@@ -67,7 +67,7 @@ def default_regressor(template: Template, space: LinearSpace) -> DepthRegressor:
         pairs = prior_pairs(template, space, np.random.default_rng(SEED), PAIRS)
         return DepthRegressor.fit(pairs, template.skin_wrap).arrays()
 
-    return cached_as(name, make, DepthRegressor.from_arrays)
+    return load_or_make(name, make, DepthRegressor.from_arrays)
 
 
 def _smooth_field(points: Floats) -> Floats:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import ufl
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from .. import materials
 from ..materials import Incompressible, Material
 from ..materials.material import HasDensity, HasMixedDensity

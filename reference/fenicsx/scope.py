@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
 from .. import materials
 from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene

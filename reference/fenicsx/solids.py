@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numba import njit
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..materials.material import HasStretches
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, Volume

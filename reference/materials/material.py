@@ -14,8 +14,8 @@ from math import isfinite
 from numbers import Real
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 
 L = TypeVar("L", bound="LameLaw")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .isochoric_neo_hookean import IsochoricNeoHookean
 from .material import EnergyLaw, LameLaw, check_positive
 from .volumetric import by_pressure, quadratic

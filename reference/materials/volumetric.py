@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .material import EnergyLaw, Material, check_positive
 
 POWERS = np.array([-2 / 3, -4 / 3])

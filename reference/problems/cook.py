@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..materials import IsochoricNeoHookean, Volumetric
 from ..scene import Scene
 from ..solution import Solution

@@ -16,7 +16,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ..materials import (
     Corotated,
     Guccione,

@@ -26,7 +26,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..materials import Incompressible, IsochoricNeoHookean, Material, MooneyRivlin, NeoHookean
 from ..scene import Scene
 from ..solution import Reason, Solution

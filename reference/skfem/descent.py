@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .. import terms
 from ..scene import Scene
 from ..solution import Limits, Reason, Recorder

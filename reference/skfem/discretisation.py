@@ -15,8 +15,8 @@ from skfem import Basis, ElementTetP1, ElementTetP2, ElementTriP1, ElementTriP2,
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 
 DEGREES = {"P1": 1, "P2": 2}

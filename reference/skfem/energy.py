@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
 from .discretisation import Discretisation

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats
+from ...lhm.base.checks import check_arguments
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from ..compiling import Clock, Spent
 from ..recovered import Recovered
 from ..restraint import check_restrained
@@ -33,7 +33,7 @@ class Prepared:
     discretisation: Discretisation
     spent: Spent
 
-    @checked
+    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,
@@ -92,7 +92,7 @@ class Prepared:
         )
 
 
-@checked
+@check_arguments
 def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 

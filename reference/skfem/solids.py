@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .. import materials, terms
 from ..materials.material import HasInvariants, HasRotation
 from ..scene import Scene

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Floats32
-from ..modal.faces import Face, Faces, Inputs
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32
+from ..corpus.face import Face
+from ..corpus.reading import Faces
+from ..modal.features import Inputs
 from .protocol import Bound, Takes
 
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
