@@ -26,6 +26,12 @@ RIDGES = np.logspace(-4, 4, 33)
 FARTHEST = 3.0
 """Standard deviations of the pairs' scores beyond which a skin counts as that far: logs turn a line into e^x."""
 
+SKULL_PLACES = (
+    ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people, each left out"),
+    ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
+)
+"""Model, mean error [mm] of the fitted skull wrap's places over the whole head, data (SoftDECA, section 4.1)."""
+
 
 @dataclass(frozen=True, eq=False)
 class DepthPairs:

@@ -30,8 +30,8 @@ from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
+from .loads import FollowerPressure
 from .numbering import CELL_SHARES, FACE_SHARES, Numbering
-from .pressure import FollowerPressure
 from .quadrature import DEGREES, Quadrature
 from .shared import Shared, anywhere
 from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at

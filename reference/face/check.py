@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ..lhm.check import Figure, check_posed
-from ..lhm.head import LayeredHead
-from ..reference import Parameters, facial_scene, solve
+from ...lhm.check import Figure, check_posed
+from ...lhm.head import LayeredHead
+from .. import Parameters, facial_scene, solve
 
 
-def posed_figures(head: LayeredHead) -> tuple[Figure, ...]:
+def check_posed_head(head: LayeredHead) -> tuple[Figure, ...]:
     """Count the tets inverted in jawOpen and in both blinks, simulated; none without a rig."""
     return check_posed(head, lambda skin: solve(facial_scene(head, Parameters(), skin)).volume_ratio)
