@@ -262,7 +262,7 @@ def is_of_kind(value: object, kind: Any) -> bool:
         return callable(value)
     if origin is tuple or origin in LISTS:
         # Lists and arrays do for tuples; a text or a dict is no list of anything.
-        is_list = isinstance(value, (list, tuple, np.ndarray)) or (origin is not tuple and isinstance(value, origin))  # type: ignore[arg-type]
+        is_list = isinstance(value, (list, tuple, np.ndarray)) or (origin is not tuple and isinstance(value, origin))
         is_list = is_list and not isinstance(value, (str, bytes, collections.abc.Mapping))
         return is_list and all(is_of_kind(entry, inner[0]) for entry in value)  # type: ignore[attr-defined]
     return isinstance(value, origin or kind)

@@ -36,7 +36,7 @@ from softdeca.lhm.base.files import moving_surface, surface_file, tet_file
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.head_file import tets_from_head
 from softdeca.lhm.registration import read_landmarks
-from softdeca.lhm.regressor import DepthPairs, DepthRegressor
+from softdeca.lhm.regressor.depths import DepthPairs, DepthRegressor
 from softdeca.lhm.rig import Rig
 from softdeca.lhm.scans import read_guesses
 
