@@ -24,7 +24,7 @@ from .identities import Anny
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .regressor.prior import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
-from .template_file import template_from_arrays
+from .template_file import template_from_arrays, template_to_arrays
 from .wraps import depth, inner
 from .wraps.columns import Columns, unit
 from .wraps.landmarks import Landmarks, Mask, distance_to, find_landmarks, find_regions, label_bones, limit_bones
