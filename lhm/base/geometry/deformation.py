@@ -63,23 +63,21 @@ class DeformationTransfer:
         self.solve = factorise(self._matrix(np.asarray(anchors), weight).astype(self.dtype))
 
     def _matrix(self, anchors, weight) -> csc_matrix:
+        """Return K = GᵀDG + anchors."""
+        count, part = connected_parts(self.triangles, self.n_vertices)
+        bare = np.setdiff1d(np.arange(count), part[anchors])
+        if bare.size:
+            vertex = np.flatnonzero(part == bare[0])[0]
+            raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
         c11, c12, c22 = self.stiffness.astype(np.float64).T
         local = np.stack([c11 + 2 * c12 + c22, -c11 - c12, -c12 - c22, c11, c12, c22], axis=1)
         blocks = local[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].ravel()
         rows = np.repeat(self.triangles, 3, axis=1).ravel()
         columns = np.tile(self.triangles, (1, 3)).ravel()
         matrix = coo_matrix((blocks, (rows, columns)), shape=(self.n_vertices,) * 2).tocsc()
-        self._require_anchor_per_part(anchors)
         added = np.zeros(self.n_vertices)
         added[anchors] = weight * matrix.diagonal().mean()
         return (matrix + coo_matrix((added, (np.arange(self.n_vertices),) * 2))).tocsc()
-
-    def _require_anchor_per_part(self, anchors):
-        count, part = connected_parts(self.triangles, self.n_vertices)
-        bare = np.setdiff1d(np.arange(count), part[anchors])
-        if bare.size:
-            vertex = np.flatnonzero(part == bare[0])[0]
-            raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
 
     def delta(self, gradients: NDArray, blended: NDArray) -> NDArray:
         """Return the motion x - S [mm] of J - I, shape (batch, m, 9), and S [mm]; x and S have shape (batch, n, 3)."""
