@@ -18,7 +18,7 @@ from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
-from .imports import import_bodyparts3d, import_ict
+from .imports import import_files
 from .landmarks import landmarks_command
 from .personalise import personalise
 from .progress import shown
@@ -43,8 +43,7 @@ def head() -> None:
 head.add_command(train_regressor)
 head.add_command(landmarks_command)
 head.add_command(personalise)
-head.add_command(import_ict)
-head.add_command(import_bodyparts3d)
+head.add_command(import_files)
 
 
 @head.command()
