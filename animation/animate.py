@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.resumable import alone_in
+from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
-from ..lhm.files.alone import alone_in
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Floats32
-from ..lhm.progress import OnProgress
 from ..reference import Parameters
 from ..reference.face.base import turns_before
 from ..surrogate import BoundSurrogate, Surrogate, linearised_rig

@@ -10,12 +10,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.moving_surface import write_gltf, write_vtkhdf
+from ..lhm.base.mesh import Floats, Surface
+from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
-from ..lhm.files.gltf import write_gltf
-from ..lhm.files.vtkhdf import write_vtkhdf
-from ..lhm.mesh import Floats, Surface
-from ..lhm.progress import OnProgress
 from ..reference.face.base import turned_about
 from .preview import Preview, pictures_of, steps_shown, write_preview
 

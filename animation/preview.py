@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ..lhm.errors import InputError, MissingDependencyError
-from ..lhm.files.atomic import replaced
-from ..lhm.geometry.closing import closed
-from ..lhm.mesh import Floats, Surface
+from ..lhm.base.errors import InputError, MissingDependencyError
+from ..lhm.base.files.atomic import replaced
+from ..lhm.base.geometry.topology import closed
+from ..lhm.base.mesh import Floats, Surface
 from ..viewer.pictures import behind, eyes_and_teeth, load_pyvista, look, poly, skin_colours
 from ..viewer.shading import shades
 from ..viewer.within import within

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.errors import InputError, SoftdecaError
+from ..lhm.base.errors import InputError, SoftdecaError
+from ..lhm.base.files.resumable import alone_in
+from ..lhm.base.mesh import Floats
+from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
-from ..lhm.files.alone import alone_in
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
-from ..lhm.progress import OnProgress
 from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
 from ..reference.face.base import pivot, turns_before
 from ..reference.face.sequence import TOLERANCE

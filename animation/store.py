@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.bounds import TAKE_FRAMES
-from ..lhm.errors import InputError
-from ..lhm.files.atomic import write_whole
-from ..lhm.files.npz import read_arrays, write_arrays
-from ..lhm.files.resumable import Records, begin
-from ..lhm.validate import finite, text, whole
+from ..lhm.base.checks import finite, text, whole
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.atomic import write_whole
+from ..lhm.base.files.npz import read_arrays, write_arrays
+from ..lhm.base.files.resumable import Records, begin
+from ..lhm.base.limits import TAKE_FRAMES
 from ..reference.face.sequence import State
 
 STATE = ("positions", "sought", "before", "drift", "turns")

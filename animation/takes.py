@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
 from ..lhm.expressions import Take, conversation_take, read_take, speech
 
 MADE_UP, SPOKEN = "conversation", "speech"

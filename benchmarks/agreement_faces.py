@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 from ..reference import Parameters, Scene, Settled, Solution, prepare, settled, solve
 from ..reference.face.facial import scene_under
 from ..surrogate import Surrogate

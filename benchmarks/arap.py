@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats, Ints
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Ints
 from ..reference import Scene, terms
 from .traces import Trace, farthest
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lhm import expressions, fit_head, identities, load_template
-from ..lhm.mesh import Floats
-from ..lhm.progress import OnProgress
+from ..lhm.base.mesh import Floats
+from ..lhm.base.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters, settled
 from ..reference.face.linearised import DIRECT, linearised

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..animation.played import blended
 from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm.base.files.atomic import replaced
+from ..lhm.base.mesh import Floats, Ints, Surface
+from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take
-from ..lhm.files.atomic import replaced
-from ..lhm.mesh import Floats, Ints, Surface
-from ..lhm.progress import OnProgress
 from ..lhm.wraps.landmarks import landmarks
 from ..reference import Parameters, settled
 from ..reference import Sequence as Simulation

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.mesh import Floats, Surface
-from ..lhm.progress import OnProgress
+from ..lhm.base.mesh import Floats, Surface
+from ..lhm.base.progress import OnProgress
 from ..surrogate.corpus.group import UNDIFFERENTIATED
 from ..surrogate.corpus.mixture import NAMES
 from ..surrogate.corpus.plan import SPLITS

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.progress import OnProgress
+from ..lhm.base.errors import InputError
+from ..lhm.base.progress import OnProgress
 from ..surrogate import Surrogate
 from ..surrogate.carried import Heads
 from ..surrogate.evaluate import evaluate

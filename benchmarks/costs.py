@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 from ..reference import Scene, Solution, prepare, terms
 from .harness.apart import forget_peak, held_megabytes, peak_megabytes
 from .harness.study import Column, Values

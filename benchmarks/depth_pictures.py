@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lhm.mesh import Floats, Surface
+from ..lhm.base.mesh import Floats, Surface
 from ..lhm.regressor import MeasuredDepths
 from ..viewer.pictures import Panel, strip
 

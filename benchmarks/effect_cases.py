@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
 from ..lhm.flesh import cheeks, fleshy, on_triangles
 from ..lhm.head import LayeredHead
 from ..reference import Parameters

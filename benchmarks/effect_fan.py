@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..reference import Parameters, Prepared, facial_scene, prepare, terms
 from .differences import distances
 from .effect_run import TIGHT

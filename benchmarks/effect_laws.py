@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..reference import Settled, Solution, prepare, settled
 from ..reference.face.settling import carry_skin
 from ..surrogate.ruler import Ruler, measure

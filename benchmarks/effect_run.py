@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..reference import Scene, Settled, Solution, facial_scene, prepare, settled
 from .differences import distances
 from .effect_cases import Effect

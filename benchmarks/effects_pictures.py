@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..viewer.pictures import VIEW, Panel, strip
 from .differences import distances
 from .effect_run import EffectResult

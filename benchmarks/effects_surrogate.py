@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from ..lhm import expressions
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
 from ..lhm.identities.space import LinearSpace
-from ..lhm.mesh import Floats
 from ..reference import Parameters
 from ..surrogate import Surrogate
 from ..surrogate.local import around_vertices

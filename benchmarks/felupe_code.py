@@ -13,8 +13,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import splu
 
-from ..lhm.errors import MissingDependencyError, SceneError, SoftdecaError
-from ..lhm.mesh import Floats, Ints
+from ..lhm.base.errors import MissingDependencyError, SceneError, SoftdecaError
+from ..lhm.base.mesh import Floats, Ints
 from ..reference import Scene, materials, terms
 
 TOLERANCE = 1e-10

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 from ..reference.projective import ProjectivePrepared
 
 TRIAD_NUMBERS = 8_000_000

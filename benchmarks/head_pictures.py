@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..lhm import expressions, identities
-from ..lhm.errors import InputError
-from ..lhm.geometry.bvh import TriangleTree
-from ..lhm.geometry.quality import smallest_dihedrals
+from ..lhm.base.errors import InputError
+from ..lhm.base.geometry.bvh import TriangleTree
+from ..lhm.base.geometry.tets import smallest_dihedrals
+from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters, facial_scene, solve
 from ..viewer.pictures import MUSCLE, SIDE, SOFT, VIEW, coloured, cut_away, views
 from .plots import png, subplots

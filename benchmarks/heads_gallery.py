@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..lhm import expressions
+from ..lhm.base.geometry.bvh import TriangleTree
+from ..lhm.base.geometry.topology import openings
 from ..lhm.check import check_head
-from ..lhm.geometry.bvh import TriangleTree
-from ..lhm.geometry.closing import openings
 from ..lhm.head import LayeredHead
 from ..reference import Parameters, facial_scene, solve
 from ..viewer.pictures import Panel, cut_away, strip

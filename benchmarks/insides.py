@@ -7,9 +7,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from ..lhm.geometry.rigid import rigid_motion
+from ..lhm.base.geometry.warp import rigid_motion
+from ..lhm.base.mesh import Floats, Ints
 from ..lhm.head import MANDIBLE, LayeredHead
-from ..lhm.mesh import Floats, Ints
 from ..reference import Scene, Solution, prepare, terms
 from ..reference.face.free_scenes import jaw_hinge
 from .differences import difference

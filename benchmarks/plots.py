@@ -12,7 +12,7 @@ from contextvars import ContextVar
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
 
 STYLE = {
     "svg.fonttype": "none",

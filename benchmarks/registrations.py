@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from ..lhm.arkit import ARKIT
+from ..lhm.base.geometry.rays import sky_seen
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.progress import OnProgress
 from ..lhm.expressions.transfer import transfer_expressions
 from ..lhm.fit import transferred_rig
-from ..lhm.geometry.sky import sky_seen
 from ..lhm.identities import LinearSpace
 from ..lhm.identities.space import OUTSIDE
-from ..lhm.mesh import Floats, Floats32, Surface
-from ..lhm.progress import OnProgress
 from ..lhm.registration.matching import Target
 from ..lhm.registration.registration import Registration, face_of, register
 from ..lhm.wraps.landmarks import Mask

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..lhm import LayeredHead
+from ..lhm.base.mesh import Floats
 from ..lhm.head import FREE
-from ..lhm.mesh import Floats
 from ..reference import (
     Parameters,
     Reason,

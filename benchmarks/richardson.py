@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 
 LEAST_ORDER, GREATEST_ORDER = 0.5, 2.0
 """Orders used for extrapolation; one that is seen outside of them is brought to the nearer end."""

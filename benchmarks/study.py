@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.errors import SoftdecaError
-from ..lhm.files.alone import alone_in
-from ..lhm.progress import OnProgress
+from ..lhm.base.errors import SoftdecaError
+from ..lhm.base.files.resumable import alone_in
+from ..lhm.base.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.person import OfSpace

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32
-from ..lhm.progress import OnProgress
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.progress import OnProgress
 from ..surrogate.carried import Heads
 from ..surrogate.corpus.plan import Split
 from ..surrogate.corpus.references import FEM_LAWS

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.files.atomic import replaced
-from ..lhm.progress import OnProgress
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.atomic import replaced
+from ..lhm.base.progress import OnProgress
 from ..surrogate import Surrogate
 from ..surrogate.carried import BindCosts, Heads, measure_binds
 from ..surrogate.corpus.folder import known_plan

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 from ..reference import Solution
 from ..reference.projective import ProjectivePrepared
 from ..reference.solve import Prepared

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import BAKED_TARGETS
+from ..lhm.base.limits import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters

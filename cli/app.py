@@ -4,7 +4,7 @@ import sys
 
 import click
 
-from ..lhm.errors import SoftdecaError
+from ..lhm.base.errors import SoftdecaError
 from ..reference import ranks
 from . import animate, bench, corpus, head, simulate, study, train, view
 from .interruption import INTERRUPTED, interruptible

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import SEED
+from ..lhm.base.limits import SEED
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters
 from .counts import counted

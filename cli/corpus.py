@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import PEOPLE as PEOPLE_BOUND
-from ..lhm.bounds import SEED, WORKERS
+from ..lhm.base.limits import PEOPLE as PEOPLE_BOUND
+from ..lhm.base.limits import SEED, WORKERS
 from .counts import counted
 from .progress import shown
 from .written_file import FOLDER, PNG
@@ -208,7 +208,7 @@ def verify(folder: Path) -> int:
 def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
     """A contact sheet of random accepted frames: blendshapes S, simulation T, and |T - S| as colours."""
     from ..benchmarks.contact_sheet import contact_sheet
-    from ..lhm.files.atomic import write_whole
+    from ..lhm.base.files.atomic import write_whole
 
     out = folder / "sample.png" if out is None else out
     with shown() as progress:

@@ -2,7 +2,7 @@
 
 import click
 
-from ..lhm.bounds import Bound
+from ..lhm.base.limits import Bound
 
 
 def counted(bound: Bound, *, least: int | None = None) -> click.IntRange:

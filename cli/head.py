@@ -9,15 +9,15 @@ import click
 import numpy as np
 
 from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, identities, load_template, scans
+from ..lhm.base.errors import FitError, InputError
+from ..lhm.base.files.atomic import write_whole
 from ..lhm.check import Figure
-from ..lhm.errors import FitError, InputError
-from ..lhm.files.atomic import write_whole
-from ..lhm.files.head_file import export_vtk, load_head, naming, read_parts, save_head
-from ..lhm.files.template_file import read_template, save_template
+from ..lhm.head_file import export_vtk, load_head, naming, read_parts, save_head
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
+from ..lhm.template_file import read_template, save_template
 from .imports import import_files
 from .landmarks import landmarks_command
 from .personalise import personalise
@@ -215,8 +215,9 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
 
     Tags: 1 soft tissue, 2 muscle; surfaces 11 skin wrap, 12 muscle wrap, 13 skull wrap.
     """
-    from ..lhm.files import tet_file
-    from ..lhm.geometry.quality import tet_quality
+    from ..lhm.base.files import tet_file
+    from ..lhm.base.geometry.tets import tet_quality
+    from ..lhm.head_file import of_head
     from ..lhm.remesh import remeshed
 
     counts = _counts(layers)
@@ -225,7 +226,7 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
     meshed = load_head(file)
     if size is not None:
         meshed = remeshed(meshed, size)
-    tagged = tet_file.of_head(meshed, counts)
+    tagged = of_head(meshed, counts)
     tet_file.write_tets(out, tagged)
     vertices, tets = tagged.mesh.vertices, tagged.mesh.tets
     report = {

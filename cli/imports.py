@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.files.npz import write_arrays
+from ..lhm.base.files.npz import write_arrays
 from .progress import shown
 from .written_file import NPZ
 

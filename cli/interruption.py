@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ..lhm.files.atomic import remove_unfinished
+from ..lhm.base.files.atomic import remove_unfinished
 
 INTERRUPTED = 130
 """Exit status: 128 and the number of SIGINT, as shells have it."""

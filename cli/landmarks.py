@@ -7,7 +7,7 @@ import click
 import numpy as np
 
 from ..lhm import Surface, identities, load_template, scans
-from ..lhm.files.atomic import write_whole
+from ..lhm.base.files.atomic import write_whole
 from ..lhm.registration import landmark_ids
 from .progress import shown
 from .written_file import ANY

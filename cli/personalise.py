@@ -7,8 +7,8 @@ import click
 
 from ..lhm import check_head, identities, load_template, scans
 from ..lhm.arkit import ARKIT
-from ..lhm.errors import FitError
-from ..lhm.files.head_file import load_head, save_head
+from ..lhm.base.errors import FitError
+from ..lhm.head_file import load_head, save_head
 from .progress import shown
 from .written_file import NPZ
 

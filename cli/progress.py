@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from ..lhm.progress import OnProgress
+from ..lhm.base.progress import OnProgress
 
 LEAST_PAUSE = 0.5  # [s] between two lines of one stage
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..benchmarks.studies import names, study_of
-from ..lhm.bounds import SEED, WORKERS, Bound
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.limits import SEED, WORKERS, Bound
 from .counts import counted
 from .progress import shown
 from .written_file import WrittenFolder

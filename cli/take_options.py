@@ -8,13 +8,13 @@ import click
 import numpy as np
 
 from ..lhm import expressions, fit_head, identities, load_template
-from ..lhm.bounds import SEED
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.limits import SEED
+from ..lhm.base.mesh import Floats
+from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take
-from ..lhm.files.head_file import load_head
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
-from ..lhm.progress import OnProgress
+from ..lhm.head_file import load_head
 from ..lhm.template import DEFAULT_LEVEL
 from .counts import counted
 

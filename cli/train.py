@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from ..lhm.bounds import FACES, STUDIED_PAIRS, TRAINING_STEPS, WORKERS
-from ..lhm.files.atomic import replaced
+from ..lhm.base.files.atomic import replaced
+from ..lhm.base.limits import FACES, STUDIED_PAIRS, TRAINING_STEPS, WORKERS
 from .counts import counted
 from .progress import shown
 from .written_file import FOLDER

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..benchmarks.published import SKULL_PLACES
 from ..lhm import identities, load_template, regressor
-from ..lhm.files.atomic import write_whole
-from ..lhm.files.surface_file import MILLIMETRES
+from ..lhm.base.files.atomic import write_whole
+from ..lhm.base.files.surface_file import MILLIMETRES
 from .progress import shown
 from .written_file import NPZ, PNG
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm.bounds import SEED
-from ..lhm.files.atomic import write_whole
+from ..lhm.base.files.atomic import write_whole
+from ..lhm.base.limits import SEED
 from ..reference import Parameters
 from ..reference.face.parameter_file import read_parameters
 from .counts import counted

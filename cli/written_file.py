@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from ..lhm.files.atomic import check_place
+from ..lhm.base.files.atomic import check_place
 
 
 class WrittenFile(click.Path):

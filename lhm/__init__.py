@@ -1,17 +1,13 @@
 """The layered head model: surfaces, wraps, fitting, identities and expressions. Geometry only, no physics."""
 
-from .files.cache import keep_compiled_functions
-
-keep_compiled_functions()
-
-from . import expressions, identities, scans  # noqa: E402
-from .build import build_template, load_template  # noqa: E402
-from .check import HeadReport, check_head  # noqa: E402
-from .errors import FitError, InputError, MeshError, SoftdecaError  # noqa: E402
-from .fit import fit_head  # noqa: E402
-from .head import LayeredHead  # noqa: E402
-from .mesh import Surface, TetMesh  # noqa: E402
-from .template import Template  # noqa: E402
+from . import expressions, identities, scans
+from .base.errors import FitError, InputError, MeshError, SoftdecaError
+from .base.mesh import Surface, TetMesh
+from .build import build_template, load_template
+from .check import HeadReport, check_head
+from .fit import fit_head
+from .head import LayeredHead
+from .template import Template
 
 __all__ = [
     "FitError",

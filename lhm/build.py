@@ -11,19 +11,20 @@ from scipy.sparse import csr_matrix
 
 from .anatomy.connectors import connectors_to
 from .arkit import ARKIT
-from .checked import checked
-from .errors import FitError, InputError
-from .files.cache import cached_as
-from .files.template_file import arrays_of, template_from
-from .geometry.bvh import TriangleTree
-from .geometry.distance import SignedDistance, is_closed
+from .base.checks import checked
+from .base.errors import FitError, InputError
+from .base.files.cache import cached_as
+from .base.geometry.bvh import TriangleTree
+from .base.geometry.distance import SignedDistance
+from .base.geometry.topology import is_closed
+from .base.mesh import Floats, Ints, Surface
+from .base.progress import OnProgress, silent
 from .head import CRANIUM
 from .identities import Anny
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
-from .mesh import Floats, Ints, Surface
-from .progress import OnProgress, silent
 from .regressor import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
+from .template_file import arrays_of, template_from
 from .wraps import depth, inner
 from .wraps.columns import Columns, unit
 from .wraps.labels import bone_labels, held_labels

@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from .checked import checked
-from .errors import MeshError
-from .geometry.bvh import TriangleTree
-from .geometry.closing import closed
-from .geometry.distance import SignedDistance, is_closed
-from .geometry.fans import fan_crossings
-from .geometry.quality import aspect_ratios, smallest_dihedrals
+from .base.checks import checked
+from .base.errors import MeshError
+from .base.geometry.bvh import TriangleTree
+from .base.geometry.distance import SignedDistance
+from .base.geometry.tets import aspect_ratios, smallest_dihedrals
+from .base.geometry.topology import closed, is_closed
+from .base.geometry.triangles import fan_crossings
+from .base.mesh import Floats, Ints, Surface, tet_volumes
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
 from .membranes import BLINK, EYES, MOUTH, OPEN, at, folded, torn
-from .mesh import Floats, Ints, Surface, tet_volumes
 from .openings import lid_path, lip_path
 from .rig import Rig
 

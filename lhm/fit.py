@@ -10,15 +10,14 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
-from .checked import checked
-from .errors import InputError
+from .base.checks import checked
+from .base.errors import InputError
+from .base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
+from .base.mesh import Floats, Ints, Surface
+from .base.progress import OnProgress, silent
 from .expressions.transfer import transfer_expressions
-from .geometry.rigid import rigid_motion
-from .geometry.warp import TriharmonicWarp, farthest_points
 from .head import LayeredHead
 from .identities.space import LinearSpace
-from .mesh import Floats, Ints, Surface
-from .progress import OnProgress, silent
 from .registration import Registration, register, registered_by
 from .registration.landmarks import Pairs
 from .regressor import DepthRegressor

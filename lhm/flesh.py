@@ -6,9 +6,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from .errors import InputError
+from .base.errors import InputError
+from .base.mesh import Floats
 from .head import LayeredHead
-from .mesh import Floats
 
 FADE = 12.0
 """Width [mm], along the skin wrap, over which the share of flesh rises from 0 to 1."""

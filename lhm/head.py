@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .checked import checked
-from .errors import InputError, MeshError
+from .base.checks import checked
+from .base.errors import InputError, MeshError
+from .base.mesh import Floats, Ints, Surface, TetMesh
 from .layers import sub_layers
-from .mesh import Floats, Ints, Surface, TetMesh
 from .rig import Rig
 
 FREE, CRANIUM, MANDIBLE = 0, 1, 2

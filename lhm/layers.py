@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .errors import InputError
-from .mesh import Floats, Ints, TetMesh
-from .untangle import untangled
+from .base.errors import InputError
+from .base.geometry.tets import untangled
+from .base.mesh import Floats, Ints, TetMesh
 
 MOST = 32
 """Sub-layers of one gap: of the finest template's some 4 million tets, a gigabyte of them."""

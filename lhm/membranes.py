@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
-from .geometry.stretch import folded_length, torn_area
-from .mesh import Floats, Ints, Surface
+from .base.geometry.deformation import folded_length, torn_area
+from .base.mesh import Floats, Ints, Surface
 from .rig import Rig
 
 MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from .mesh import Floats, Ints
+from .base.mesh import Floats, Ints
 
 LIP_MIDDLE = 6.0
 

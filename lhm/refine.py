@@ -6,9 +6,9 @@ import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
 from scipy.sparse import identity as sparse_identity
 
-from .geometry.subdivision import midpoints, split_triangles
+from .base.geometry.topology import midpoints, split_triangles
+from .base.mesh import Floats, Ints, Surface, TetMesh
 from .head import LayeredHead
-from .mesh import Floats, Ints, Surface, TetMesh
 
 # Edges of a tet by their two corners; the corner tets of the red refinement, and the octahedron's four tets about each
 # of its three diagonals (pairs of opposite edges), as indices into the ten nodes (corners, then edges' middles).

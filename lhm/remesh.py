@@ -9,9 +9,9 @@ from types import ModuleType
 
 import numpy as np
 
-from .errors import InputError, MeshError, MissingDependencyError
+from .base.errors import InputError, MeshError, MissingDependencyError
+from .base.mesh import Floats, Ints, TetMesh
 from .head import LayeredHead
-from .mesh import Floats, Ints, TetMesh
 
 TRIANGLE, TET = 2, 4
 """Numbers of gmsh's types of elements."""

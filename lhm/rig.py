@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arkit import ARKIT
-from .errors import InputError, MeshError
-from .mesh import Floats
+from .base.errors import InputError, MeshError
+from .base.mesh import Floats
 
 
 @dataclass(frozen=True, eq=False)

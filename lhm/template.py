@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from .base.mesh import Floats, Ints, Surface
 from .head import LayeredHead
 from .identities.space import LinearSpace
-from .mesh import Floats, Ints, Surface
 from .wraps.columns import Columns
 from .wraps.landmarks import Landmarks, Mask, landmarks
 

@@ -1,6 +1,6 @@
 """Scenes, the solvers that consume them, and the problems that verify them."""
 
-from ..lhm.errors import MissingDependencyError, SceneError
+from ..lhm.base.errors import MissingDependencyError, SceneError
 from . import materials, ranks, terms
 from .added import SOLVERS, NotModelledError, add_file, add_law, add_solver
 from .face.facial import facial_scene, hyperelastic_scene, neo_hookean_scene

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..lhm.errors import InputError, SceneError
+from ..lhm.base.errors import InputError, SceneError
 from .materials import EnergyLaw
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..lhm.bounds import MARCH_STEPS, MARCH_VALUES
-from ..lhm.checked import checked
-from ..lhm.errors import InputError, SceneError
-from ..lhm.mesh import Floats, Ints
+from ..lhm.base.checks import checked
+from ..lhm.base.errors import InputError, SceneError
+from ..lhm.base.limits import MARCH_STEPS, MARCH_VALUES
+from ..lhm.base.mesh import Floats, Ints
 from .scene import Scene
 from .schemes import Scheme, scheme
 from .terms import Inertia

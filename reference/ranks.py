@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from ..lhm.errors import MissingDependencyError, SoftdecaError
+from ..lhm.base.errors import MissingDependencyError, SoftdecaError
 
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 PLACES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.mesh import Floats
+from ..lhm.base.mesh import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ..lhm.errors import SceneError
-from ..lhm.mesh import Floats, Ints
+from ..lhm.base.errors import SceneError
+from ..lhm.base.mesh import Floats, Ints
 from .scene import Scene
 from .terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..lhm.errors import MeshError, SceneError
-from ..lhm.mesh import Floats, Ints, TetMesh
+from ..lhm.base.errors import MeshError, SceneError
+from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
 from .terms import (
     Bending,

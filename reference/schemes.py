@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..lhm.errors import SceneError
+from ..lhm.base.errors import SceneError
 
 SCHEMES = ("implicit Euler", "Newmark", "generalised-alpha")
 

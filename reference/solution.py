@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ..lhm.errors import SceneError
-from ..lhm.mesh import Floats, tet_volumes
+from ..lhm.base.errors import SceneError
+from ..lhm.base.mesh import Floats, tet_volumes
 from .compiling import Clock, Spent
 from .recovered import Recovered, von_mises
 from .scene import Scene

@@ -10,9 +10,9 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..lhm.checked import checked
-from ..lhm.errors import InputError
-from ..lhm.files.atomic import replaced
+from ..lhm.base.checks import checked
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.atomic import replaced
 from .scene import Scene
 from .solution import Solution
 

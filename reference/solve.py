@@ -6,8 +6,8 @@ import inspect
 from importlib import import_module
 from typing import Protocol
 
-from ..lhm.errors import SceneError
-from ..lhm.mesh import Floats
+from ..lhm.base.errors import SceneError
+from ..lhm.base.mesh import Floats
 from .added import SOLVERS, NotModelledError, added_solvers, all_solvers
 from .scene import Scene
 from .solution import OnIteration, Solution

@@ -11,8 +11,8 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from ..lhm.errors import MeshError, SceneError
-from ..lhm.mesh import as_elements, as_points
+from ..lhm.base.errors import MeshError, SceneError
+from ..lhm.base.mesh import as_elements, as_points
 from .materials import Guccione, Incompressible, Material
 
 StrainRule = Literal["clamp", "indicator"]

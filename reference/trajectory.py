@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ..lhm.mesh import Floats, Ints
+from ..lhm.base.mesh import Floats, Ints
 from .solution import Reason
 
 

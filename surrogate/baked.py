@@ -7,10 +7,10 @@ from os import PathLike
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.files.moving_surface import Morphs, write_rig
+from ..lhm.base.mesh import Floats32, Ints, Surface
 from ..lhm.expressions import Take
-from ..lhm.files.gltf import Morphs, write_rig
-from ..lhm.mesh import Floats32, Ints, Surface
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .modal.rig import Remainder
 from .rigs import add_combination, checked_out, checked_weights

@@ -9,10 +9,10 @@ from os import PathLike
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.progress import OnProgress, silent
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Floats32, Surface
-from ..lhm.progress import OnProgress, silent
 from ..reference import Parameters, prepare, settled
 from ..reference.face.linearised import DIRECT, spring_norm
 from ..reference.face.settling import FOR_TARGETS, carry_skin

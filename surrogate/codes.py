@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lhm.geometry.rigid import rigid_motion
+from ..lhm.base.geometry.warp import rigid_motion
+from ..lhm.base.mesh import Floats, Surface
 from ..lhm.identities.space import CLIP, LinearSpace
-from ..lhm.mesh import Floats, Surface
 
 RIDGE = 1.0
 """[mm²] of each coefficient of a code that is fitted to a skin, over the mean square distance of vertices."""

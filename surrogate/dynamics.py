@@ -18,9 +18,9 @@ from typing import Protocol
 import numba
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Floats32, Ints, Surface
 from ..reference import Parameters
 from ..reference.face.base import lag, pivot, rotation, turns
 from ..reference.face.dynamics import Recurrence, coefficients

@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32
-from ..lhm.progress import OnProgress, silent
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.progress import OnProgress, silent
 from .carried import BindCosts, Heads
 from .modal.faces import Face, Faces, Frames
 from .rivals import Bound, Method, Takes

@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32, Surface
-from ..lhm.progress import OnProgress, silent
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.progress import OnProgress, silent
 from ..reference import Parameters
 from ..reference.face.base import turns_before
 from .carried import Heads

@@ -9,9 +9,9 @@ from os import PathLike
 
 import numpy as np
 
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32
-from ..lhm.progress import OnProgress, silent
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32
+from ..lhm.base.progress import OnProgress, silent
 from .carried import Heads
 from .corpus.plan import Split
 from .corpus.reading import Table

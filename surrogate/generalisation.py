@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.errors import InputError, SoftdecaError
-from ..lhm.files.alone import alone_in
-from ..lhm.files.npz import read_arrays, write_arrays
-from ..lhm.files.resumable import begin
-from ..lhm.progress import OnProgress, silent
+from ..lhm.base.errors import InputError, SoftdecaError
+from ..lhm.base.files.npz import read_arrays, write_arrays
+from ..lhm.base.files.resumable import alone_in, begin
+from ..lhm.base.progress import OnProgress, silent
 from .carried import BindCosts, Heads
 from .corpus.folder import simulated_of
 from .corpus.group import Group

@@ -7,8 +7,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..lhm.errors import InputError, MissingDependencyError
-from ..lhm.files.atomic import write_whole
+from ..lhm.base.errors import InputError, MissingDependencyError
+from ..lhm.base.files.atomic import write_whole
 
 try:
     import torch

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats32
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats32
 from ..reference import Parameters, settled
 from ..reference.face.linearised import DIRECT, Linearised, linearised
 from ..reference.face.settling import FOR_TARGETS

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Surface
 from ..reference import Parameters
 from .modal.features import STATIC
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from ..lhm.errors import InputError
+from ..lhm.base.errors import InputError
 from .learning import torch
 
 

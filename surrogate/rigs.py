@@ -8,8 +8,8 @@ import numba
 import numpy as np
 
 from ..lhm.arkit import ARKIT
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32, Surface
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
 
 EXPRESSIONS = len(ARKIT)
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..reference import Parameters
 from ..reference.face.settling import carry_skin
 from .modal.features import STATIC

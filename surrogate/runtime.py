@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.checked import checked
-from ..lhm.errors import InputError
+from ..lhm.base.checks import checked
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..lhm.identities import LinearSpace
-from ..lhm.mesh import Floats, Floats32, Surface
 from ..reference import Parameters
 from .baked import BakedRig, baked
 from .dynamics import DynamicRig, Swing, dynamic_rig

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from threadpoolctl import threadpool_limits
 
-from ..lhm.bounds import WORKERS
-from ..lhm.errors import InputError, MissingDependencyError, SoftdecaError
+from ..lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
+from ..lhm.base.limits import WORKERS
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -45,7 +45,7 @@ _ADDRESS = re.compile(r"\w+://\S+|[^\s/:]\S*:\d{1,5}")
 class Schedule:
     """`where`: "serial"; "processes", `workers` of this machine; "dask", the cluster of a scheduler at `address`.
 
-    Raises InputError for workers beyond `bounds.WORKERS`, for what is no address, and for one without "dask" or the
+    Raises InputError for workers beyond `limits.WORKERS`, for what is no address, and for one without "dask" or the
     other way round.
     """
 

@@ -9,8 +9,8 @@ import numpy as np
 import trimesh
 from scipy.sparse import identity
 
+from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ..lhm.mesh import Floats, Surface
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from ..lhm.mesh import Surface
+from ..lhm.base.mesh import Surface
 
 
 def surface_hash(surface: Surface) -> str:

@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from ..lhm.base.mesh import Floats32
 from ..lhm.expressions import conversation
 from ..lhm.expressions.combinations import combinations
-from ..lhm.mesh import Floats32
 
 APART = 8
 """Frames of a conversation: those in a row hardly differ."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..lhm import expressions
+from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats
 from ..reference import Parameters
 from ..surrogate.linear import linearised_face
 from .page import Layer, Pose, Rig, page

@@ -18,8 +18,8 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 from ..lhm.arkit import ARKIT
-from ..lhm.errors import InputError
-from ..lhm.mesh import Floats, Floats32, Surface
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
 from .shading import INSIDE, colour, linear_light, lit

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.geometry.closing import closed
+from ..lhm.base.geometry.topology import closed
+from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.mesh import Floats, Ints, Surface
 from .shading import INSIDE, SKIN, shades
 from .within import within
 

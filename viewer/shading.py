@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.geometry.sky import sky_seen
-from ..lhm.mesh import Floats, Surface
+from ..lhm.base.geometry.rays import sky_seen
+from ..lhm.base.mesh import Floats, Surface
 
 SKIN, INSIDE = "#d8a48f", "#4a211f"
 LIGHT = 0.2

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lhm.arkit import ARKIT
-from ..lhm.files.npz import read_arrays
+from ..lhm.base.files.npz import read_arrays
+from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.identities import anny
-from ..lhm.mesh import Floats, Ints, Surface
 
 TURN = {"Up": -25.0, "Down": 30.0, "In": 35.0, "Out": 35.0}
 """Degrees of a gaze at full weight: up and down about x, to the nose and away from it about y."""

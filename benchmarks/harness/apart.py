@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TypeVar
 
-from ...lhm.errors import SoftdecaError
+from ...lhm.base.errors import SoftdecaError
 
 Result = TypeVar("Result")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
 from .results_file import of_this_version, read_results
 from .study import Column, Study
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ...lhm.errors import MissingDependencyError, SoftdecaError
+from ...lhm.base.errors import MissingDependencyError, SoftdecaError
 from ...reference.added import NotModelledError, add_file, added_files
 from ...reference.ranks import followers
 from ...surrogate.schedule import without_interrupts

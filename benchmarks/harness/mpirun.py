@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from ...lhm.errors import MissingDependencyError, SoftdecaError
+from ...lhm.base.errors import MissingDependencyError, SoftdecaError
 from ...reference import ranks
 
 START = f"from {__name__} import answer; answer()"

@@ -8,9 +8,8 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ...lhm.bounds import plain, shown
-from ...lhm.errors import InputError
-from ...lhm.files.atomic import write_whole
+from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.files.atomic import write_whole
 from .. import first_screen
 from ..plots import narrow
 from .machine import is_dirty

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.bounds import RESULT_BYTES, plain, shown
-from ...lhm.errors import InputError
-from ...lhm.validate import parse_json, read_bytes
+from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.files.text import parse_json, read_bytes
+from ...lhm.base.limits import RESULT_BYTES
 
 STATUSES = ("done", "skipped", "failed")
 _KINDS: dict[str, tuple[type, ...]] = {

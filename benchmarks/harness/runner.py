@@ -12,11 +12,10 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.files.alone import alone_in
-from ...lhm.files.atomic import write_whole
-from ...lhm.files.resumable import Records
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.files.resumable import Records, alone_in
+from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.schedule import processors
 from . import machine

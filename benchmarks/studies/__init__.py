@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
 
 if TYPE_CHECKING:
     from ..harness.study import Study

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm import check_head, expressions, identities
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
 from ...reference import Parameters, open_jaw_scene, push_cheek_scene
 from ...surrogate import Surrogate
 from ...viewer import Pose, Rig, face_page

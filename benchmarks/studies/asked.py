@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
 from ...lhm.template import LEVELS
 from ...reference.added import all_solvers
 

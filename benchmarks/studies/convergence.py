@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ...lhm.refine import refined_head
 from ...reference import Parameters, Scene, Solution, facial_scene, prepare, solve
 from ..differences import difference

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm import Surface, Template, fit_head, identities, load_template
-from ...lhm.errors import InputError
-from ...lhm.files.surface_file import MILLIMETRES
-from ...lhm.geometry.bvh import TriangleTree
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.files.surface_file import MILLIMETRES
+from ...lhm.base.geometry.bvh import TriangleTree
+from ...lhm.base.mesh import Floats
 from ...lhm.regressor import (
     DepthErrors,
     DepthRegressor,

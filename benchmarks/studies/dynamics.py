@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import LayeredHead
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...reference import Trajectory, march, solve, terms
 from ...reference.face.dynamics import coefficients, implicit_euler
 from ...reference.face.parameters import TISSUE_DENSITY

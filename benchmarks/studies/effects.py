@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...lhm.expressions import weights_of
-from ...lhm.mesh import Floats
 from ...reference import SOLVERS, Parameters
 from ..effect_cases import BROAD_SMILE, EFFECTS, named_effects
 from ..effect_fan import ONE_MINIMUM, fan

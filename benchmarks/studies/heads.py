@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from ...lhm import HeadReport, LayeredHead, Surface, Template, check_head, fit_head, identities, load_template
+from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.check import Figure
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.files.head_file import load_head
+from ...lhm.head_file import load_head
 from ...lhm.identities.space import CLIP, LinearSpace
 from .. import plots
 from ..harness.gates import at_most

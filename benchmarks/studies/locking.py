@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ...lhm.remesh import remeshed
 from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Scene, solve

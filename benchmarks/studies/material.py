@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.base.errors import InputError, SoftdecaError
 from ...reference import solve
 from ...reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
 from ...reference.materials.material import Isotropic, lame

@@ -10,8 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...reference import FacialModel, Parameters, smallest_facial_scene
 from ...reference.face.connecting import bone_points
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE

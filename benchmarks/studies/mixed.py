@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ...reference import Parameters, Scene, Solution, facial_scene, materials, neo_hookean_scene, prepare, solve, terms
 from ..differences import distances
 from ..harness.gates import at_most

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
 from ...reference import solve, terms
 from ...reference.materials import NeoHookean
 from ..harness.apart import held_megabytes, peak_megabytes

@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import expressions, fit_head, identities, load_template
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
-from ...lhm.mesh import Floats
 from ...lhm.template import DEFAULT_LEVEL
 from ..harness.study import Study
 from .asked import check_person

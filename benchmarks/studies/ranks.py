@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.base.errors import InputError, SoftdecaError
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene
 from ..costs import NEO_HOOKEAN, PD_ENERGY
 from ..harness.apart import peak_megabytes

@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...lhm.template import LEVELS
 from ...reference import Parameters, Scene, Solution, facial_scene, neo_hookean_scene, prepare, projective
 from ...reference.face.sequence import Sequence as Simulation

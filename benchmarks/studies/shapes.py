@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...lhm.expressions import ARKIT
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ...reference import Parameters, Prepared, facial_scene, prepare
 from ..harness.gates import at_most
 from ..harness.runner import Row

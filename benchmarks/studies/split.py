@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Scene, Solution, settled, solve
 from ...reference.face.facial import scene_under
 from ...reference.face.linearised import TIGHT, Linearised

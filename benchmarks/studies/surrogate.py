@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from ...lhm.errors import InputError
-from ...lhm.progress import silent
+from ...lhm.base.errors import InputError
+from ...lhm.base.progress import silent
 from ...surrogate import Surrogate
 from ...surrogate.carried import BindCosts, Heads
 from ...surrogate.corpus.manifest import read_manifest

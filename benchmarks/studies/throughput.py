@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Prepared, facial_scene, prepare, projective
 from ...reference.face.sequence import TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation

@@ -14,8 +14,8 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, nested_start, prepare
 from ..costs import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, load_kernels, slope, timed, unfinished
 from ..floor import bandwidth

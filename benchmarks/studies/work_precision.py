@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import expressions
-from ...lhm.errors import InputError, MissingDependencyError, SoftdecaError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
 from ...reference.added import added_laws, added_solvers
 from ...reference.face.settling import carry_skin

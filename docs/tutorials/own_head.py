@@ -15,7 +15,7 @@ import trimesh
 
 from softdeca.benchmarks.head_pictures import sections
 from softdeca.lhm import check_head, expressions, identities, load_template, scans
-from softdeca.lhm.files.head_file import load_head, save_head
+from softdeca.lhm.head_file import load_head, save_head
 from softdeca.reference import Parameters, facial_scene, settled, solve
 from softdeca.surrogate import linearised_rig
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..bounds import PARTS, VERTICES
-from ..errors import InputError
-from ..files.npz import read_arrays
-from ..mesh import Floats, Ints, Surface
-from ..validate import finite, indices_below, of_kind, shape
+from ..base.checks import finite, indices_below, of_kind, shape
+from ..base.errors import InputError
+from ..base.files.npz import read_arrays
+from ..base.limits import PARTS, VERTICES
+from ..base.mesh import Floats, Ints, Surface
 
 _NEEDED = ("vertices", "faces", "face_part", "part_name", "part_group")
 _EYES, _MANDIBLE = "eyeball", "mandible"

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..files.obj import read_obj
-from ..mesh import Floats, Ints
-from ..progress import OnProgress, silent
-from ..validate import is_plain_file
+from ..base.errors import InputError
+from ..base.files.surface_file import read_obj
+from ..base.files.text import is_plain_file
+from ..base.mesh import Floats, Ints
+from ..base.progress import OnProgress, silent
 
 SHIFT = np.array([0.0, 1500.0, 120.0])
 """[mm] from the body's height and depth to about the head's centre."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.bvh import TriangleTree
-from ..geometry.rays import first_hits
-from ..mesh import Floats, Surface
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.rays import first_hits
+from ..base.mesh import Floats, Surface
 from ..wraps.landmarks import Mask
 
 LONGEST = 45.0  # [mm]

@@ -8,13 +8,12 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import csr_matrix, diags
 
-from ..errors import InputError
-from ..geometry.bvh import TriangleTree
-from ..geometry.distance import SignedDistance
-from ..geometry.nets import zero_surface
-from ..geometry.simplify import simplified
+from ..base.errors import InputError
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.distance import SignedDistance
+from ..base.geometry.surfaces import simplified, zero_surface
+from ..base.mesh import Floats, Ints, Surface
 from ..head import CRANIUM, FREE, MANDIBLE
-from ..mesh import Floats, Ints, Surface
 from .bodyparts import Anatomy
 
 SPACING = 1.5

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from ..geometry.bvh import TriangleTree
-from ..geometry.distance import SignedDistance
-from ..geometry.warp import TriharmonicWarp, farthest_points
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.distance import SignedDistance
+from ..base.geometry.warp import TriharmonicWarp, farthest_points
+from ..base.mesh import Floats, Ints, Surface
 from ..identities.cut import boundary_loops, close_loop
 from ..identities.space import EYES, MOUTH
-from ..mesh import Floats, Ints, Surface
 from ..wraps.depth import wanted_depth
 from ..wraps.landmarks import Landmarks, Mask, landmarks
 from .bodyparts import Anatomy

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
+from ..base.progress import OnProgress, silent
 from ..build import build_template, in_space
 from ..identities.space import LinearSpace
-from ..progress import OnProgress, silent
 from ..template import DEFAULT_LEVEL, Template
 from . import bodyparts
 from .envelope import bone_at, muscle_surface, skull_surface

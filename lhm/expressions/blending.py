@@ -9,10 +9,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..checked import checked
-from ..errors import InputError
+from ..base.checks import checked
+from ..base.errors import InputError
+from ..base.mesh import Floats
 from ..identities.space import LinearSpace
-from ..mesh import Floats
 
 
 @checked

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..arkit import ARKIT
-from ..checked import checked
-from ..mesh import Floats
+from ..base.checks import checked
+from ..base.mesh import Floats
 from .blending import index
 from .take import check_frames
 

@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from ..arkit import ARKIT
-from ..checked import checked
-from ..mesh import Floats
+from ..base.checks import checked
+from ..base.mesh import Floats
 from .head_motion import head_motion
 from .take import Take, check_frames
 

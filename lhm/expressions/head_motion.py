@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from ..errors import InputError
-from ..mesh import Floats
+from ..base.errors import InputError
+from ..base.mesh import Floats
 from .take import check_rate
 
 POSTURE = np.radians([7.0, 4.0, 3.0])

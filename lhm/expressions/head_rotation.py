@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..mesh import Floats
+from ..base.mesh import Floats
 
 
 def rotations(angles) -> Floats:

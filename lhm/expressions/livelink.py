@@ -22,9 +22,8 @@ import re
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import shown
-from ..errors import InputError
-from ..mesh import Floats
+from ..base.errors import InputError, shown
+from ..base.mesh import Floats
 from .take import Take, take_of
 
 TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 100, 120, 240)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..mesh import Floats
+from ..base.mesh import Floats
 
 _SIDES = {"_l": "left", "_r": "right", ".l": "left", ".r": "right", "-l": "left", "-r": "right"}
 _KNOWN = {name.lower(): name for name in ARKIT}

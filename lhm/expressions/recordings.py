@@ -17,10 +17,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bounds import RECORDED_FILES, RECORDINGS
-from ..checked import checked
-from ..errors import InputError
-from ..mesh import Ints
+from ..base.checks import checked
+from ..base.errors import InputError
+from ..base.limits import RECORDED_FILES, RECORDINGS
+from ..base.mesh import Ints
 from .combinations import combinations, hard_expressions
 from .conversation import conversation_take
 from .speech import PACE, speech, texts
@@ -74,7 +74,7 @@ def recordings(
     `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
     `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`, `hard`: how many, each of
     `seconds`; frames of a hard one have no order in time. Raises InputError for a folder that is not there or has no
-    take, counts beyond `bounds.RECORDINGS`, and what `speech` and the makers raise.
+    take, counts beyond `limits.RECORDINGS`, and what `speech` and the makers raise.
     """
     for name, count in (("conversations", conversations), ("random", random), ("hard", hard)):
         RECORDINGS.check(name, count)

@@ -20,10 +20,10 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from ..arkit import ARKIT
-from ..checked import checked
-from ..errors import InputError, MeshError
-from ..geometry.deformation import DeformationTransfer, deformation_gradients, require_area
-from ..mesh import Floats, Ints, Surface
+from ..base.checks import checked
+from ..base.errors import InputError, MeshError
+from ..base.geometry.deformation import DeformationTransfer, deformation_gradients, require_area
+from ..base.mesh import Floats, Ints, Surface
 from .blending import checked_weights
 from .transfer import HELD, Anchors, checked_deltas
 

@@ -10,9 +10,9 @@ import re
 import zlib
 from importlib import resources
 
-from ..bounds import SPEECH_LETTERS, shown
-from ..checked import checked
-from ..errors import InputError
+from ..base.checks import checked
+from ..base.errors import InputError, shown
+from ..base.limits import SPEECH_LETTERS
 from .livelink import parse_csv
 from .take import Take
 
@@ -32,7 +32,7 @@ def speech(text: str, *, pace: float = PACE) -> Take:
     """A take of someone saying an English text, at 60 Hz; the same text and pace [sounds per second] give the same.
 
     Raises InputError for a text without words or with one that has no sounds, such as 3, for one that is longer than
-    `bounds.SPEECH_LETTERS`, for a pace outside [2, 30], and where openfacefx is not installed.
+    `limits.SPEECH_LETTERS`, for a pace outside [2, 30], and where openfacefx is not installed.
     """
     SPEECH_LETTERS.check("speech", len(text))
     if not SLOWEST <= pace <= FASTEST:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import TAKE_FRAMES
-from ..checked import checked
-from ..errors import InputError
-from ..mesh import Floats
+from ..base.checks import checked
+from ..base.errors import InputError
+from ..base.limits import TAKE_FRAMES
+from ..base.mesh import Floats
 
 FEW = 5
 LONGEST = 1e6
@@ -128,7 +128,7 @@ def check_rate(rate: float) -> None:
 
 
 def check_frames(frames: float, rate: float) -> None:
-    """Raise InputError unless a take can have so many frames at this rate [Hz], see `bounds.TAKE_FRAMES`."""
+    """Raise InputError unless a take can have so many frames at this rate [Hz], see `limits.TAKE_FRAMES`."""
     check_rate(rate)
     TAKE_FRAMES.check("take", round(frames) if np.isfinite(frames) else TAKE_FRAMES.most + 1)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ..bounds import TAKE_BYTES
-from ..checked import checked
-from ..errors import InputError
-from ..validate import read_bytes
+from ..base.checks import checked
+from ..base.errors import InputError
+from ..base.files.text import read_bytes
+from ..base.limits import TAKE_BYTES
 from .livelink import parse_csv
 from .take import Take
 from .take_json import parse_json

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import TAKE_FRAMES, shown
-from ..errors import InputError
-from ..mesh import Floats
-from ..validate import parse_json as from_json
+from ..base.errors import InputError, shown
+from ..base.files.text import parse_json as from_json
+from ..base.limits import TAKE_FRAMES
+from ..base.mesh import Floats
 from .blending import index
 from .take import Take, check_rate, take_of
 

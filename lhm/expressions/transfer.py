@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arkit import ARKIT
-from ..checked import checked
-from ..errors import MeshError
-from ..geometry.deformation import DeformationTransfer, deformation_gradients, require_area
-from ..geometry.parts import connected_parts
-from ..mesh import Floats, Ints, Surface
+from ..base.checks import checked
+from ..base.errors import MeshError
+from ..base.geometry.deformation import DeformationTransfer, deformation_gradients, require_area
+from ..base.geometry.topology import connected_parts
+from ..base.mesh import Floats, Ints, Surface
 
 STILL = 1e-6
 """Up to here [mm] a vertex counts as not moved."""

@@ -15,9 +15,8 @@ import io
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import shown
-from ..errors import InputError
-from ..mesh import Floats
+from ..base.errors import InputError, shown
+from ..base.mesh import Floats
 from .head_rotation import angles_of, of_quaternions
 from .take import Take, take_of
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
-from ..checked import checked
-from ..errors import InputError
+from ..base.checks import checked
+from ..base.errors import InputError
 from .space import IdentitySpace, LinearSpace
 
 __all__ = ["FLAME", "Anny", "ICTFaceKit", "IdentitySpace", "LinearSpace", "MeshFolder", "from_text"]

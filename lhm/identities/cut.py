@@ -6,8 +6,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.sparse.csgraph import connected_components
 
-from ..errors import MeshError
-from ..mesh import Ints
+from ..base.errors import MeshError
+from ..base.mesh import Ints
 
 RINGS = 5
 EVEN = 6

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
 from ..arkit import ARKIT
-from ..bounds import SPACE_VALUES, VERTICES
-from ..errors import InputError, MeshError
-from ..files.npz import read_arrays
-from ..mesh import Floats, Surface
-from ..validate import finite, indices_below, real
+from ..base.checks import finite, indices_below, real
+from ..base.errors import InputError, MeshError
+from ..base.files.npz import read_arrays
+from ..base.limits import SPACE_VALUES, VERTICES
+from ..base.mesh import Floats, Surface
 from .cut import boundary_loops, close_loop, even_loop, largest_piece
 from .lips import lips_together
 from .pickled import read_pickled

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import SHAPES, SPACE_VALUES
-from ..errors import InputError
-from ..files.npz import read_npy
-from ..files.scan_file import SUFFIXES
-from ..files.surface_file import read_surface
-from ..geometry.rigid import rigid_motion
-from ..mesh import Floats, Ints, Surface
-from ..validate import read_json, whole
+from ..base.checks import whole
+from ..base.errors import InputError
+from ..base.files.npz import read_npy
+from ..base.files.surface_file import SUFFIXES, read_surface
+from ..base.files.text import read_json
+from ..base.geometry.warp import rigid_motion
+from ..base.limits import SHAPES, SPACE_VALUES
+from ..base.mesh import Floats, Ints, Surface
 from .space import CAP, OUTSIDE, LinearSpace
 
 CODE_SIZE = 50

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..bounds import PARTS, SPACE_VALUES, VERTICES, shown
-from ..errors import InputError
-from ..files.npz import read_arrays
-from ..mesh import Ints, Surface
-from ..validate import finite, indices_below, of_kind, real, shape
+from ..base.checks import finite, indices_below, of_kind, real, shape
+from ..base.errors import InputError, shown
+from ..base.files.npz import read_arrays
+from ..base.limits import PARTS, SPACE_VALUES, VERTICES
+from ..base.mesh import Ints, Surface
 from .cut import cut_and_close, largest_piece
 from .lips import lips_together
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
+from ..base.files.surface_file import read_obj
+from ..base.mesh import Floats, Ints
+from ..base.progress import OnProgress, silent
 from ..expressions.naming import arkit_name
-from ..files.obj import read_obj
-from ..mesh import Floats, Ints
-from ..progress import OnProgress, silent
 from . import ict
 
 NEUTRAL = "generic_neutral_mesh.obj"

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from ..mesh import Floats, Ints
+from ..base.mesh import Floats, Ints
 from .space import MOUTH, OUTSIDE
 
 REACH = 6.0

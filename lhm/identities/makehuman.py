@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from ..arkit import ARKIT
-from ..errors import InputError, MissingDependencyError
-from ..files.npz import write_arrays
-from ..mesh import Floats, Ints
+from ..base.errors import InputError, MissingDependencyError
+from ..base.files.npz import write_arrays
+from ..base.mesh import Floats, Ints
 from .anny import FILE, WITHIN
 from .cut import cut_and_close, largest_piece
 from .lips import lips_together

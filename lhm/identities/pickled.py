@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..bounds import SPACE_VALUES
-from ..errors import InputError
-from ..validate import read_bytes, sparse_rows
+from ..base.checks import sparse_rows
+from ..base.errors import InputError
+from ..base.files.text import read_bytes
+from ..base.limits import SPACE_VALUES
 
 
 class _Stored:

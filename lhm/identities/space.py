@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ..checked import checked
-from ..errors import InputError
-from ..mesh import Floats, Ints, Surface
+from ..base.checks import checked
+from ..base.errors import InputError
+from ..base.mesh import Floats, Ints, Surface
 
 OUTSIDE, MOUTH, EYES, CAP = 0, 1, 2, 3
 """What a skin vertex belongs to: the visible skin, the mouth's lining, an eye socket, the lid over the neck's cut."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags, hstack
 
-from ..geometry.factor import Solve, factorise_definite
-from ..mesh import Floats, Ints
+from ..base.geometry.cholesky import Solve, factorise_definite
+from ..base.mesh import Floats, Ints
 
 RETURN = 0.01
 """Weight by which gradients return to the start's where nothing holds them: within 1 / sqrt(RETURN) edges."""

@@ -6,11 +6,11 @@ import warnings
 
 import numpy as np
 
-from ..errors import InputError, MeshError
-from ..files.surface_file import GREATEST_EXTENT, LEAST_EXTENT
-from ..geometry.bvh import TriangleTree
-from ..geometry.parts import connected_parts
-from ..mesh import Floats, Surface
+from ..base.errors import InputError, MeshError
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.topology import connected_parts
+from ..base.mesh import Floats, Surface
+from ..skin import GREATEST_EXTENT, LEAST_EXTENT
 from .landmarks import Pairs
 from .start import similarity
 

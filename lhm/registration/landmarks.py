@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ..bounds import shown
-from ..errors import InputError, MeshError
-from ..files.scan_file import FARTHEST
+from ..base.checks import finite
+from ..base.errors import InputError, MeshError, shown
+from ..base.files.surface_file import FARTHEST
+from ..base.files.text import read_json
+from ..base.mesh import Floats, Ints, Surface, as_points
 from ..identities.space import MOUTH, OUTSIDE
-from ..mesh import Floats, Ints, Surface, as_points
-from ..validate import finite, read_json
 from ..wraps.landmarks import landmarks
 
 Pairs = tuple[Ints, Floats]

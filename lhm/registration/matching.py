@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.bvh import TriangleTree
-from ..mesh import Floats, Ints, Surface
+from ..base.geometry.bvh import TriangleTree
+from ..base.mesh import Floats, Ints, Surface
 
 FACING = np.cos(np.radians(60.0))
 SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towards it

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..geometry.bvh import TriangleTree
-from ..geometry.sky import sky_seen
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.rays import sky_seen
+from ..base.mesh import Floats, Ints, Surface
+from ..base.progress import OnProgress
 from ..identities.space import EYES, MOUTH, OUTSIDE
-from ..mesh import Floats, Ints, Surface
-from ..progress import OnProgress
 from ..wraps.landmarks import Landmarks, Mask, distance_to
 from ..wraps.shrinkwrap import neighbours
 from .affine import SmoothAffine

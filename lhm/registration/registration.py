@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..errors import FitError, InputError
-from ..geometry.bvh import TriangleTree
+from ..base.errors import FitError, InputError
+from ..base.geometry.bvh import TriangleTree
+from ..base.mesh import Floats, Ints, Surface
+from ..base.progress import OnProgress, silent
 from ..identities.space import CAP, EYES, MOUTH
-from ..mesh import Floats, Ints, Surface
-from ..progress import OnProgress, silent
 from ..wraps.landmarks import Landmarks, Mask, landmarks, regions
 from .checks import check_placed, registrable
 from .landmarks import Pairs, checked_pairs

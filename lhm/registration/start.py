@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 
-from ..geometry.rigid import rigid_motion
-from ..mesh import Floats
+from ..base.geometry.warp import rigid_motion
+from ..base.mesh import Floats
 from .matching import Target, robust
 
 PITCHES, HEIGHTS, SCALES = (-15.0, 0.0, 15.0), (-25.0, 0.0, 25.0), (0.9, 1.0, 1.1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from ..geometry.bvh import TriangleTree
-from ..geometry.factor import factorise
-from ..mesh import Floats, Ints, Surface
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.cholesky import factorise
+from ..base.mesh import Floats, Ints, Surface
 from ..wraps.landmarks import Mask
 from ..wraps.shrinkwrap import neighbours
 from .matching import FACING, open_edges

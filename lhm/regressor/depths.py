@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..bounds import PAIRS
-from ..errors import InputError
-from ..files.npz import read_arrays, write_arrays
-from ..geometry.rigid import rigid_motion
-from ..mesh import Floats, Surface
-from ..validate import finite, in_range, text, whole
+from ..base.checks import finite, in_range, text, whole
+from ..base.errors import InputError
+from ..base.files.npz import read_arrays, write_arrays
+from ..base.geometry.warp import rigid_motion
+from ..base.limits import PAIRS
+from ..base.mesh import Floats, Surface
 
 FORMAT = "softdeca depth regressor 1"
 MODES = 15

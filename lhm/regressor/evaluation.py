@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..mesh import Floats, Surface
-from ..progress import OnProgress, silent
+from ..base.mesh import Floats, Surface
+from ..base.progress import OnProgress, silent
 from .depths import DepthPairs, DepthRegressor
 
 

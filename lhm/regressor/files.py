@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, SoftdecaError
-from ..files.scan_file import SUFFIXES
-from ..files.surface_file import check_skin, read_surface
-from ..geometry.distance import SignedDistance
+from ..base.errors import InputError, SoftdecaError
+from ..base.files.surface_file import SUFFIXES, read_surface
+from ..base.geometry.distance import SignedDistance
+from ..base.mesh import Surface
+from ..base.progress import OnProgress, silent
 from ..identities.space import LinearSpace
-from ..mesh import Surface
-from ..progress import OnProgress, silent
+from ..skin import check_skin
 from .depths import DepthPairs
 from .measured import inward_normals, measured_depths, moved_wrap
 

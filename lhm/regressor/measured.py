@@ -10,9 +10,9 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
-from ..geometry.bvh import TriangleTree
-from ..geometry.rays import first_hits
-from ..mesh import Floats, Surface
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.rays import first_hits
+from ..base.mesh import Floats, Surface
 from ..wraps.landmarks import Mask
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from ..files.cache import cached_as
-from ..geometry.warp import farthest_points
+from ..base.files.cache import cached_as
+from ..base.geometry.warp import farthest_points
+from ..base.mesh import Floats
 from ..identities.space import LinearSpace
-from ..mesh import Floats
 from ..wraps import depth
 from ..wraps.landmarks import landmarks
 from .depths import DepthPairs, DepthRegressor

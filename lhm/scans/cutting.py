@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ..errors import MeshError
-from ..mesh import Floats, Ints
+from ..base.errors import MeshError
+from ..base.mesh import Floats, Ints
 from ..wraps.landmarks import Mask
 
 CLEAR = 0.08

@@ -10,8 +10,8 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from ..arkit import ARKIT
+from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import OUTSIDE, LinearSpace
-from ..mesh import Floats, Ints, Surface
 from ..registration.matching import Target
 from ..registration.start import similarity
 from ..wraps.landmarks import Mask, distance_to

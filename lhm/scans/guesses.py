@@ -15,11 +15,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..bounds import JSON_BYTES
-from ..errors import InputError
+from ..base.errors import InputError
+from ..base.files.text import is_plain_file, parse_json, read_bytes
+from ..base.limits import JSON_BYTES
+from ..base.mesh import Floats
 from ..expressions.blending import weights_of
-from ..mesh import Floats
-from ..validate import is_plain_file, parse_json, read_bytes
 
 
 def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:

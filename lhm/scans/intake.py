@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MeshError, SoftdecaError
+from ..base.errors import InputError, MeshError, SoftdecaError
+from ..base.files.surface_file import Scan, read_scan
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.topology import openings
+from ..base.mesh import Floats, Ints, Surface
+from ..base.progress import OnProgress, silent
 from ..expressions.naming import arkit_named
-from ..files.scan_file import Scan, read_scan
-from ..files.surface_file import check_skin
 from ..fit import fit_registered, stands
-from ..geometry.bvh import TriangleTree
-from ..geometry.closing import openings
 from ..head import LayeredHead
-from ..mesh import Floats, Ints, Surface
-from ..progress import OnProgress, silent
 from ..registration.landmarks import Pairs, named_landmarks
 from ..registration.registration import face_of, register
 from ..regressor import DepthRegressor
+from ..skin import check_skin
 from ..template import Template
 from .placing import Placement, millimetres, placed
 from .repair import Repaired, repaired

@@ -9,9 +9,9 @@ from scipy.sparse import csr_matrix, diags, vstack
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ..geometry.bvh import TriangleTree
+from ..base.geometry.bvh import TriangleTree
+from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import CAP, MOUTH, OUTSIDE
-from ..mesh import Floats, Ints, Surface
 from ..registration.matching import FACING
 from ..registration.registration import Registration
 from ..registration.ties import barycentric, on_skin, on_template, with_rows

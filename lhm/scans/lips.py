@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..geometry.bvh import TriangleTree
-from ..geometry.closing import openings
-from ..geometry.rays import first_hits
+from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.rays import first_hits
+from ..base.geometry.topology import openings
+from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
-from ..mesh import Floats, Ints, Surface
 
 SAMPLES = 61
 REACH, STEP = 4.0, 0.2

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ..mesh import Floats
-from ..progress import OnProgress, silent
+from ..base.mesh import Floats
+from ..base.progress import OnProgress, silent
 from ..registration.landmarks import landmark_ids
 from ..registration.registration import register
 from ..template import Template

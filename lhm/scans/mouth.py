@@ -9,9 +9,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from ..errors import MeshError
+from ..base.errors import MeshError
+from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
-from ..mesh import Floats, Ints, Surface
 from ..registration.registration import Registration
 from ..wraps.harmonic import harmonic
 from ..wraps.landmarks import Mask

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from ..arkit import ARKIT
-from ..errors import FitError, InputError, SoftdecaError
+from ..base.errors import FitError, InputError, SoftdecaError
+from ..base.files.surface_file import read_scan
+from ..base.geometry.warp import rigid_motion
+from ..base.mesh import Floats, Surface
+from ..base.progress import OnProgress, silent
 from ..expressions.rigging import PersonalRig, personalised
 from ..expressions.transfer import transfer_expressions
-from ..files.scan_file import read_scan
-from ..geometry.rigid import rigid_motion
 from ..head import LayeredHead
-from ..mesh import Floats, Surface
-from ..progress import OnProgress, silent
 from ..registration.checks import registrable
 from ..registration.matching import Target, robust
 from ..registration.nonrigid import laid_onto

@@ -8,9 +8,9 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ..errors import FitError, InputError
-from ..mesh import Floats, Surface
-from ..progress import OnProgress, silent
+from ..base.errors import FitError, InputError
+from ..base.mesh import Floats, Surface
+from ..base.progress import OnProgress, silent
 from ..registration.matching import Target
 from ..registration.start import Similarity, icp, score, similarity
 from .sieve import Sieve

@@ -10,10 +10,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
-from ..errors import MeshError
-from ..files.scan_file import Scan
-from ..geometry.parts import connected_parts
-from ..mesh import Floats, Ints
+from ..base.errors import MeshError
+from ..base.files.surface_file import Scan
+from ..base.geometry.topology import connected_parts
+from ..base.mesh import Floats, Ints
 
 SAME = 1e-6
 """Vertices closer than this share of the mesh's extent are one, if both lie on open edges."""

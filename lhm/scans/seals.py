@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ..arkit import ARKIT
-from ..errors import MeshError
-from ..geometry.stretch import torn_area
+from ..base.errors import MeshError
+from ..base.geometry.deformation import torn_area
+from ..base.mesh import Floats, Ints, Surface
 from ..head import LayeredHead
 from ..membranes import MOUTH, at, torn
-from ..mesh import Floats, Ints, Surface
 from ..registration.registration import Registration
 from ..rig import Rig
 from ..template import Template

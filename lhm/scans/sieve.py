@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..mesh import Floats, Surface
+from ..base.mesh import Floats, Surface
 from ..registration.start import Similarity
 
 POINTS = 4000

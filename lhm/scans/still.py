@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 
 from ..arkit import ARKIT
-from ..geometry.factor import factorise
-from ..mesh import Floats, Surface
+from ..base.geometry.cholesky import factorise
+from ..base.mesh import Floats, Surface
 from ..rig import Rig
 from ..wraps.landmarks import distance_to
 from ..wraps.shrinkwrap import neighbours

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..geometry.warp import TriharmonicWarp, farthest_points
+from ..base.geometry.warp import TriharmonicWarp, farthest_points
+from ..base.mesh import Floats, Ints, Surface
 from ..head import CRANIUM, FREE, MANDIBLE
-from ..mesh import Floats, Ints, Surface
 
 CENTRES = 400
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from ..mesh import Floats
+from ..base.mesh import Floats
 from .columns import Columns
 
 ENOUGH = 0.12  # sine of the dihedral angle that is left alone: 7 degrees

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
+from ..base.mesh import Floats, Ints, Surface
 from ..layers import prism_tets
-from ..mesh import Floats, Ints, Surface
 
 
 def neighbours(triangles: Ints, n: int) -> csr_matrix:

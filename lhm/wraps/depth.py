@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ..mesh import Floats
+from ..base.mesh import Floats
 
 
 class Landmark(NamedTuple):

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.sparse import diags
 from scipy.sparse.csgraph import connected_components
 
-from ..geometry.factor import factorise
-from ..mesh import Floats, Ints
+from ..base.geometry.cholesky import factorise
+from ..base.mesh import Floats, Ints
 from .columns import neighbours
 
 

@@ -9,9 +9,9 @@ from numba import njit
 from scipy.sparse import diags, identity
 from scipy.sparse.linalg import splu
 
-from ..errors import FitError
-from ..geometry.bvh import TriangleTree
-from ..mesh import Floats, Ints
+from ..base.errors import FitError
+from ..base.geometry.bvh import TriangleTree
+from ..base.mesh import Floats, Ints
 from . import climb
 from .columns import Columns
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..geometry.rigid import rigid_motion
+from ..base.geometry.warp import rigid_motion
+from ..base.mesh import Floats, Ints
 from ..head import CRANIUM, FREE, MANDIBLE
-from ..mesh import Floats, Ints
 from .landmarks import Mask
 
 FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08

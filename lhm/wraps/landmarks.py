@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import CAP, EYES, MOUTH, OUTSIDE
-from ..mesh import Floats, Ints, Surface
 from .depth import inscribed_radius
 
 Mask = NDArray[np.bool_]

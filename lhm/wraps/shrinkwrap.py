@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.distance import SignedDistance
-from ..geometry.sphere import geodesic_sphere
-from ..geometry.subdivision import subdivide
-from ..mesh import Floats, Surface
-from ..progress import OnProgress, silent
+from ..base.geometry.distance import SignedDistance
+from ..base.geometry.surfaces import geodesic_sphere
+from ..base.geometry.topology import subdivide
+from ..base.mesh import Floats, Surface
+from ..base.progress import OnProgress, silent
 from .columns import neighbours
 
 CLEARANCE = 0.3  # [mm] the wrap ends this far outside of the skin

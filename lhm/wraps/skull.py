@@ -19,8 +19,8 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix, diags
 
-from ..geometry.factor import factorise
-from ..mesh import Floats, Ints
+from ..base.geometry.cholesky import factorise
+from ..base.mesh import Floats, Ints
 from .columns import Columns, unit
 
 RECTANGLE, CURVATURE = 0.1, 0.06

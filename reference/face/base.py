@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 
 ORTHOGONAL = 1e-4
 """How far RᵀR may be from the identity: float32 and rounded files pass."""

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from ...lhm.geometry.rigid import rigid_motion
+from ...lhm.base.geometry.warp import rigid_motion
+from ...lhm.base.mesh import Floats
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.mesh import Floats
 from .. import terms
 from .parameters import Parameters
 

@@ -11,9 +11,9 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints, Surface, as_points, tet_volumes
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.mesh import Floats, Ints, Surface, as_points, tet_volumes
 
 CANDIDATES = 16
 FLATTEST = 0.02

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from typing import get_args
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.mesh import Floats, Ints
 from .. import terms
 from ..added import added_laws
 from ..materials import Material, NeoHookean

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ...lhm.flesh import cheeks
 from ...lhm.head import FREE, MANDIBLE, LayeredHead
-from ...lhm.mesh import Floats, Ints
 from ...lhm.wraps.harmonic import harmonic
 from .. import terms
 from ..scene import Scene

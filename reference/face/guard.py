@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ..terms import Strain
 
 FREE_STRETCH = 3.0

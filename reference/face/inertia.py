@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ...lhm.base.mesh import Floats
 from ...lhm.flesh import LEAN_REGIONS, fleshy
 from ...lhm.head import FREE, LayeredHead
-from ...lhm.mesh import Floats
 from .dynamics import Recurrence, coefficients
 from .local import on_vertices
 from .parameters import Parameters

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.geometry import cholmod
-from ...lhm.geometry.factor import LinearSolver
-from ...lhm.mesh import Floats
+from ...lhm.base.checks import checked
+from ...lhm.base.geometry import cholesky
+from ...lhm.base.geometry.cholesky import LinearSolver
+from ...lhm.base.mesh import Floats
 from .. import terms
 from ..projective import Pattern, ProjectivePrepared, Tangent, prepare
 from ..scene import Scene
@@ -150,7 +150,7 @@ def _tangent_of(
     scene: Scene, start: Floats, like: Linearised | Analysed | None, accuracy: float = TIGHT
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """A scene prepared and solved: by the PD matrix, where need be then by the tangent; and the tangent in the end."""
-    linear_solver: LinearSolver | None = None if cholmod.library() is None else "cholmod"
+    linear_solver: LinearSolver | None = None if cholesky.library() is None else "cholesky"
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm = spring_norm(scene)
     direct = accuracy >= DIRECT

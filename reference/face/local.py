@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Surface
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Surface
 
 TETS_PER_PRISM = 3
 

@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import InputError, SoftdecaError
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ..scene import Scene
 from ..solve import prepare
 from .parameters import Parameters

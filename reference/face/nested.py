@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
-from ...lhm.geometry.subdivision import split_triangles
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.geometry.tets import untangled
+from ...lhm.base.geometry.topology import split_triangles
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
-from ...lhm.untangle import untangled
 from ..scene import Scene
 
 LEAST = 0.1

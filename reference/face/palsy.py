@@ -12,9 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.flesh import expressive, eye_sockets
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Surface
 from .local import on_vertices
 from .parameters import Parameters
 

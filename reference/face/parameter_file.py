@@ -12,12 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.bounds import plain, shown
-from ...lhm.checked import checked
-from ...lhm.errors import InputError
-from ...lhm.files.toml_file import read_toml
-from ...lhm.mesh import Floats
-from ...lhm.validate import finite
+from ...lhm.base.checks import checked, finite
+from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.files.text import read_toml
+from ...lhm.base.mesh import Floats
 from .parameters import Parameters
 
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.bounds import shown
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError, shown
+from ...lhm.base.mesh import Floats
 
 STANDARD_GRAVITY = 9810.0
 """[mm/s²]"""

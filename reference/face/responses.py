@@ -12,9 +12,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ..scene import Scene
 from .palsy import Springs
 from .parameters import Parameters

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ..scene import Scene
 from ..solution import Solution, volume_ratio
 from ..solve import Prepared, prepare

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from ...lhm.flesh import LEAN_REGIONS, fleshy
 from ...lhm.head import FREE, LayeredHead
-from ...lhm.mesh import Floats
 from ...lhm.wraps.harmonic import harmonic
 from .. import terms
 from ..added import all_solvers

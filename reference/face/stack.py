@@ -9,10 +9,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ...lhm.head import LayeredHead
 from ...lhm.layers import prism_tets, stacked
-from ...lhm.mesh import Floats, Ints, tet_volumes
 
 MOST_FOLDED = 2e-3
 """Share of the tets from skin to skull that may be left out because they are folded."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Surface
 from .sequence import Sequence
 
 FARTHEST = 60.0

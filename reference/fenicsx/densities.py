@@ -15,7 +15,7 @@ from typing import Any
 
 import ufl
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
 from ..materials import (
     EnergyLaw,
     Guccione,

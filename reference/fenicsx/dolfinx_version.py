@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.errors import MissingDependencyError
-from ...lhm.files import cache
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import MissingDependencyError
+from ...lhm.base.files import cache
+from ...lhm.base.mesh import Floats, Ints
 from ..compiling import compiling
 from ..ranks import followers, leave
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..march import Motion
 from ..scene import Scene, refuse_unknown
 from ..solution import Reason

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import PETSc
 from .problem import Problem, State
 from .saddle import SaddleMatrix

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import ufl
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..materials import Incompressible, Material
 from . import dolfinx_version as seam
 from .densities import density_of, mixed_density

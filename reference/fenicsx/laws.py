@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 
 DIAGONAL = np.arange(3)
 

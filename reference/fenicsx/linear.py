@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import PETSc, free_dropped
 
 # The default estimate of the smoother's eigenvalues is too low at large strain: it turns the preconditioner indefinite,

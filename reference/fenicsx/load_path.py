@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..restraint import drifts
 from ..solution import Reason
 from .dolfinx_version import PETSc

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..march import Motion
 from . import dolfinx_version as seam
 from .assembly import Stiffness

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..restraint import drifts
 from ..solution import Limits, Reason
 from ..terms import Bending, RigidBody, Strain, SurfaceStrain, Traction, Volume

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..solution import Reason
 from .dolfinx_version import PETSc
 from .linear import product

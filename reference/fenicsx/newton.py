@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..solution import Reason
 from .dolfinx_version import MPI, PETSc
 from .linear import LinearSolver, hold

@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Bending, Pressure, SurfaceStrain, Traction
 from . import dolfinx_version as seam

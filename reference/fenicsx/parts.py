@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import InputError, SceneError
-from ...lhm.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import InputError, SceneError
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ..ranks import followers
 from ..scene import Scene
 from ..solution import Solution

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from ..compiling import Clock
 from ..march import Motion, march
 from ..materials import Incompressible, NeoHookean

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 
 FIRST, SECOND = np.array([0, 0, 1]), np.array([1, 2, 2])
 SMALLEST_SUM = 1e-9  # below it the rotation nearest to F is not unique, and the twist's curvature not finite

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..materials import Corotated, Material, NeoHookean, StableNeoHookean
 from ..scene import Scene
 from ..terms import (

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .assembly import Stiffness, place_of
 from .numbering import Numbering

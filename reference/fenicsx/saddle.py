@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import ufl
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc, SLEPc, free_dropped
 from .linear import MULTIGRID, Factorisation, LinearAnswer, hold, product, set_options, solved, vector

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
 from ..materials import Corotated, Material
 from ..scene import Scene
 from ..terms import (

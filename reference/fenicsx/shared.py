@@ -13,8 +13,8 @@ from zlib import crc32
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from .dolfinx_version import MPI, PETSc
 

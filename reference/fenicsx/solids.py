@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ...lhm.mesh import Ints
+from ...lhm.base.mesh import Ints
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, Volume
 from .numbering import Numbering

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .material import Isotropic
 
 

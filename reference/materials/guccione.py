@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from .material import Material, optional_bulk, positive
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
 from .material import Isotropic, lame, optional_bulk, positive
 
 

@@ -8,7 +8,7 @@ from math import isfinite
 from numbers import Real
 from typing import TypeVar
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
 
 L = TypeVar("L", bound="LameLaw")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...lhm.errors import SceneError
+from ...lhm.base.errors import SceneError
 from .material import Isotropic, not_negative, optional_bulk
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .guccione import Guccione
 from .mooney_rivlin import MooneyRivlin
 

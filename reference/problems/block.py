@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..materials import Volumetric
 from ..scene import Scene
 from ..solution import Solution

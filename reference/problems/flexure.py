@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..materials import Incompressible, IsochoricNeoHookean, Material, MooneyRivlin
 from ..scene import Scene
 from ..solution import Solution

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from ..added import added_solvers
 from ..scene import Scene
 from ..solution import Reason, Solution

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..materials import NeoHookean
 from ..scene import Scene
 from ..solve import prepare

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 
 
 def box(cells: tuple[int, int, int], lengths: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Floats, Ints]:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
 from ..added import added_solvers
 from ..scene import Scene
 from ..solution import Reason, Solution

@@ -11,8 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.geometry.rigid import rigid_motion
-from ...lhm.mesh import Floats
+from ...lhm.base.geometry.warp import rigid_motion
+from ...lhm.base.mesh import Floats
 from ..materials import Corotated, lame
 from ..scene import Scene
 from ..solution import Solution

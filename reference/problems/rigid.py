@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..materials import Corotated, Guccione, Material, MooneyRivlin, NeoHookean, StableNeoHookean, StVenantKirchhoff
 from ..scene import Scene
 from ..solution import Solution

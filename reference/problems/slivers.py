@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints, tet_volumes
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from . import homogeneous, stretched_laws
 from .hard_case import Attempt, HardCase
 from .homogeneous import Row, held

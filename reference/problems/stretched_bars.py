@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from scipy.optimize import brentq, minimize
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..materials import NeoHookean, lame
 from ..scene import Scene
 from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume

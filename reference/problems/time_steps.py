@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Gravity, Inertia, Strain, Target, Term, Volume

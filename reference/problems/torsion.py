@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..materials import Incompressible, MooneyRivlin, NeoHookean
 from ..scene import Scene
 from ..solution import Solution

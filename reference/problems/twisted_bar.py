@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..materials import lame
 from ..scene import Scene
 from ..solution import Solution

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Bending
 from .lanes import COMPILED, D0, F00, LANES, ROWS, S0, S1, S2, U00, V00

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ...lhm.geometry.rigid import rigid_motion
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.geometry.warp import rigid_motion
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import RigidBody
 

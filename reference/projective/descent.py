@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..solution import Reason, Recorder
 from .coordinates import Place
 from .memory import Memory

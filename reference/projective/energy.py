@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Inertia, Target
 from .bending import Rings

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 
 CAPACITY = 8
 

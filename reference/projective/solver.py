@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
-from ...lhm.geometry.factor import LinearSolver
-from ...lhm.mesh import Floats
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.geometry.cholesky import LinearSolver
+from ...lhm.base.mesh import Floats
 from ..compiling import Clock, Spent
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
@@ -195,7 +195,7 @@ class ProjectivePrepared:
 
         Where it is not positive definite, which no minimum without a flat direction is, each element's
         eigenvalues are raised to 0, and `Tangent.exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
-        where the system has it (see `lhm.geometry.factor.factorise_definite`); `like`, another tangent of the same
+        where the system has it (see `factorise_definite`); `like`, another tangent of the same
         topology, such as of another identity, lends its analysis. Raises SceneError for a scene with Contact.
         """
         scene = self.scene if scene is None else scene
@@ -236,7 +236,7 @@ def prepare(
     """Factor the PD matrix of a scene.
 
     method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
-    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.geometry.factor`.
+    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.base.geometry.cholesky`.
     With "cholmod", a scene prepared `like` another of the same topology, such as another identity, takes over its
     symbolic factorisation. `threads` share the local step. Terms: Strain, Volume, SurfaceStrain, Bending, Target,
     Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term, method or count,

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_matrix, csc_matrix
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from .bending import Rings
 from .coordinates import Coordinates, Place

@@ -10,9 +10,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ...lhm.errors import SceneError
-from ...lhm.geometry.factor import LinearSolver, factorise
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.geometry.cholesky import LinearSolver, factorise
+from ...lhm.base.mesh import Floats, Ints
 from .coordinates import Body, Coordinates
 
 Solver = Callable[[Floats], Floats]

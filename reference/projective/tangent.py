@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from ...lhm.errors import SceneError
-from ...lhm.geometry import cholmod
-from ...lhm.geometry.factor import LinearSolver, Solve, factorise_definite
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import SceneError
+from ...lhm.base.geometry import cholesky
+from ...lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definite
+from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..terms import Bending, Contact, Strain, SurfaceStrain, Target, Volume
 from .bending import Rings
@@ -67,7 +67,7 @@ class Pattern:
     """What all tangents of a topology share: where entries are, and, by CHOLMOD, in which order they are eliminated."""
 
     sparsity: Sparsity
-    analysis: cholmod.Analysis | None
+    analysis: cholesky.Analysis | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class Tangent:
     @property
     def pattern(self) -> Pattern:
         """What serves again when its numbers, a quarter of a gigabyte for a head, are let go."""
-        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholmod.Factor) else None)
+        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.Factor) else None)
 
     def solve(self, right: Floats) -> Floats:
         """The inverse Hessian times gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Strain, Volume
 from .lanes import ACTIVE, HIGH, LANES, LOW, PARAMETERS, STRAIN, TARGET, VOLUME

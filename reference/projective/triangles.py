@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
 from .lanes import COMPILED

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, kron
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
 from .discretisation import Discretisation

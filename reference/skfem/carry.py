@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .definite import solve_semidefinite
 from .energy import Energy
 from .newton import Scales, minimise

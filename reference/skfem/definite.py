@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import csc_matrix, identity
 from scipy.sparse.linalg import splu
 
-from ...lhm.geometry import cholmod
-from ...lhm.mesh import Floats
+from ...lhm.base.geometry import cholesky
+from ...lhm.base.mesh import Floats
 
 SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
 
@@ -20,7 +20,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
     By CHOLMOD where the system has it, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
     signs of D count the negative eigenvalues (Sylvester).
     """
-    solve = _superlu(matrix) if cholmod.library() is None else _cholmod(matrix)
+    solve = _superlu(matrix) if cholesky.library() is None else _cholmod(matrix)
     if solve is None:
         return None
     solution = solve(right)
@@ -30,7 +30,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
 
 def _cholmod(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
     try:
-        factor = cholmod.Factor(matrix, definite=True)
+        factor = cholesky.Factor(matrix, definite=True)
     except np.linalg.LinAlgError:
         return None
     return lambda right: factor(right[:, None])[:, 0]

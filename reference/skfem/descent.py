@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..solution import Limits, Reason, Recorder
 from .discretisation import Discretisation

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from skfem import Basis, ElementTetP1, ElementTetP2, ElementTriP1, ElementTriP2, ElementVector, MeshTet
 
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from .elements import Elements
 from .membrane import rest_gradients

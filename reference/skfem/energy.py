@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .. import terms
 from ..scene import Scene
 from .bending import Bends

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .projections import clamp_stretches, nearest_of_determinant, projection_derivative, signed_svd
 
 IDENTITY = np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3))

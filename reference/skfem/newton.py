@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..solution import Reason
 from .definite import solve_definite, solve_semidefinite
 from .energy import Energy

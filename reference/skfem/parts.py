@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .. import materials, terms
 from ..scene import Scene
 from .discretisation import Discretisation

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.checked import checked
-from ...lhm.errors import SceneError
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..compiling import Clock, Spent
 from ..materials import EnergyLaw

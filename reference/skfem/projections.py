@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 
 SMALL = 1e-9
 TINY = 1e-300

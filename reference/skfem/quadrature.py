@@ -9,7 +9,7 @@ import numpy as np
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet, RefTri
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 
 # Keast (1986), the rule of 14 points and degree 4: six edges' middles, then twice four points (1 - 3a, a, a, a) in
 # barycentric coordinates. scikit-fem's own rule of that degree has a negative weight.

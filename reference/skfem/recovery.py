@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..recovered import Recovered
 from ..scene import Scene
 from .discretisation import Discretisation

@@ -14,7 +14,7 @@ from scipy.sparse import block_diag, csc_matrix, csr_matrix, hstack
 from scipy.sparse import identity as sparse_identity
 from scipy.spatial.transform import Rotation
 
-from ...lhm.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
 from .discretisation import Discretisation

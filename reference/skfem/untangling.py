@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from .. import terms
 from ..scene import Scene
 from .discretisation import Discretisation

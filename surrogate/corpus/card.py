@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.files.atomic import replaced
-from ...lhm.mesh import Floats
+from ...lhm.base.files.atomic import replaced
+from ...lhm.base.mesh import Floats
 from .folder import Corpus, CorpusStatus
 from .mixture import KINDS
 from .shard import ACCEPTED, TABLES, read_arrays_of

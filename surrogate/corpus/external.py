@@ -14,13 +14,13 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ...lhm import fit_head, identities, load_template
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.files.cache import cached
+from ...lhm.base.mesh import Floats, Surface
+from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import ARKIT, personalised, sample_weights, transfer_expressions
-from ...lhm.files.cache import cached
 from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
-from ...lhm.mesh import Floats, Surface
-from ...lhm.progress import OnProgress, silent
 from ...lhm.registration import register
 from ..codes import nearest_code
 from .person import Person

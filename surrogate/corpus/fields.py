@@ -10,8 +10,8 @@ from functools import cache
 
 import numpy as np
 
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Surface
 
 WAVES = 16
 LENGTHS = (90.0, 300.0)

@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.files.alone import alone_in
-from ...lhm.files.atomic import write_whole
-from ...lhm.files.resumable import check_same
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import InputError
+from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.files.resumable import alone_in, check_same
+from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ...lhm.errors import SceneError, SoftdecaError
-from ...lhm.geometry.bvh import TriangleTree
+from ...lhm.base.errors import SceneError, SoftdecaError
+from ...lhm.base.geometry.bvh import TriangleTree
+from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Floats32, Surface
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.face.linearised import DIRECT, Analysed, Linearised, linearised, spring_norm
 from ...reference.face.settling import FOR_TARGETS

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.validate import finite, in_range, indices_below, shape, whole
+from ...lhm.base.checks import finite, in_range, indices_below, shape, whole
+from ...lhm.base.errors import InputError
 from .fields import WAVES
 from .manifest import Manifest
 from .mixture import NAMES

@@ -8,9 +8,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ...lhm.bounds import shown
-from ...lhm.errors import InputError
-from ...lhm.validate import read_json, text
+from ...lhm.base.checks import text
+from ...lhm.base.errors import InputError, shown
+from ...lhm.base.files.text import read_json
 from .plan import CorpusPlan
 
 MANIFEST = "corpus.json"

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Surface
 from ...reference import Parameters
 from .fields import WAVES, on_faces, on_wraps
 

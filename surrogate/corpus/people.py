@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from ...lhm import fit_head, identities, load_template
-from ...lhm.errors import InputError
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import InputError
+from ...lhm.base.progress import OnProgress, silent
 from ...lhm.template import DEFAULT_LEVEL
 from ..sphere import Spheres
 from .person import OfSpace, People

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
 from ...lhm.identities import IdentitySpace
-from ...lhm.mesh import Floats, Surface
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...lhm.bounds import (
+from ...lhm.base.errors import InputError, shown
+from ...lhm.base.files.text import read_toml
+from ...lhm.base.limits import (
     ITERATIONS,
     PARAMETER_SETS,
     PEOPLE,
@@ -23,13 +25,10 @@ from ...lhm.bounds import (
     RUN_FRAMES,
     SEED,
     Bound,
-    shown,
 )
-from ...lhm.errors import InputError
+from ...lhm.base.mesh import Floats32
 from ...lhm.expressions.recordings import Recording, recordings, starts
 from ...lhm.expressions.take import Take
-from ...lhm.files.toml_file import read_toml
-from ...lhm.mesh import Floats32
 from .mixture import KINDS, ParameterSet, draw
 
 Split = Literal["train", "test"]

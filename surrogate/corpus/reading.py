@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Surface
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Surface
 from ..surface_hash import surface_hash
 from .folder import shard_path
 from .intact import check_intact

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import SceneError, SoftdecaError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import SceneError, SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...reference import prepare
 from ...reference.face.facial import PD_ENERGY
 from ...reference.face.linearised import spring_norm

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import SoftdecaError
+from ...lhm.base.errors import SoftdecaError
+from ...lhm.base.mesh import Floats
 from ...lhm.expressions import Take, rotations
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats
 from ...reference import Sequence
 from ...reference.face.base import turns_before
 from ...reference.face.velocities import Velocities, plausible

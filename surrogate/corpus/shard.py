@@ -22,11 +22,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.bounds import SHARD_BYTES
-from ...lhm.errors import InputError
-from ...lhm.files.atomic import write_whole
-from ...lhm.mesh import Floats
-from ...lhm.validate import read_json
+from ...lhm.base.errors import InputError
+from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.files.text import read_json
+from ...lhm.base.limits import SHARD_BYTES
+from ...lhm.base.mesh import Floats
 
 ACCEPTED = "accepted"
 FORMAT = 1

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.errors import SoftdecaError
+from ...lhm.base.errors import SoftdecaError
+from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.head import LayeredHead
-from ...lhm.mesh import Floats, Floats32
 from ...reference.face.velocities import Velocities
 from .group import Answer, Group, settled_neutral
 from .mixture import ParameterSet

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from ...lhm.bounds import shown
-from ...lhm.errors import InputError, SoftdecaError
-from ...lhm.files.npz import read_arrays, write_arrays
-from ...lhm.mesh import Floats, Surface
-from ...lhm.validate import finite
+from ...lhm.base.checks import finite
+from ...lhm.base.errors import InputError, SoftdecaError, shown
+from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.mesh import Floats, Surface
 
 FILE = "template.npz"
 FARTHEST = 1e4

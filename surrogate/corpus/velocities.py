@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError
+from ...lhm.base.errors import InputError
+from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import conversation
-from ...lhm.files.npz import read_arrays, write_arrays
-from ...lhm.progress import OnProgress, silent
 from ...reference import Parameters, Sequence, settled
 from ...reference.face import velocities
 from ...reference.face.velocities import Velocities

@@ -7,8 +7,8 @@ from os import PathLike
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Floats32, Ints, Surface
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ..corpus.mixture import NAMES
 from ..corpus.plan import Split
 from ..corpus.reading import Table

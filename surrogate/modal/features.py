@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...lhm.mesh import Floats, Floats32, Ints, Surface
+from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
 from ...reference.face.palsy import kept_share, left_share
 from ...reference.face.settling import GROWING

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import FitError
-from ...lhm.mesh import Floats
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import FitError
+from ...lhm.base.mesh import Floats
+from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.base import pivot
 from ...reference.face.inertia import loose
 from ..corpus.person import People

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats32, Surface
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats32, Surface
 from ..learning import nn, torch
 from .features import EFFECTS, GIVE
 from .weights import NEUTRAL, PARTS

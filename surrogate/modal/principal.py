@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Floats32
+from ...lhm.base.mesh import Floats, Floats32
 
 
 def principal(data: Floats32, count: int, rng: np.random.Generator) -> tuple[Floats32, Floats]:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numba
 import numpy as np
 
-from ...lhm.mesh import Floats, Floats32
+from ...lhm.base.mesh import Floats, Floats32
 from .features import EFFECTS, GIVE, Features, normalised_code
 from .weights import NEUTRAL, ModalWeights
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Surface
-from ...lhm.validate import finite, of_kind, shape
+from ...lhm.base.checks import finite, of_kind, shape
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Surface
 from .features import EFFECTS, Features
 
 LARGEST = 1e4

@@ -11,9 +11,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Floats32
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32
+from ...lhm.base.progress import OnProgress, silent
 from ..learning import keep_state, kept_state, torch
 from ..processes import ALONE, Processes, processes
 from ..surface_hash import surface_hash

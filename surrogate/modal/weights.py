@@ -14,11 +14,12 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from ...lhm.bounds import CURVE_POINTS, WEIGHTS_BYTES, plain, shown
-from ...lhm.errors import InputError
-from ...lhm.files.atomic import write_whole
-from ...lhm.mesh import Floats, Surface
-from ...lhm.validate import finite, in_range, parse_json, read_bytes, text, whole
+from ...lhm.base.checks import finite, in_range, text, whole
+from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.files.text import parse_json, read_bytes
+from ...lhm.base.limits import CURVE_POINTS, WEIGHTS_BYTES
+from ...lhm.base.mesh import Floats, Surface
 from ..surface_hash import surface_hash
 from .features import STATIC
 from .looseness import Looseness

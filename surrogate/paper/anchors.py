@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.geometry.parts import connected_parts
-from ...lhm.mesh import Ints
+from ...lhm.base.geometry.topology import connected_parts
+from ...lhm.base.mesh import Ints
 from .samples import Samples
 
 

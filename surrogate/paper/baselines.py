@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Floats32
+from ...lhm.base.mesh import Floats, Floats32
 from .samples import Samples
 
 PENALTIES = 10.0 ** np.arange(-2.0, 5.0)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.errors import InputError
-from ...lhm.files.npz import read_arrays, write_arrays
-from ...lhm.mesh import Floats, Ints, Surface
+from ...lhm.base.errors import InputError
+from ...lhm.base.files.npz import read_arrays, write_arrays
+from ...lhm.base.mesh import Floats, Ints, Surface
 from ..surface_hash import surface_hash
 
 FORMAT = "softdeca-surrogate-1"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats
 from ...reference import Parameters
 from .baselines import Ridge
 from .runtime import BoundHypernetwork, HypernetworkSurrogate

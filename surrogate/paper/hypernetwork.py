@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.geometry.deformation import DeformationTransfer
-from ...lhm.mesh import Floats32, Surface
+from ...lhm.base.geometry.deformation import DeformationTransfer
+from ...lhm.base.mesh import Floats32, Surface
 from ..learning import elu, nn, torch
 from .checkpoint import HypernetworkConfig
 

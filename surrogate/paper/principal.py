@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats32
+from ...lhm.base.mesh import Floats32
 from .samples import Samples
 
 FLOOR = 1e-4

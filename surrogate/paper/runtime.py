@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...lhm import identities
-from ...lhm.checked import checked
-from ...lhm.errors import InputError
-from ...lhm.geometry.deformation import DeformationTransfer, weighted_edges
-from ...lhm.mesh import Floats, Floats32, Surface
+from ...lhm.base.checks import checked
+from ...lhm.base.errors import InputError
+from ...lhm.base.geometry.deformation import DeformationTransfer, weighted_edges
+from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...reference import Parameters
 from ..rigs import (
     EXPRESSIONS,

@@ -8,8 +8,8 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Floats32, Surface
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...reference import Parameters
 from ..corpus.mixture import INFOS, NAMES
 from ..corpus.plan import Split

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.geometry.deformation import DeformationTransfer
-from ...lhm.progress import OnProgress, silent
+from ...lhm.base.errors import InputError
+from ...lhm.base.geometry.deformation import DeformationTransfer
+from ...lhm.base.progress import OnProgress, silent
 from ..learning import keep_state, kept_state, torch
 from .anchors import still_vertices
 from .checkpoint import Checkpoint, HypernetworkConfig, TrainingPoint, TrainingSummary

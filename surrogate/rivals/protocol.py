@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, Protocol
 
-from ...lhm.mesh import Floats32
+from ...lhm.base.mesh import Floats32
 from ..modal.faces import Face, Faces
 
 Bound = Callable[[Floats32], Floats32]

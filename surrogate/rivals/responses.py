@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.errors import InputError
-from ...lhm.mesh import Floats, Floats32
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32
 from ..modal.faces import Face, Faces, Inputs
 from .protocol import Bound, Takes
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ..modal.faces import Face, Faces, Inputs
 from ..modal.features import STATIC
 from ..modal.principal import principal

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats
+from ...lhm.base.mesh import Floats
 from ...reference.face.linearised import Linearised, spring_norm
 from ..carried import Heads
 from ..linear import linearised_face

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.mesh import Floats, Floats32
+from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.mixture import NAMES
 from ..corpus.reading import Row, Table
 from ..dynamics import OSCILLATION

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from ...lhm.mesh import Floats32, Ints
+from ...lhm.base.mesh import Floats32, Ints
 from ..learning import nn, torch
 from ..modal.faces import Face, Faces, Inputs
 from .protocol import Bound, Takes

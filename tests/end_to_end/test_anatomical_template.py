@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, build_template, check_head, fit_head, identities
-from softdeca.lhm.files.head_file import load_head
-from softdeca.lhm.files.template_file import read_template
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.distance import SignedDistance
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.distance import SignedDistance
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.base.mesh import Surface
 from softdeca.lhm.head import CRANIUM, MANDIBLE
-from softdeca.lhm.mesh import Surface
+from softdeca.lhm.head_file import load_head
+from softdeca.lhm.template_file import read_template
 
 
 def test_template_and_fit(command, data, tmp_path):

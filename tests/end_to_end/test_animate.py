@@ -12,8 +12,8 @@ from softdeca.animation.animate import animate, of_head
 from softdeca.animation.played import Wanted
 from softdeca.benchmarks.harness.machine import lacks
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
-from softdeca.lhm.files.head_file import save_head
-from softdeca.lhm.progress import silent
+from softdeca.lhm.base.progress import silent
+from softdeca.lhm.head_file import save_head
 from softdeca.reference import Parameters
 from softdeca.reference.face.base import turned, turns_before
 from softdeca.surrogate import Surrogate

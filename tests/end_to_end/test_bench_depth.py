@@ -10,7 +10,7 @@ import trimesh
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.depth import BETTER, PUBLISHED, Depth
 from softdeca.lhm import Surface, fit_head, identities, load_template
-from softdeca.lhm.geometry.distance import SignedDistance
+from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.regressor import DepthRegressor, inward_normals, moved_wrap, prior_pairs
 from softdeca.lhm.regressor.files import OUTSIDE, check_inside
 

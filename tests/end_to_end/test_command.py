@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.studies import study_of
-from softdeca.lhm.files.head_file import load_head, save_head
+from softdeca.lhm.head_file import load_head, save_head
 
 
 @pytest.mark.parametrize(

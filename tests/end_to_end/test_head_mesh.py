@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from softdeca.lhm.files.head_file import save_head
-from softdeca.lhm.files.tet_file import read_tets
-from softdeca.lhm.geometry.quality import tet_quality
+from softdeca.lhm.base.files.tet_file import read_tets
+from softdeca.lhm.base.geometry.tets import tet_quality
+from softdeca.lhm.head_file import save_head
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from PIL import Image
 
 from softdeca.benchmarks.head_pictures import _cut_tets, _cut_triangles, head_pictures
 from softdeca.lhm import load_template
-from softdeca.lhm.files.head_file import save_head
+from softdeca.lhm.head_file import save_head
 
 PICTURES = ["fit.png", "layers.png", "quality.png", "sections.png", "skin.png"]
 

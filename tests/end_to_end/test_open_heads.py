@@ -5,7 +5,7 @@ import pytest
 
 from softdeca.lhm import Surface, check_head, identities, load_template, scans
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.geometry.closing import closed, openings
+from softdeca.lhm.base.geometry.topology import closed, openings
 from softdeca.lhm.identities.space import EYES, MOUTH, OUTSIDE
 from softdeca.lhm.scans.eyes import SIDES
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import check_head, expressions, identities, load_template
-from softdeca.lhm.files.head_file import load_head
-from softdeca.lhm.geometry.closing import openings
+from softdeca.lhm.base.geometry.topology import openings
+from softdeca.lhm.head_file import load_head
 from softdeca.lhm.registration import landmark_ids
 
 STATUE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -101,7 +101,7 @@ def test_it_is_shown_and_simulated_without_a_word_more(fitted, command, tmp_path
 
 
 def test_what_is_no_head_writes_nothing(command, tmp_path, data):
-    from softdeca.lhm.geometry.sphere import geodesic_sphere
+    from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 
     x, triangles = geodesic_sphere(5)
     write_obj(tmp_path / "ball.obj", 100 * x, triangles)

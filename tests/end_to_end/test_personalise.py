@@ -9,8 +9,8 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from softdeca.lhm import Surface, expressions, fit_head, load_template
-from softdeca.lhm.files.head_file import load_head, save_head
 from softdeca.lhm.fit import own_first
+from softdeca.lhm.head_file import load_head, save_head
 from softdeca.lhm.scans import read_guesses
 
 SMILE, OPEN = expressions.index("mouthSmileLeft"), expressions.index("jawOpen")

@@ -8,8 +8,8 @@ import pytest
 
 from softdeca.benchmarks.harness.report import read, write
 from softdeca.benchmarks.studies import study_of
-from softdeca.lhm.geometry.sphere import geodesic_sphere
-from softdeca.lhm.mesh import Surface
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.base.mesh import Surface
 from softdeca.viewer.pictures import Panel, strip
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"

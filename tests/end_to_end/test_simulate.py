@@ -16,7 +16,7 @@ from PIL import Image
 from softdeca.animation.simulate import TakeConfig, run_take
 from softdeca.animation.takes import cut, take_from_text
 from softdeca.lhm import InputError, expressions
-from softdeca.lhm.progress import silent
+from softdeca.lhm.base.progress import silent
 from softdeca.reference import Parameters, SceneError, Sequence, settled, solve
 from softdeca.reference.face.base import turned, turns_before
 from softdeca.reference.face.parameter_file import read_parameters

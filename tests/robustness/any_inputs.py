@@ -27,9 +27,10 @@ from hypothesis.extra import numpy as hnp
 from softdeca.animation.takes import take_from_text
 from softdeca.cli.app import app
 from softdeca.cli.head import _counts
-from softdeca.lhm import Surface, expressions, identities
-from softdeca.lhm.errors import SoftdecaError
-from softdeca.lhm.files import head_file, scan_file, surface_file, template_file, tet_file
+from softdeca.lhm import Surface, expressions, head_file, identities, template_file
+from softdeca.lhm.base.errors import SoftdecaError
+from softdeca.lhm.base.files import surface_file, tet_file
+from softdeca.lhm.head_file import of_head
 from softdeca.reference.face import parameter_file
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.plan import read_plan
@@ -186,13 +187,13 @@ def fill() -> None:
     mesh = bad_inputs.trimesh.Trimesh(ball.vertices, ball.triangles, process=False)
     for suffix in ("obj", "ply", "stl", "glb"):
         mesh.export(folder / f"skin.{suffix}")
-        FILES.append((f"skin.{suffix}", (folder / f"skin.{suffix}").read_bytes(), scan_file.read_scan))
+        FILES.append((f"skin.{suffix}", (folder / f"skin.{suffix}").read_bytes(), surface_file.read_scan))
         if suffix != "glb":
             FILES.append((f"surface.{suffix}", (folder / f"skin.{suffix}").read_bytes(), surface_file.read_surface))
     whole = (folder / "head.npz").read_bytes()
     reads = (head_file.load_head, template_file.read_template, Surrogate.load, identities.ICTFaceKit, identities.FLAME)
     FILES.extend((f"{number}.npz", whole, read) for number, read in enumerate(reads))
-    tet_file.write_tets(folder / "head.vtu", tet_file.of_head(bad_inputs.HEAD, (1, 1)))
+    tet_file.write_tets(folder / "head.vtu", of_head(bad_inputs.HEAD, (1, 1)))
     FILES.append(("head.vtu", (folder / "head.vtu").read_bytes(), tet_file.read_tets))
     for file in folder.iterdir():
         file.unlink()

@@ -35,8 +35,8 @@ from scipy.sparse import identity
 from softdeca import lhm, reference, surrogate
 from softdeca.benchmarks import study  # noqa: F401 (what commands import is not part of a case's time)
 from softdeca.cli.written_file import WrittenFile, WrittenFolder
-from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, identities
-from softdeca.lhm.files import head_file, surface_file, template_file, tet_file
+from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, head_file, identities, template_file
+from softdeca.lhm.base.files import surface_file, tet_file
 from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, terms
 from softdeca.reference.face import parameter_file
 from softdeca.reference.problems.meshes import box

@@ -28,11 +28,12 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csc_matrix, identity
 
-from softdeca.lhm import LayeredHead, SoftdecaError, Surface, Template, identities
+from softdeca.lhm import LayeredHead, SoftdecaError, Surface, Template, head_file, identities, template_file
 from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.files import gltf, head_file, scan_file, template_file, tet_file
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.files import moving_surface, surface_file, tet_file
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.head_file import of_head
 from softdeca.lhm.registration import read_landmarks
 from softdeca.lhm.regressor import DepthPairs, DepthRegressor
 from softdeca.lhm.rig import Rig
@@ -476,11 +477,11 @@ def read_template(path: Path) -> list[np.ndarray]:
 
 
 def read_scan(path: Path) -> list[np.ndarray]:
-    scan = scan_file.read_scan(path)
-    assert np.abs(scan.vertices).max() <= scan_file.FARTHEST
+    scan = surface_file.read_scan(path)
+    assert np.abs(scan.vertices).max() <= surface_file.FARTHEST
     assert 0 <= scan.triangles.min() and scan.triangles.max() < len(scan.vertices)
     assert all(delta.shape == scan.vertices.shape for delta in scan.morphs.values())
-    return [x / scan_file.FARTHEST for x in (scan.vertices, *scan.morphs.values())]
+    return [x / surface_file.FARTHEST for x in (scan.vertices, *scan.morphs.values())]
 
 
 def read_space(read: Callable[[Path], identities.LinearSpace]) -> Callable[[Path], list[np.ndarray]]:
@@ -505,7 +506,7 @@ def read_tets(path: Path) -> list[np.ndarray]:
 
 
 def read_points(path: Path) -> list[np.ndarray]:
-    return [np.array(list(read_landmarks(path).values()), dtype=float) / scan_file.FARTHEST]
+    return [np.array(list(read_landmarks(path).values()), dtype=float) / surface_file.FARTHEST]
 
 
 def formats(folder: Path) -> list[Format]:
@@ -518,12 +519,12 @@ def formats(folder: Path) -> list[Format]:
     for name, arrays in (("ict", ict()), ("flame", flame()), ("anatomy", anatomy())):
         np.savez(folder / f"{name}.npz", **arrays)
     np.savez(folder / "skin.npz", vertices=wrap.vertices, triangles=wrap.triangles)
-    tets = tet_file.of_head(sphere_head)
+    tets = of_head(sphere_head)
     for suffix in tet_file.FORMATS:
         tet_file.write_tets(folder / f"head{suffix}", tets)
     x = wrap.vertices
     motion = np.stack([0 * x, 0.1 * x, 0.2 * x]).astype(np.float32)
-    gltf.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
+    moving_surface.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
     (folder / "smile.obj").write_bytes(text_of("obj"))
     pickled = pickle.dumps(flame() | {"J_regressor": csc_matrix(flame()["J_regressor"])}, protocol=2)
     landmarks = json.dumps({"nose tip": [0, 1.5, 90], "chin": [0, -50, 70]}).encode()

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from softdeca.lhm import SoftdecaError, expressions, fit_head, load_template
+from softdeca.lhm.base.files.atomic import replaced
 from softdeca.lhm.expressions import weights_of
-from softdeca.lhm.files.atomic import replaced
-from softdeca.lhm.files.head_file import load_head, save_head
+from softdeca.lhm.head_file import load_head, save_head
 from softdeca.reference import Parameters, Scene, facial_scene, terms
 
 BALL = trimesh.creation.icosphere(2, radius=100)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import identities, load_template
-from softdeca.lhm.errors import InputError
-from softdeca.lhm.files.head_file import check_file, load_head, save_head
-from softdeca.lhm.files.template_file import read_template, save_template
+from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.fit import fit_head
+from softdeca.lhm.head_file import check_file, load_head, save_head
+from softdeca.lhm.template_file import read_template, save_template
 
 
 @pytest.fixture(scope="module")
@@ -145,8 +145,8 @@ def test_a_damaged_template_is_refused(tmp_path, whole, name):
 
 def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypatch):
     """Of right arrays with wrong values too: `cached_as` asks the reader."""
-    from softdeca.lhm.files.cache import cached_as
-    from softdeca.lhm.files.template_file import template_from
+    from softdeca.lhm.base.files.cache import cached_as
+    from softdeca.lhm.template_file import template_from
 
     monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
     np.savez(tmp_path / "thing.npz", **whole["template"] | {"parts": whole["template"]["parts"] + 9})

@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 
 from softdeca.lhm import identities, load_template
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.files.head_file import check_file, load_head
-from softdeca.lhm.files.scan_file import read_scan
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.closing import openings
+from softdeca.lhm.base.files.surface_file import read_scan
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.topology import openings
+from softdeca.lhm.head_file import check_file, load_head
 from softdeca.lhm.scans.repair import repaired
 
 RNG = np.random.default_rng(0)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from skfem import MeshTet
 
-from softdeca.lhm.errors import SceneError
-from softdeca.lhm.mesh import tet_volumes
+from softdeca.lhm.base.errors import SceneError
+from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
 
 

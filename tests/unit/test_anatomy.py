@@ -9,15 +9,13 @@ from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.anatomy.connectors import connectors_to
 from softdeca.lhm.anatomy.envelope import bone_at, closed_envelope, muscle_surface, skull_surface
 from softdeca.lhm.anatomy.placement import THICKEST, part_of, place, without_pockets
-from softdeca.lhm.errors import InputError
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.distance import SignedDistance
-from softdeca.lhm.geometry.nets import zero_surface
-from softdeca.lhm.geometry.simplify import simplified
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.errors import InputError
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.distance import SignedDistance
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplified, zero_surface
+from softdeca.lhm.base.mesh import Surface
 from softdeca.lhm.head import CRANIUM, FREE, MANDIBLE
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
-from softdeca.lhm.mesh import Surface
 
 BALL = 4 / 3 * np.pi
 

@@ -19,7 +19,7 @@ from softdeca.benchmarks.studies.work_precision import (
     medians,
 )
 from softdeca.benchmarks.traces import Trace, farthest, traced, traced_to_itself
-from softdeca.lhm.errors import InputError, SoftdecaError
+from softdeca.lhm.base.errors import InputError, SoftdecaError
 from softdeca.reference import Parameters, facial_scene, prepare, terms
 
 

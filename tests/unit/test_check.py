@@ -10,11 +10,11 @@ from scipy.sparse import identity
 
 from softdeca.lhm import LayeredHead, MeshError, Surface, check_head, fit_head, load_template
 from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.base.geometry.deformation import folded_length
+from softdeca.lhm.base.geometry.tets import aspect_ratios, smallest_dihedrals
+from softdeca.lhm.base.geometry.triangles import fan_crossings
 from softdeca.lhm.check import Figure, check_layers
-from softdeca.lhm.files.head_file import check_file, save_head
-from softdeca.lhm.geometry.fans import fan_crossings
-from softdeca.lhm.geometry.quality import aspect_ratios, smallest_dihedrals
-from softdeca.lhm.geometry.stretch import folded_length
+from softdeca.lhm.head_file import check_file, save_head
 from softdeca.lhm.openings import lid_path, lip_path
 
 RADII = (100.0, 92.0, 85.0)

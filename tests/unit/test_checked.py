@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError
-from softdeca.lhm.checked import checked
-from softdeca.lhm.mesh import Floats
+from softdeca.lhm.base.checks import checked
+from softdeca.lhm.base.mesh import Floats
 
 
 @checked

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm.errors import SceneError
-from softdeca.lhm.geometry.crossing import parting_shifts
-from softdeca.lhm.geometry.tet_tree import TetTree
+from softdeca.lhm.base.errors import SceneError
+from softdeca.lhm.base.geometry.bvh import TetTree
+from softdeca.lhm.base.geometry.triangles import parting_shifts
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Scene, prepare, solve, terms
 from softdeca.reference.projective import system

@@ -340,7 +340,7 @@ def test_parameters_of_a_head_are_those_of_the_fields(made):
 
 
 def test_corpora_are_made_in_one_folder_by_one_at_a_time(made):
-    from softdeca.lhm.files.alone import alone_in
+    from softdeca.lhm.base.files.resumable import alone_in
 
     with alone_in(made.folder, "generation of a corpus"), pytest.raises(InputError, match="another generation"):
         made.generate()

@@ -14,7 +14,7 @@ from softdeca.benchmarks.effect_laws import BLENDED, CARRIED, LAW, PD, compare_l
 from softdeca.benchmarks.effect_run import run_effect, with_effect
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.effects import STARTS, Effects
-from softdeca.lhm.errors import InputError
+from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settled, solve, terms
 from softdeca.reference.face import settling

@@ -8,7 +8,7 @@ import pytest
 from softdeca.benchmarks import beyond as unseen
 from softdeca.benchmarks.breakeven import breakeven
 from softdeca.lhm import InputError
-from softdeca.lhm.progress import silent
+from softdeca.lhm.base.progress import silent
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.carried import Heads
 from softdeca.surrogate.corpus.folder import Corpus

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
-from softdeca.lhm.geometry.rigid import rigid_motion
+from softdeca.lhm.base.geometry.warp import rigid_motion
 from softdeca.lhm.refine import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
 from softdeca.reference.face.bones import carried

@@ -17,7 +17,7 @@ pytest.importorskip("dolfinx")
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.mpirun import SETTINGS, without_notices
 from softdeca.benchmarks.studies.ranks import PHASES, Ranks, compared
-from softdeca.lhm.errors import InputError, MissingDependencyError
+from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean
 from softdeca.reference.problems import stretched_bars
@@ -240,7 +240,7 @@ def test_a_march_by_three_processes_is_the_serial_one(tmp_path):
 COMMAND = """
 import pickle, sys
 import numpy as np
-from softdeca.lhm.errors import SceneError
+from softdeca.lhm.base.errors import SceneError
 from softdeca.reference import march, prepare, ranks
 ranks.lead()
 scene = pickle.load(open(sys.argv[1], "rb"))
@@ -286,7 +286,7 @@ def test_a_command_of_the_first_process_is_followed_by_the_others(cases, tmp_pat
 FAILING = """
 import os, pickle, sys
 from mpi4py import MPI
-from softdeca.lhm.errors import SceneError
+from softdeca.lhm.base.errors import SceneError
 from softdeca.reference import solve, terms
 rank, scene, how = MPI.COMM_WORLD.rank, pickle.load(open(sys.argv[1], "rb")), sys.argv[2]
 if how == "same error":

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.parts import Parts, compared
-from softdeca.lhm.errors import InputError, SceneError
+from softdeca.lhm.base.errors import InputError, SceneError
 from softdeca.reference import Scene, march, prepare, solve, terms, write_solution
 from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx import read_scene

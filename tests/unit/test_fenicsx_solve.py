@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
 
-from softdeca.lhm.errors import MissingDependencyError
+from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Reason, Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.fenicsx.dolfinx_version import parse_version
 from softdeca.reference.fenicsx.numbering import Numbering

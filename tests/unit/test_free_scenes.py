@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.lhm.errors import InputError
+from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters, SceneError, neo_hookean_scene, solve, terms
 from softdeca.reference.face.free_scenes import jaw_hinge, open_jaw_scene, push_cheek_scene
 from softdeca.reference.face.parameters import TISSUE_DENSITY

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softdeca.lhm.errors import InputError, SoftdecaError
+from softdeca.lhm.base.errors import InputError, SoftdecaError
 from softdeca.surrogate.corpus.mixture import NAMES
 from softdeca.surrogate.corpus.person import OfSpace
 from softdeca.surrogate.corpus.plan import IDENTITY, CorpusPlan

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from softdeca.benchmarks.harness.gates import at_most
 from softdeca.benchmarks.harness import Column, Study, Task
-from softdeca.lhm.errors import InputError, MissingDependencyError
+from softdeca.lhm.base.errors import InputError, MissingDependencyError
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError
-from softdeca.lhm.files.head_file import export_vtk, load_head, save_head
+from softdeca.lhm.head_file import export_vtk, load_head, save_head
 from softdeca.lhm.refine import refined_head
 
 

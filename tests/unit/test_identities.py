@@ -12,10 +12,10 @@ import trimesh
 from scipy.sparse import csc_matrix
 
 from softdeca.lhm import InputError, Surface, expressions, identities
-from softdeca.lhm.files.surface_file import check_skin
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities import makehuman
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
+from softdeca.lhm.skin import check_skin
 from softdeca.lhm.wraps.landmarks import landmarks
 
 JAW = np.array([0.0, -0.01, 0.0])

@@ -6,7 +6,7 @@ import trimesh
 
 from softdeca.lhm import InputError, expressions, identities
 from softdeca.lhm.anatomy import bodyparts, bodyparts_folder
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities import ict, ict_folder
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 

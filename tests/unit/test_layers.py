@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, MeshError
+from softdeca.lhm.base.geometry.tets import untangled
+from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.lhm.layers import prism_tets, stacked
-from softdeca.lhm.mesh import tet_volumes
-from softdeca.lhm.untangle import untangled
 from softdeca.reference.face.stack import Stack
 
 

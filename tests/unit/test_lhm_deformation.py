@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import MeshError, Surface
-from softdeca.lhm.geometry import factor
-from softdeca.lhm.geometry.deformation import DeformationTransfer, deformation_gradients, sumner_frames
+from softdeca.lhm.base.geometry import cholesky
+from softdeca.lhm.base.geometry.deformation import DeformationTransfer, deformation_gradients, sumner_frames
 
 
 def bent(vertices, amount):
@@ -84,7 +84,7 @@ def test_superlu_stands_in_for_cholespy(case, monkeypatch):
     reference, before, after, still = case
     gradients = minus_identity(deformation_gradients(before, after, reference.triangles))
     with_cholespy = DeformationTransfer(reference, still).delta(gradients, before[None])
-    monkeypatch.setattr(factor, "CholeskySolverD", None)
+    monkeypatch.setattr(cholesky, "CholeskySolverD", None)
     without = DeformationTransfer(reference, still).delta(gradients, before[None])
     np.testing.assert_allclose(without, with_cholespy, atol=1e-9)
 

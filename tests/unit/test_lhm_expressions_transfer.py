@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from softdeca.lhm import MeshError, Surface, identities
+from softdeca.lhm.base.geometry import deformation
 from softdeca.lhm.expressions import transfer_expressions
-from softdeca.lhm.geometry import deformation
 
 
 @pytest.fixture(scope="module")

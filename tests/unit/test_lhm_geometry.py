@@ -4,17 +4,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm.errors import MeshError
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.distance import SignedDistance, across_edges
-from softdeca.lhm.geometry.quality import smallest_dihedrals
-from softdeca.lhm.geometry.rigid import rigid_motion
-from softdeca.lhm.geometry.sphere import geodesic_sphere
-from softdeca.lhm.geometry.subdivision import subdivide
-from softdeca.lhm.geometry.triangles import triangles_cross
-from softdeca.lhm.geometry.warp import TriharmonicWarp, farthest_points
+from softdeca.lhm.base.errors import MeshError
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.distance import SignedDistance
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.base.geometry.tets import smallest_dihedrals
+from softdeca.lhm.base.geometry.topology import across_edges, subdivide
+from softdeca.lhm.base.geometry.triangles import triangles_cross
+from softdeca.lhm.base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
+from softdeca.lhm.base.mesh import Surface
 from softdeca.lhm.identities.cut import boundary_loops, cut_and_close
-from softdeca.lhm.mesh import Surface
 from softdeca.lhm.wraps.depth import inscribed_radius
 from softdeca.lhm.wraps.labels import jaw_share
 

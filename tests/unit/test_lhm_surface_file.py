@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError, MeshError, Surface
-from softdeca.lhm.files.cache import cached
-from softdeca.lhm.files.surface_file import check_skin, read_surface
+from softdeca.lhm.base.files.cache import cached
+from softdeca.lhm.base.files.surface_file import read_surface
+from softdeca.lhm.skin import check_skin
 
 BALL = trimesh.creation.icosphere(2, radius=100)
 

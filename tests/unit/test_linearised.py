@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm.errors import SceneError
+from softdeca.lhm.base.errors import SceneError
 from softdeca.reference import Parameters
 from softdeca.reference.face.linearised import linearised
 from softdeca.reference.face.settling import settled

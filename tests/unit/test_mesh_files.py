@@ -8,11 +8,9 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError
-from softdeca.lhm.files.obj import read_obj
-from softdeca.lhm.files.ply import read_ply
-from softdeca.lhm.files.scan_file import read_scan
-from softdeca.lhm.files.stl import read_stl
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.files.ply import read_ply
+from softdeca.lhm.base.files.surface_file import read_obj, read_scan, read_stl
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.registration import read_landmarks
 from softdeca.lhm.scans import read_guesses
 

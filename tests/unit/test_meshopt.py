@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError
-from softdeca.lhm.files.meshopt import decode_meshopt
+from softdeca.lhm.base.files.meshopt import decode_meshopt
 
 VERTICES_0 = bytes.fromhex(
     "a01f006a13f4733d57a7e264094b4f00b81d77515095f2d2ffa12554b6ecd86a6b44ffff00007a30952e8a9252152a0ccaa8"

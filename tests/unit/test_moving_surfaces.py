@@ -8,8 +8,7 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError, Surface
-from softdeca.lhm.files.gltf import morphs, write_gltf
-from softdeca.lhm.files.vtkhdf import write_vtkhdf
+from softdeca.lhm.base.files.moving_surface import morphs, write_gltf, write_vtkhdf
 
 SPHERE = trimesh.creation.icosphere(2, radius=100)
 SKIN = Surface(SPHERE.vertices, SPHERE.faces)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.sparse import identity
 
-from softdeca.lhm.geometry.subdivision import subdivide
+from softdeca.lhm.base.geometry.topology import subdivide
+from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head import LayeredHead
-from softdeca.lhm.mesh import Surface, tet_volumes
 from softdeca.lhm.refine import refined_head
 from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, nested_start, solve
 

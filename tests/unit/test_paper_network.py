@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from softdeca.lhm import InputError, Surface
-from softdeca.lhm.geometry.deformation import DeformationTransfer
+from softdeca.lhm.base.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.person import OfSpace

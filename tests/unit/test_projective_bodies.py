@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from skfem import MeshTet
 
-from softdeca.lhm.errors import SceneError
-from softdeca.lhm.geometry.rigid import rigid_motion
-from softdeca.lhm.mesh import tet_volumes
+from softdeca.lhm.base.errors import SceneError
+from softdeca.lhm.base.geometry.warp import rigid_motion
+from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import Reason, Scene, prepare, solve, terms
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from skfem import MeshTet
 
-from softdeca.lhm.mesh import tet_volumes
+from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import Scene, prepare, solve, terms
 
 

@@ -6,8 +6,8 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from skfem import MeshTet
 
-from softdeca.lhm.errors import SceneError
-from softdeca.lhm.mesh import tet_volumes
+from softdeca.lhm.base.errors import SceneError
+from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import Scene, terms
 from softdeca.reference import prepare as prepare_by
 from softdeca.reference.projective import prepare

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm.errors import SceneError
-from softdeca.lhm.geometry import factor
+from softdeca.lhm.base.errors import SceneError
+from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
 from softdeca.reference.projective import local_step_seconds, solver, system
@@ -131,7 +131,7 @@ def test_held_components_are_exact_and_factored_by_mask(scene):
 
 def test_superlu_stands_in_for_cholespy(scene, monkeypatch):
     with_cholespy = solve(scene, tolerance=1e-10).positions
-    monkeypatch.setattr(factor, "CholeskySolverD", None)
+    monkeypatch.setattr(cholesky, "CholeskySolverD", None)
     np.testing.assert_allclose(solve(scene, tolerance=1e-10).positions, with_cholespy, atol=1e-7)
 
 

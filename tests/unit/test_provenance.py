@@ -12,7 +12,7 @@ from softdeca.benchmarks.harness import machine, run
 from softdeca.benchmarks.harness.page import CHANGED, page
 from softdeca.benchmarks.harness.report import Made, write
 from softdeca.benchmarks.studies.verification import Verification
-from softdeca.lhm.files.toml_file import read_toml
+from softdeca.lhm.base.files.text import read_toml
 
 pytest.importorskip("tomllib")  # from Python 3.11 on
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import TetMesh
-from softdeca.lhm.errors import MeshError
-from softdeca.lhm.geometry.quality import smallest_dihedrals
+from softdeca.lhm.base.errors import MeshError
+from softdeca.lhm.base.geometry.tets import smallest_dihedrals
 from softdeca.lhm.refine import refined_head, refined_tets
 
 

@@ -8,9 +8,9 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from softdeca.lhm import FitError, InputError, MeshError, Surface, identities
-from softdeca.lhm.files.surface_file import read_surface
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.files.surface_file import read_surface
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 from softdeca.lhm.registration import landmark_ids, named_landmarks, read_landmarks, register, registered_by
 from softdeca.lhm.registration.affine import SmoothAffine

@@ -8,8 +8,8 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from softdeca.lhm import FitError, InputError, Surface, identities, load_template
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.rays import first_hits
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.registration import Registration, Residual
 from softdeca.lhm.regressor import (
     DepthErrors,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, MeshError, TetMesh
-from softdeca.lhm.errors import MissingDependencyError
-from softdeca.lhm.geometry.quality import smallest_dihedrals
+from softdeca.lhm.base.errors import MissingDependencyError
+from softdeca.lhm.base.geometry.tets import smallest_dihedrals
 from softdeca.lhm.remesh import remeshed
 from softdeca.reference import Parameters, facial_scene, solve, terms
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm.errors import InputError
+from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters, facial_scene, prepare, terms
 from softdeca.reference.face.responses import expression_responses, parameter_responses, skin_responses
 from softdeca.surrogate.sphere import Spheres

@@ -9,7 +9,7 @@ import pytest
 
 from softdeca.benchmarks.surrogate_gates import BOUNDS, HYBRID, LINEARISED, NETWORK, TRIVIAL, defeats, surrogate_gates
 from softdeca.benchmarks.surrogates import told_first
-from softdeca.lhm.errors import InputError
+from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scaled_skull
 from softdeca.reference.face.settling import carry_skin

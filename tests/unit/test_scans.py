@@ -9,11 +9,10 @@ import pytest
 
 from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, load_template, scans
 from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.base.files.surface_file import Scan, read_scan
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.base.geometry.topology import closed, is_closed, openings
 from softdeca.lhm.expressions.naming import arkit_name, arkit_named
-from softdeca.lhm.files.scan_file import Scan, read_scan
-from softdeca.lhm.geometry.closing import closed, openings
-from softdeca.lhm.geometry.distance import is_closed
-from softdeca.lhm.geometry.sphere import geodesic_sphere
 from softdeca.lhm.registration.registration import face_of
 from softdeca.lhm.scans.repair import repaired
 

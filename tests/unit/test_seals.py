@@ -8,13 +8,12 @@ from scipy.sparse import csr_matrix, identity
 
 from softdeca.lhm import MeshError, Surface, check_head, load_template
 from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.deformation import greatest_stretches, torn_area
+from softdeca.lhm.base.geometry.rays import first_hits
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.base.geometry.topology import closed, is_closed, openings
 from softdeca.lhm.fit import fit_registered, space_rig
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.closing import closed, openings
-from softdeca.lhm.geometry.distance import is_closed
-from softdeca.lhm.geometry.rays import first_hits
-from softdeca.lhm.geometry.sphere import geodesic_sphere
-from softdeca.lhm.geometry.stretch import greatest_stretches, torn_area
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH
 from softdeca.lhm.openings import lid_path, lip_path
 from softdeca.lhm.registration import registered_by

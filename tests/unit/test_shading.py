@@ -3,8 +3,8 @@
 import numpy as np
 
 from softdeca.lhm import Surface, load_template
-from softdeca.lhm.geometry.sky import sky_seen
-from softdeca.lhm.geometry.sphere import geodesic_sphere
+from softdeca.lhm.base.geometry.rays import sky_seen
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH
 from softdeca.viewer.shading import INSIDE, SKIN, shades
 

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, MeshError, TetMesh
-from softdeca.lhm.files.tet_file import MUSCLE, SOFT, TaggedTets, of_head, read_tets, write_tets
+from softdeca.lhm.base.files.tet_file import TaggedTets, read_tets, write_tets
+from softdeca.lhm.head_file import MUSCLE, SOFT, of_head
 from softdeca.lhm.refine import refined_head
 
 SUFFIXES = [".msh", ".vtu", ".xdmf", ".mesh"]

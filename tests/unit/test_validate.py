@@ -5,8 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, bounds, validate
-from softdeca.lhm.bounds import JSON_DEPTH, Bound, plain, shown
+from softdeca.lhm import InputError
+from softdeca.lhm.base import checks, limits
+from softdeca.lhm.base.errors import plain, shown
+from softdeca.lhm.base.files import text
+from softdeca.lhm.base.limits import JSON_DEPTH, Bound
 
 
 @pytest.mark.parametrize(
@@ -24,14 +27,14 @@ from softdeca.lhm.bounds import JSON_DEPTH, Bound, plain, shown
 )
 def test_numbers_that_are_not_finite_or_of_another_shape_are_named(values, message):
     with pytest.raises(InputError, match=message):
-        validate.finite("x", values, (None, 3), most=1000)
+        checks.finite("x", values, (None, 3), most=1000)
 
 
 def test_good_numbers_pass_unchanged():
-    assert validate.finite("x", np.float32([[1, 2, 3]]), (None, 3)).tolist() == [[1.0, 2.0, 3.0]]
-    assert validate.finite("x", np.empty((0, 3)), (None, 3)).shape == (0, 3)
-    assert validate.indices_below("t", np.uint8([2, 0]), 3).tolist() == [2, 0]
-    assert validate.in_range("w", [0, 0.5, 1], 0, 1).tolist() == [0, 0.5, 1]
+    assert checks.finite("x", np.float32([[1, 2, 3]]), (None, 3)).tolist() == [[1.0, 2.0, 3.0]]
+    assert checks.finite("x", np.empty((0, 3)), (None, 3)).shape == (0, 3)
+    assert checks.indices_below("t", np.uint8([2, 0]), 3).tolist() == [2, 0]
+    assert checks.in_range("w", [0, 0.5, 1], 0, 1).tolist() == [0, 0.5, 1]
 
 
 @pytest.mark.parametrize(
@@ -46,7 +49,7 @@ def test_good_numbers_pass_unchanged():
 )
 def test_an_index_out_of_range_is_named(values, message):
     with pytest.raises(InputError, match=message):
-        validate.indices_below("t", values, 3)
+        checks.indices_below("t", values, 3)
 
 
 @pytest.mark.parametrize(
@@ -63,11 +66,11 @@ def test_an_index_out_of_range_is_named(values, message):
 )
 def test_sparse_rows_out_of_range_are_refused(data, indices, indptr, message):
     with pytest.raises(InputError, match=message):
-        validate.sparse_rows("w", data, indices, indptr, 2, 2)
+        checks.sparse_rows("w", data, indices, indptr, 2, 2)
 
 
 def test_sparse_rows_are_the_matrix_of_their_arrays():
-    matrix = validate.sparse_rows("w", [1.0, 2.0], np.int32([1, 0]), np.int32([0, 1, 2]), 2, 2)
+    matrix = checks.sparse_rows("w", [1.0, 2.0], np.int32([1, 0]), np.int32([0, 1, 2]), 2, 2)
     assert matrix.toarray().tolist() == [[0.0, 1.0], [2.0, 0.0]]
 
 
@@ -87,27 +90,27 @@ def test_sparse_rows_are_the_matrix_of_their_arrays():
 )
 def test_json_that_is_deep_huge_or_no_number_is_one_line(said, message):
     with pytest.raises(InputError, match=message):
-        validate.parse_json(said)
+        text.parse_json(said)
 
 
 def test_good_json_passes():
     deep = "[" * JSON_DEPTH.most + "]" * JSON_DEPTH.most
-    assert validate.parse_json(deep) == eval(deep)
-    assert validate.parse_json('["[[[", "{\\"", 1, 1.5]' + " " * 5) == ["[[[", '{"', 1, 1.5]
-    assert validate.parse_json(b'\xef\xbb\xbf{"a": 1}') == {"a": 1}
+    assert text.parse_json(deep) == eval(deep)
+    assert text.parse_json('["[[[", "{\\"", 1, 1.5]' + " " * 5) == ["[[[", '{"', 1, 1.5]
+    assert text.parse_json(b'\xef\xbb\xbf{"a": 1}') == {"a": 1}
     flat = "[" + ",".join(['{"a[": 1}'] * 100) + "]"
-    assert len(validate.parse_json(flat)) == 100
+    assert len(text.parse_json(flat)) == 100
 
 
 def test_a_file_is_read_within_its_bound(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(b"x" * 11)
     with pytest.raises(InputError, match="a: 11 bytes; expected at most 10"):
-        validate.read_bytes(path, Bound("bytes", 10, "a test"))
+        text.read_bytes(path, Bound("bytes", 10, "a test"))
     with pytest.raises(InputError, match="/dev/zero: not a plain file"):
-        validate.read_bytes("/dev/zero")
+        text.read_bytes("/dev/zero")
     with pytest.raises(InputError, match="no such file"):
-        validate.read_bytes(tmp_path / "b")
+        text.read_bytes(tmp_path / "b")
 
 
 def test_a_bound_names_what_is_counted():
@@ -127,7 +130,7 @@ def test_what_a_file_says_cannot_steer_the_terminal():
 def test_the_docs_have_every_bound():
     page = (Path(__file__).parents[2] / "docs" / "bounds.md").read_text()
     rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
-    named = {name: value for name, value in vars(bounds).items() if isinstance(value, Bound)}
+    named = {name: value for name, value in vars(limits).items() if isinstance(value, Bound)}
     assert rows.keys() == named.keys()
     for name, bound in named.items():
         assert rows[name] == f"| `{name}` | {bound.most:,} | {bound.what} | {bound.reason} |"

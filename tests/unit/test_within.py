@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import Surface, expressions, identities
-from softdeca.lhm.geometry.bvh import TriangleTree
-from softdeca.lhm.geometry.closing import openings
-from softdeca.lhm.geometry.rays import first_hits
+from softdeca.lhm.base.geometry.bvh import TriangleTree
+from softdeca.lhm.base.geometry.rays import first_hits
+from softdeca.lhm.base.geometry.topology import openings
 from softdeca.lhm.identities.space import OUTSIDE
 from softdeca.viewer.pictures import VIEW, Panel, strip
 from softdeca.viewer.within import _default, turned, within

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from softdeca.lhm import FitError
-from softdeca.lhm.geometry.quality import smallest_dihedrals
+from softdeca.lhm.base.geometry.tets import smallest_dihedrals
 from softdeca.lhm.wraps import climb, inner
 from softdeca.lhm.wraps.columns import Columns
 from softdeca.lhm.wraps.skull import SkullFit

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from ....lhm.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats, Ints
 from ..coordinates import Place
 from .compliance import Elasticity
 from .detection import Detection

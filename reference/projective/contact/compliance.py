@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix, hstack
 
-from ....lhm.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats, Ints
 from ..coordinates import Coordinates, Place
 from ..system import System
 from .rows import Rows

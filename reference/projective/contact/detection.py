@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ....lhm.geometry.crossing import crossed_edges, parting_shifts
-from ....lhm.mesh import Floats, Ints, Surface
+from ....lhm.base.geometry.triangles import crossed_edges, parting_shifts
+from ....lhm.base.mesh import Floats, Ints, Surface
 from .rows import Rows
 from .surface import ContactSurface
 

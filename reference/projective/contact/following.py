@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....lhm.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats, Ints
 from ...scene import Scene
 from ...solution import Reason
 from ...terms import Contact

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ....lhm.mesh import Floats, Ints
+from ....lhm.base.mesh import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix, identity
 
-from ....lhm.errors import SceneError
-from ....lhm.geometry.bvh import TriangleTree
-from ....lhm.geometry.tet_tree import TetTree
-from ....lhm.mesh import Floats, Ints, Surface
+from ....lhm.base.errors import SceneError
+from ....lhm.base.geometry.bvh import TetTree, TriangleTree
+from ....lhm.base.mesh import Floats, Ints, Surface
 from ...scene import Scene
 from ...terms import Contact
 

@@ -1,0 +1,58 @@
+"""Errors that a user can act on: each message names the thing and what was expected of it."""
+
+from __future__ import annotations
+
+import numbers
+from typing import Any
+
+
+def plain(text: str) -> str:
+    """Escape what is no printable character, so that a text from a file cannot steer the terminal."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")
+
+
+class SoftdecaError(ValueError):
+    """Base of every error that softdeca raises on purpose; it is one line, whatever it quotes."""
+
+    def __str__(self) -> str:
+        """The message: line ends and runs of spaces made one space, other control characters escaped."""
+        return plain(" ".join(super().__str__().split()))
+
+
+class MeshError(SoftdecaError):
+    """A mesh is not what it has to be (shape, index range, orientation, manifoldness)."""
+
+
+class FitError(SoftdecaError):
+    """A layered head could not be made from a skin; the message names the gate that failed."""
+
+
+class InputError(SoftdecaError):
+    """A file, name or value from outside is wrong."""
+
+
+class SceneError(SoftdecaError):
+    """A scene, or what a solver is asked to do with it, is inconsistent."""
+
+
+class MissingDependencyError(SoftdecaError):
+    """An optional package is not installed; the message says what to install."""
+
+
+def shown(value: Any, longest: int = 40) -> str:
+    """Quote a value in an error: one line of printable characters, at most `longest` of them and three dots."""
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        # Python refuses to print an integer of more than 4,300 digits.
+        return (
+            f"{int(value):,}"
+            if abs(int(value)) < 10**18
+            else "more than 10^18"
+            if int(value) > 0
+            else "less than -10^18"
+        )
+    text = plain(value if isinstance(value, str) else repr(value))
+    return text if len(text) <= longest else text[:longest] + "..."

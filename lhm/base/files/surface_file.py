@@ -1,0 +1,228 @@
+"""Surfaces from files: OBJ, PLY, STL, glTF and NPZ, with the morph targets that are there."""
+
+from __future__ import annotations
+
+import os
+from array import array
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..checks import checked, finite
+from ..errors import InputError, MeshError, shown
+from ..limits import TRIANGLES, VERTICES
+from ..mesh import Floats, Ints, Surface, as_elements, as_points
+from .gltf import read_gltf
+from .npz import read_arrays
+from .ply import read_ply
+from .text import read_bytes
+
+MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+
+
+@checked
+def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
+    """A triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
+
+    `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, empty,
+    damaged, no mesh, or holds values that are not finite.
+    """
+    path = Path(path)
+    if unit not in MILLIMETRES:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
+    scan = read_scan(path)
+    try:
+        return Surface(scan.vertices * MILLIMETRES[unit], scan.triangles)
+    except MeshError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+FARTHEST = 1e12
+"""In the file's own unit: a head in picometres."""
+MOST_MOVED = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A mesh in its file's own unit and axes: `vertices` (n, 3) in the file's order, `triangles` (m, 3).
+
+    Groups, materials and primitives are one mesh; polygons are triangles. `morphs`: what each named morph target adds,
+    shape (n, 3). Raises MeshError for values that are not finite and indices out of range.
+    """
+
+    vertices: Floats
+    triangles: Ints
+    morphs: Mapping[str, Floats] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "vertices", as_points("vertices", self.vertices))
+        object.__setattr__(self, "triangles", as_elements("triangles", self.triangles, 3, len(self.vertices)))
+        for name, delta in self.morphs.items():
+            if len(as_points(f"morph target {name!r}", delta)) != len(self.vertices):
+                raise MeshError(f"morph target {name!r}: {len(delta)} vertices, the mesh has {len(self.vertices)}")
+
+    @property
+    def surface(self) -> Surface:
+        """The mesh as a surface, [mm] if the file is; MeshError for a triangle that repeats a vertex."""
+        return Surface(self.vertices, self.triangles)
+
+
+def read_scan(path: str | os.PathLike[str]) -> Scan:
+    """The mesh in a file by its suffix; InputError, one line that names the file, if it is missing, damaged or none."""
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty")
+    try:
+        scan = Scan(*_READERS[path.suffix.lower()](path))
+        if not len(scan.triangles):
+            raise InputError("no triangles found; is it a mesh?")
+        farthest = float(np.abs(scan.vertices).max())
+        if farthest > FARTHEST:
+            raise InputError(f"a vertex lies at {farthest:.3g}, at most {FARTHEST:g} in any unit; is the file damaged?")
+        size = float(np.ptp(scan.vertices, axis=0).max())
+        for name, delta in scan.morphs.items():
+            if np.abs(delta).max(initial=0.0) > MOST_MOVED * size:
+                raise InputError(f"morph target {name!r} moves a vertex more than {MOST_MOVED:g} times the mesh's size")
+    except (InputError, MeshError) as error:
+        text = str(error)
+        raise InputError(text if str(path) in text else f"{path}: {text}") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+    return scan
+
+
+def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    arrays = read_arrays(path, "vertices", "triangles", of="a surface")
+    return finite("vertices", arrays["vertices"], (None, 3)), arrays["triangles"]
+
+
+_BOM = b"\xef\xbb\xbf"
+
+
+def read_obj(path: Path) -> tuple[Floats, Ints]:
+    """Vertices (n, 3) in the file's order, and its polygons as fans of triangles (m, 3).
+
+    Texture coordinates, normals, materials, lines and points are left out: a vertex that has two texture coordinates
+    stays one. Negative indices count back from the last vertex. InputError names a line that is none of OBJ, vertices
+    that are not finite and indices out of range.
+    """
+    coordinates, corners = array("d"), array("q")
+    for number, line in enumerate(_obj_lines(path), start=1):
+        kind, *fields = line.split() or [b""]
+        try:
+            if kind == b"v":
+                x, y, z = fields[:3]
+                coordinates.extend((float(x), float(y), float(z)))
+            elif kind == b"f":
+                polygon = [_obj_index(field, len(coordinates) // 3) for field in fields]
+                if len(polygon) < 3:
+                    raise ValueError
+                for b, c in zip(polygon[1:-1], polygon[2:], strict=True):
+                    corners.extend((polygon[0], b, c))
+        except (ValueError, OverflowError):
+            said = shown(line.strip().decode("utf-8", "replace"), 60)
+            raise InputError(f"line {number} is none of an OBJ file: {said!r}") from None
+    vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
+    triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
+    VERTICES.check("it has", len(vertices))
+    TRIANGLES.check("it has", len(triangles))
+    try:
+        return as_points("vertices", vertices), as_elements("triangles", triangles, 3, len(vertices))
+    except MeshError as error:
+        raise InputError(str(error)) from None
+
+
+def _obj_index(field: bytes, count: int) -> int:
+    value = int(field.partition(b"/")[0])
+    if value == 0 or value < -count:
+        raise ValueError
+    return value - 1 if value > 0 else count + value
+
+
+def _obj_lines(path: Path) -> list[bytes]:
+    # Names of materials may be in any encoding.
+    content = read_bytes(path).removeprefix(_BOM)
+    if b"\0" in content:
+        raise InputError("not an OBJ file: it is no text")
+    if b"\\" in content:  # at a line's end it continues the line
+        content = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    return content.splitlines()
+
+
+HEADER, ROW = 84, 50
+"""Bytes of a binary file's header, whose last four are the count of triangles, and of each triangle."""
+
+
+def read_stl(path: Path) -> tuple[Floats, Ints]:
+    """Vertices (n, 3) and triangles (m, 3); InputError where the file is cut off or no STL."""
+    content = read_bytes(path)
+    count = int.from_bytes(content[80:84], "little")
+    # Binary files may begin with "solid" too, so that their size tells them.
+    if len(content) == HEADER + ROW * count:
+        TRIANGLES.check("it has", count)
+        rows = np.frombuffer(content, np.uint8, offset=HEADER).reshape(count, ROW)[:, 12:48]
+        corners = np.ascontiguousarray(rows).view("<f4").reshape(-1, 3)
+    elif content.lstrip()[:5].lower() == b"solid":
+        corners = _stl_text(content)
+    else:
+        raise InputError(f"not an STL file, or cut off: its size is not that of the {count:,} triangles it promises")
+    with np.errstate(all="ignore"):  # NaN and infinity are refused as such
+        return _merged(corners)
+
+
+def _stl_text(content: bytes) -> np.ndarray:
+    """The corners (3 m, 3) of a text, float32."""
+    corners, facet = array("d"), 0
+    for number, line in enumerate(content.lower().splitlines(), start=1):
+        kind, *fields = line.split() or [b""]
+        try:
+            if kind == b"vertex":
+                x, y, z = fields
+                corners.extend((float(x), float(y), float(z)))
+                facet += 1
+            elif kind == b"endfacet":
+                if facet != 3:
+                    raise ValueError
+                facet = 0
+            elif kind not in (b"solid", b"facet", b"outer", b"endloop", b"endsolid", b""):
+                raise ValueError
+        except ValueError:
+            said = shown(line.strip().decode("utf-8", "replace"), 60)
+            raise InputError(f"line {number} is none of an STL file: {said!r}") from None
+    if facet:
+        raise InputError("the file is cut off within a triangle")
+    TRIANGLES.check("it has", len(corners) // 9)
+    with np.errstate(over="ignore"):
+        return np.frombuffer(corners, np.float64).reshape(-1, 3).astype(np.float32)
+
+
+def _merged(corners: np.ndarray) -> tuple[Floats, Ints]:
+    """Vertices and triangles of corners (3 m, 3), float32, those of the same three numbers made one."""
+    bits = (np.ascontiguousarray(corners, dtype="<f4") + np.float32(0)).view("<u4").astype(np.uint64)  # -0 becomes 0
+    _, plane = np.unique(bits[:, 0] << np.uint64(32) | bits[:, 1], return_inverse=True)
+    _, first, number = np.unique(
+        plane.ravel().astype(np.uint64) << np.uint64(32) | bits[:, 2], return_index=True, return_inverse=True
+    )
+    # In the file's order.
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[order] = np.arange(len(first))
+    return corners[first[order]].astype(np.float64), rank[number.ravel()].reshape(-1, 3)
+
+
+_READERS: dict[str, Callable[[Path], tuple[Any, ...]]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".npz": _read_npz,
+}
+SUFFIXES = tuple(_READERS)

@@ -1,0 +1,338 @@
+"""Bounding-volume trees over triangles and tets: closest points, crossings, containing tets. Compiled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from ..mesh import Floats, Ints
+from .triangles import closest_on_triangle, triangles_cross
+
+LEAF = 4
+ALL = 2**62
+"""More pairs than there can be."""
+
+
+@njit(cache=True)
+def _build(low, high):
+    m = len(low)
+    centre = 0.5 * (low + high)
+    order = np.arange(m)
+    start, stop = np.empty(2 * m, np.int64), np.empty(2 * m, np.int64)
+    left = np.full(2 * m, -1)
+    box = np.empty((2 * m, 6))
+    start[0], stop[0], count, node = 0, m, 1, 0
+    while node < count:
+        inside = order[start[node] : stop[node]]
+        for c in range(3):
+            box[node, c], box[node, 3 + c] = low[inside, c].min(), high[inside, c].max()
+        if len(inside) > LEAF:
+            axis = 0
+            for c in range(1, 3):
+                if box[node, 3 + c] - box[node, c] > box[node, 3 + axis] - box[node, axis]:
+                    axis = c
+            order[start[node] : stop[node]] = inside[np.argsort(centre[inside, axis])]
+            middle = (start[node] + stop[node]) // 2
+            left[node] = count
+            start[count], stop[count] = start[node], middle
+            start[count + 1], stop[count + 1] = middle, stop[node]
+            count += 2
+        node += 1
+    return order, start[:count], stop[:count], left[:count], box[:count]
+
+
+@njit(cache=True)
+def _refit(low, high, order, start, stop, left):
+    box = np.empty((len(start), 6))
+    # Children are numbered after their parent.
+    for node in range(len(start) - 1, -1, -1):
+        for c in range(3):
+            if left[node] >= 0:
+                box[node, c] = min(box[left[node], c], box[left[node] + 1, c])
+                box[node, 3 + c] = max(box[left[node], 3 + c], box[left[node] + 1, 3 + c])
+            else:
+                box[node, c], box[node, 3 + c] = np.inf, -np.inf
+                for k in range(start[node], stop[node]):
+                    box[node, c] = min(box[node, c], low[order[k], c])
+                    box[node, 3 + c] = max(box[node, 3 + c], high[order[k], c])
+    return box
+
+
+@njit(cache=True)
+def _box_distance2(box, p):
+    total = 0.0
+    for c in range(3):
+        gap = max(box[c] - p[c], p[c] - box[3 + c], 0.0)
+        total += gap * gap
+    return total
+
+
+@njit(cache=True)
+def _closest(points, corners, order, start, stop, left, box):
+    n = len(points)
+    which, weights, distance = np.empty(n, np.int64), np.empty((n, 3)), np.empty(n)
+    stack = np.empty(128, np.int64)
+    for i in range(n):
+        p, best, size = points[i], np.inf, 1
+        stack[0] = 0
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _box_distance2(box[node], p) >= best:
+                continue
+            if left[node] < 0:
+                for k in range(start[node], stop[node]):
+                    t = order[k]
+                    u, v, w, d2 = closest_on_triangle(p, corners[t])
+                    if d2 < best:
+                        best, which[i] = d2, t
+                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
+            else:
+                a, b = left[node], left[node] + 1
+                if _box_distance2(box[a], p) < _box_distance2(box[b], p):
+                    a, b = b, a
+                stack[size], stack[size + 1] = a, b
+                size += 2
+        distance[i] = np.sqrt(best)
+    return which, weights, distance
+
+
+@njit(cache=True)
+def _closest_facing(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
+    """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
+
+    Where no cost, that is distance² with what turning counts, is less than `most`, there is none.
+    """
+    n = len(points)
+    which, weights, distance = np.full(n, -1), np.zeros((n, 3)), np.full(n, np.inf)
+    stack = np.empty(128, np.int64)
+    for i in range(n):
+        p, best, size = points[i], most, 1
+        stack[0] = 0
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _box_distance2(box[node], p) >= best:
+                continue
+            if left[node] < 0:
+                for k in range(start[node], stop[node]):
+                    t = order[k]
+                    aligned = normals[i, 0] * faces[t, 0] + normals[i, 1] * faces[t, 1] + normals[i, 2] * faces[t, 2]
+                    if aligned < cosine:
+                        continue
+                    u, v, w, d2 = closest_on_triangle(p, corners[t])
+                    cost = d2 + turned2 * (2.0 - 2.0 * aligned)
+                    if cost < best:
+                        best, which[i], distance[i] = cost, t, np.sqrt(d2)
+                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
+            else:
+                a, b = left[node], left[node] + 1
+                if _box_distance2(box[a], p) < _box_distance2(box[b], p):
+                    a, b = b, a
+                stack[size], stack[size + 1] = a, b
+                size += 2
+    return which, weights, distance
+
+
+@njit(cache=True)
+def _apart(a, b):
+    for c in range(3):
+        if a[c] > b[3 + c] or b[c] > a[3 + c]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _common(a, b):
+    for i in range(3):
+        if a[i] == b[0] or a[i] == b[1] or a[i] == b[2]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _boxes(corners):
+    boxes = np.empty((len(corners), 6))
+    for t in range(len(corners)):
+        for c in range(3):
+            x, y, z = corners[t, 0, c], corners[t, 1, c], corners[t, 2, c]
+            boxes[t, c], boxes[t, 3 + c] = min(x, y, z), max(x, y, z)
+    return boxes
+
+
+@njit(cache=True)
+def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, left, box):
+    """Pairs (query, triangle) that cross, at most about `most`, leaving out pairs with a common vertex.
+
+    `same` lists each pair once.
+    """
+    found, count = [], 0
+    stack = np.empty(128, np.int64)
+    boxes = _boxes(corners)
+    own = boxes if same else _boxes(query)
+    for q in range(len(query)):
+        if count >= most:
+            break
+        stack[0], size = 0, 1
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            if _apart(own[q], box[node]):
+                continue
+            if left[node] >= 0:
+                stack[size], stack[size + 1] = left[node], left[node] + 1
+                size += 2
+                continue
+            for k in range(start[node], stop[node]):
+                t = order[k]
+                if (same and t <= q) or _apart(own[q], boxes[t]) or _common(query_ids[q], ids[t]):
+                    continue
+                if triangles_cross(query[q], corners[t]):
+                    found.append((q, t))
+                    count += 1
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleTree:
+    """Closest points on, and crossings with, the triangles (m, 3) of `vertices` (n, 3)."""
+
+    vertices: Floats
+    triangles: Ints
+    layout: tuple[np.ndarray, ...] | None = field(default=None, repr=False)
+    corners: Floats = field(init=False, repr=False)
+    _nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.triangles]))
+        low, high = np.hsplit(_boxes(self.corners), 2)
+        nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
+        object.__setattr__(self, "_nodes", nodes)
+
+    def moved(self, vertices: Floats) -> TriangleTree:
+        """The tree of the same triangles over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        return TriangleTree(vertices, self.triangles, self._nodes[:-1])
+
+    def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
+        """Triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each of `points`."""
+        return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
+
+    def closest_facing(
+        self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0, reach: float = np.inf
+    ) -> tuple[Ints, Floats, Floats]:
+        """As `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
+
+        A unit of difference between the normals counts as `turned` [mm] beside the distance. Triangles farther than
+        `reach` [mm] may be left out, which is quicker.
+
+        `normals` (k, 3) of the points and `faces` (m, 3) of the triangles are unit vectors. Where no triangle
+        qualifies the triangle is -1, its weights are 0 and the distance is infinite.
+        """
+        arrays = (np.ascontiguousarray(a) for a in (points, normals))
+        most = reach * reach + turned * turned * (2.0 - 2.0 * cosine)
+        return _closest_facing(
+            *arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes
+        )
+
+    def self_crossings(self, *, most: int = ALL) -> Ints:
+        """Pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
+        return self._pairs(self.corners, self.triangles, True, most)
+
+    def crossings(self, other: TriangleTree, *, shared_ids: bool = False, most: int = ALL) -> Ints:
+        """Pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
+
+        With `shared_ids` the two number their vertices alike, and pairs with a common vertex are left out.
+        """
+        ids = other.triangles if shared_ids else other.triangles + len(self.vertices)
+        return self._pairs(other.corners, ids, False, most)
+
+    def _pairs(self, query, query_ids, same, most) -> Ints:
+        found = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
+        return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+@njit(cache=True)
+def _tet_boxes(corners):
+    low, high = np.empty((len(corners), 3)), np.empty((len(corners), 3))
+    for t in range(len(corners)):
+        for c in range(3):
+            w, x, y, z = corners[t, 0, c], corners[t, 1, c], corners[t, 2, c], corners[t, 3, c]
+            low[t, c], high[t, c] = min(w, x, y, z), max(w, x, y, z)
+    return low, high
+
+
+@njit(cache=True)
+def _six_volumes(a, b, c, d):
+    """Six times the signed volume of a tet."""
+    b0, b1, b2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    c0, c1, c2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    d0, d1, d2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
+    return d0 * (b1 * c2 - b2 * c1) + d1 * (b2 * c0 - b0 * c2) + d2 * (b0 * c1 - b1 * c0)
+
+
+@njit(cache=True)
+def _containing(points, besides, ids, corners, order, start, stop, left, box):
+    """Pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
+    pairs, weights = [], []
+    stack = np.empty(128, np.int64)
+    for i in range(len(points)):
+        p = points[i]
+        stack[0], size = 0, 1
+        while size > 0:
+            size -= 1
+            node = stack[size]
+            b = box[node]
+            if p[0] < b[0] or p[1] < b[1] or p[2] < b[2] or p[0] > b[3] or p[1] > b[4] or p[2] > b[5]:
+                continue
+            if left[node] >= 0:
+                stack[size], stack[size + 1] = left[node], left[node] + 1
+                size += 2
+                continue
+            for k in range(start[node], stop[node]):
+                t = order[k]
+                if (
+                    besides[i] == ids[t, 0]
+                    or besides[i] == ids[t, 1]
+                    or besides[i] == ids[t, 2]
+                    or besides[i] == ids[t, 3]
+                ):
+                    continue
+                x = corners[t]
+                w0, w1 = _six_volumes(p, x[1], x[2], x[3]), _six_volumes(x[0], p, x[2], x[3])
+                w2, w3 = _six_volumes(x[0], x[1], p, x[3]), _six_volumes(x[0], x[1], x[2], p)
+                total = _six_volumes(x[0], x[1], x[2], x[3])
+                if total > 0 and w0 >= 0 and w1 >= 0 and w2 >= 0 and w3 >= 0:
+                    pairs.append((i, t))
+                    weights.append((w0 / total, w1 / total, w2 / total, w3 / total))
+    return pairs, weights
+
+
+@dataclass(frozen=True, eq=False)
+class TetTree:
+    """Which tets (m, 4) of `vertices` (n, 3) [mm] hold a point; tets may overlap, and inverted ones hold nothing."""
+
+    vertices: Floats
+    tets: Ints
+    layout: tuple[np.ndarray, ...] | None = field(default=None, repr=False)
+    corners: Floats = field(init=False, repr=False)
+    _nodes: tuple[np.ndarray, ...] = field(init=False, repr=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.tets]))
+        low, high = _tet_boxes(self.corners)
+        nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
+        object.__setattr__(self, "_nodes", nodes)
+
+    def moved(self, vertices: Floats) -> TetTree:
+        """The tree of the same tets over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        return TetTree(vertices, self.tets, self._nodes[:-1])
+
+    def containing(self, points: Floats, besides: Ints) -> tuple[Ints, Floats]:
+        """Pairs (point, tet), shape (k, 2), of each of `points` with each tet that holds it; weights (k, 4) in it.
+
+        Tets that have the vertex `besides`, shape (points,), of a point are left out; give -1 to leave out none.
+        """
+        pairs, weights = _containing(np.ascontiguousarray(points), besides, self.tets, self.corners, *self._nodes)
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(weights, dtype=np.float64).reshape(-1, 4)

@@ -1,0 +1,112 @@
+"""What hangs together in a mesh: edges, openings and connected parts; elements split at the middles of their edges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..errors import MeshError
+from ..mesh import Floats, Ints, Surface
+
+
+def is_closed(triangles: Ints) -> bool:
+    """Whether each edge is run through once in either direction: a closed, consistently oriented surface."""
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    n = int(triangles.max()) + 1
+    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
+    return bool((np.diff(forth) > 0).all() and np.array_equal(forth, back))
+
+
+def across_edges(triangles: Ints) -> Ints:
+    """The triangle across edge k (corner k to k + 1) of each triangle of a closed surface, shape (m, 3)."""
+    n = int(triangles.max()) + 1
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    forth, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    order = np.argsort(forth)
+    return order[np.searchsorted(forth[order], back)].reshape(-1, 3) // 3
+
+
+def closed(surface: Surface) -> Surface:
+    """The surface with its openings closed; its own vertices come first, one more for each opening follows.
+
+    Raises MeshError for edges with more than two triangles, and for neighbours oriented against one another.
+    """
+    loops = openings(surface.triangles)
+    if not loops:
+        return surface
+    first = len(surface.vertices)
+    centres = np.array([surface.vertices[loop].mean(axis=0) for loop in loops])
+    fans = [np.stack([np.roll(loop, -1), loop, np.full(len(loop), first + k)], axis=1) for k, loop in enumerate(loops)]
+    return Surface(np.vstack([surface.vertices, centres]), np.vstack([surface.triangles, *fans]))
+
+
+def openings(triangles: Ints) -> list[Ints]:
+    """The loops of edges that have one triangle, as vertices in the direction of their triangles, the longest first.
+
+    Where the boundary touches itself at a vertex it is several loops. Raises MeshError for edges with more than two
+    triangles, and for neighbours oriented against one another.
+    """
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    n = int(triangles.max()) + 1
+    forth, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    if len(np.unique(forth)) < len(forth):
+        raise MeshError("skin: edges with more than two triangles, or neighbours oriented against one another")
+    following: dict[int, list[int]] = {}
+    for start, end in edges[~np.isin(forth, back)].tolist():
+        following.setdefault(start, []).append(end)
+    loops = []
+    while following:
+        way = [next(iter(following))]
+        place = {way[0]: 0}
+        # Each vertex has as many edges out as in, so the way ends only where it began.
+        while way[-1] in following:
+            ends = following[way[-1]]
+            end = ends.pop()
+            if not ends:
+                del following[way[-1]]
+            if end in place:
+                loops.append(np.array(way[place[end] :]))
+                for vertex in way[place[end] + 1 :]:
+                    del place[vertex]
+                way = way[: place[end] + 1]
+            else:
+                place[end] = len(way)
+                way.append(end)
+    return sorted(loops, key=len, reverse=True)
+
+
+def connected_parts(triangles: NDArray[np.integer], n_vertices: int) -> tuple[int, Ints]:
+    """How many parts hang together through triangles, and the part of each vertex, shape (n,)."""
+    pairs = (np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel())
+    graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(n_vertices, n_vertices))
+    return connected_components(graph, directed=False)
+
+
+def midpoints(elements: Ints, edges: Ints, n: int) -> tuple[Ints, Ints]:
+    """The distinct edges (e, 2) of elements (m, corners) over n vertices, and the number of each element's, (m, k).
+
+    edges (k, 2) names the corners that an edge joins.
+    """
+    ends = np.sort(elements[:, edges].reshape(-1, 2), axis=1)
+    distinct, where = np.unique(ends[:, 0] * n + ends[:, 1], return_inverse=True)
+    return np.stack([distinct // n, distinct % n], axis=1), where.reshape(len(elements), len(edges))
+
+
+def split_triangles(triangles: Ints, n: int) -> tuple[Ints, Ints]:
+    """Every triangle over n vertices split into four, shape (4 m, 3), and the edges (e, 2) in whose middles they meet.
+
+    The middle of edge k is vertex n + k.
+    """
+    ends, middles = midpoints(triangles, np.array([[0, 1], [1, 2], [2, 0]]), n)
+    a, b, c = triangles.T
+    ab, bc, ca = n + middles.T
+    parts = [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+    return np.stack(parts, axis=1).reshape(-1, 3), ends
+
+
+def subdivide(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
+    """Vertices and triangles with every triangle split into four at its edges' midpoints, which come after them."""
+    finer, ends = split_triangles(triangles, len(vertices))
+    return np.vstack([vertices, vertices[ends].mean(axis=1)]), finer

@@ -1,0 +1,56 @@
+"""Maps of space: the best rigid motion between points, and a smooth warp of scattered displacements."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import lu_factor, lu_solve
+from scipy.spatial.distance import cdist
+
+from ..mesh import Floats, Ints
+
+
+def rigid_motion(rest: Floats, moved: Floats) -> tuple[Floats, Floats]:
+    """Rotation R (3, 3) and translation t [mm] of the least-squares fit moved = R rest + t, (n, 3) (Kabsch 1976)."""
+    a, b = rest.mean(axis=0), moved.mean(axis=0)
+    u, _, vt = np.linalg.svd((moved - b).T @ (rest - a))
+    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return rotation, b - rotation @ a
+
+
+def farthest_points(points: Floats, count: int, first: Ints) -> Ints:
+    """Indices of `first` and of points farthest from all chosen before, `count` in all."""
+    chosen = list(first)
+    distance = np.full(len(points), np.inf)
+    for index in chosen:
+        distance = np.minimum(distance, np.linalg.norm(points - points[index], axis=1))
+    while len(chosen) < count:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.array(chosen)
+
+
+class TriharmonicWarp:
+    """u(x) = sum_j c_j |x - x_j|³ + affine, with the given displacements at its centres: SoftDECA Eq. 3.
+
+    Lengths are scaled to the centres' extent, which keeps the system well conditioned.
+    """
+
+    def __init__(self, centres: Floats):
+        self.origin = centres.mean(axis=0)
+        self.scale = float(np.ptp(centres, axis=0).max())
+        self.centres = (centres - self.origin) / self.scale
+        n = len(centres)
+        affine = np.column_stack([np.ones(n), self.centres])
+        system = np.zeros((n + 4, n + 4))
+        system[:n, :n] = cdist(self.centres, self.centres) ** 3
+        system[:n, n:], system[n:, :n] = affine, affine.T
+        self._factor = lu_factor(system)
+
+    def basis(self, points: Floats) -> Floats:
+        """The matrix that takes coefficients to displacements at `points` [mm], shape (k, n + 4)."""
+        y = (points - self.origin) / self.scale
+        return np.hstack([cdist(y, self.centres) ** 3, np.ones((len(y), 1)), y])
+
+    def coefficients(self, displacements: Floats) -> Floats:
+        """Coefficients (n + 4, 3) of the warp with these displacements [mm] at the centres, shape (n, 3)."""
+        return lu_solve(self._factor, np.vstack([displacements, np.zeros((4, 3))]))

@@ -1,0 +1,83 @@
+"""The largest counts and sizes that are accepted from files and arguments: one name, one number and one reason each.
+
+`docs/bounds.md` is made of this table. A bound lies far above every real use and below what exhausts a small machine.
+"""
+
+from __future__ import annotations
+
+import numbers
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import InputError, shown
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A count of `what` lies within least..most, for `reason`."""
+
+    what: str
+    most: int
+    reason: str
+    least: int = 0
+
+    def check(self, name: str, count: Any) -> int:
+        """Return a count as int; InputError names it for another kind of value, or one outside the bound."""
+        good = isinstance(count, numbers.Integral) and not isinstance(count, bool)
+        if not good or not self.least <= int(count) <= self.most:
+            allowed = f"{self.least:,} to {self.most:,}" if self.least else f"at most {self.most:,}"
+            raise InputError(f"{name}: {shown(count)} {self.what}; expected {allowed}")
+        return int(count)
+
+
+# Files of every kind.
+FILE_BYTES = Bound("bytes", 1_000_000_000, "the largest scans have some 300 MB; reading needs up to ten times the size")
+UNPACKED_BYTES = Bound("bytes unpacked", 2_000_000_000, "a template of level 3 unpacks to 0.2 GB; more is a zip bomb")
+ARRAYS = Bound("arrays", 10_000, "a head has some 40; a checkpoint has two for each layer")
+JSON_BYTES = Bound("bytes of JSON", 200_000_000, "an hour's take at 60 Hz has 100 MB; Python needs ten times its size")
+JSON_DEPTH = Bound("levels of brackets", 64, "no format that is read nests more than ten levels")
+JSON_DIGITS = Bound("digits in an integer", 18, "18 digits fit 64 bits; no index, count or time needs more")
+
+# Meshes, heads and templates.
+VERTICES = Bound("vertices", 20_000_000, "the densest scans have some 10 million")
+TRIANGLES = Bound("triangles", 40_000_000, "twice the vertices, as in every closed mesh")
+CORNERS = Bound("corners of triangles", 120_000_000, "three for each triangle")
+TETS = Bound("tets", 20_000_000, "six times the finest mesh that has been solved", least=1)
+TAGS = Bound("tags of surfaces", 10_000, "a head has three; anatomical atlases some hundred")
+MORPH_TARGETS = Bound("morph targets", 2_000, "ARKit has 52, MetaHuman's faces some 800")
+MORPH_VALUES = Bound("numbers in morph targets", 250_000_000, "2 GB: 400 targets of 200,000 vertices")
+GLTF_NODES = Bound("nodes", 100_000, "a scene with a rigged body has some hundred")
+GLTF_DEPTH = Bound("levels of nodes", 100, "a skeleton's fingers are some twenty levels deep")
+REGIONS = Bound("regions", 1_000, "a head has eight")
+NOTES = Bound("notes", 1_000, "a fit writes some ten")
+NOTE_LETTERS = Bound("letters in a note", 2_000, "a note is a sentence or two")
+SHAPES = Bound("shapes", 10_000, "FLAME has 400")
+SPACE_VALUES = Bound("numbers in its shapes", 250_000_000, "2 GB: ICT-FaceKit has 20 million")
+PARTS = Bound("parts", 10_000, "BodyParts3D has 2,000 for the whole body")
+PAIRS = Bound("pairs of skin and skull", 10_000, "each takes half a minute")
+
+# Takes, corpora, weights, results of studies, and counts of commands.
+TOML_BYTES = Bound("bytes of TOML", 100_000, "a file of options has some hundred; arrays stand in files of their own")
+TAKE_BYTES = Bound("bytes of a take", 200_000_000, "an hour at 60 Hz has 100 MB; Python needs ten times its size")
+TAKE_FRAMES = Bound("frames", 1_000_000, "four hours at 60 Hz, and 0.4 GB; made up they need four times that", 1)
+SPEECH_LETTERS = Bound("letters", 5_000, "five minutes; the work grows with the square, 140 s for 20,000 letters")
+RECORDINGS = Bound("recordings", 10_000, "the plan `paper` has 400 of a kind")
+RECORDED_FILES = Bound("files of takes", 10_000, "each is read and resampled before anything begins")
+MARCH_STEPS = Bound("steps", 1_000_000, "a step takes 0.1 s or more: a day of work", 1)
+MARCH_VALUES = Bound("recorded numbers", 250_000_000, "a march keeps two 64-bit numbers for each; 4 GB in all")
+SEED = Bound("as a seed", 2**63 - 1, "64 bits")
+PEOPLE = Bound("people", 99_999, "names of shards have five digits; the plan `paper` has 7,813 people", 2)
+PARAMETER_SETS = Bound("parameter sets", 1_000_000, "all are permuted for each person; `paper` has 31,252", 1)
+PERSON_FRAMES = Bound("frames of one person", 20_000, "a shard is held in memory: 0.6 GB; `paper` has 48")
+PERSON_SEQUENCES = Bound("sequences of one person", 1_000, "a shard is held in memory: 0.5 GB; `paper` has one")
+RUN_FRAMES = Bound("frames of the run", 100_000, "the plans have 1,024; a frame is 0.1 s of work and 30 kB", 3)
+ITERATIONS = Bound("iterations", 1_000_000, "a solve of 1,000 iterations has failed", 1)
+SHARD_BYTES = Bound("bytes of a shard", 2_000_000_000, "a person of `small` has 7 MB; a shard is held in memory")
+WEIGHTS_BYTES = Bound("bytes of weights", 1_000_000_000, "the shipped network has 10 MB; weights are held in memory")
+CURVE_POINTS = Bound("points of a learning curve", 100_000, "a training notes some hundred")
+TRAINING_STEPS = Bound("steps", 100_000_000, "a step takes a millisecond or more: a day of work", 1)
+WORKERS = Bound("processes", 256, "each takes 0.2 GB or more, whatever the machine has", 1)
+BAKED_TARGETS = Bound("morph targets", 4_096, "the network has some 150 directions; viewers stop far earlier", 1)
+STUDIED_PAIRS = Bound("pairs of people", 10_000, "each pair is a minute of work", 1)
+FACES = Bound("faces", 100_000, "each face is some seconds of work")
+RESULT_BYTES = Bound("bytes of results", 100_000_000, "the largest study writes 2 MB")

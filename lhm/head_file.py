@@ -1,0 +1,370 @@
+"""A layered head on disk: one .npz to load again, VTK files and tagged tets for other programs."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from .arkit import ARKIT
+from .base import checks
+from .base.checks import checked
+from .base.errors import InputError, MeshError, plain, shown
+from .base.files.atomic import replaced
+from .base.files.npz import read_arrays, write_arrays
+from .base.files.tet_file import TaggedTets
+from .base.files.text import parse_json
+from .base.limits import NOTE_LETTERS, NOTES, REGIONS, TETS, TRIANGLES, VERTICES
+from .base.mesh import Floats, Ints, Surface, TetMesh
+from .check import HeadReport, check_layers
+from .head import LayeredHead
+from .identities.space import EXTENT
+from .rig import Rig
+
+FORMAT = "softdeca layered head 1"
+_WRAPS = ("skin_wrap", "muscle_wrap", "skull_wrap")
+_INSIDE = ("muscles", "skull")
+_WEIGHTS = ("wrap_from_skin", "skin_from_wrap")
+USUAL = (100.0, 600.0)
+"""[mm] Extents of a head, by which the unit of another file is guessed."""
+UNITS = {"m": 1e3, "cm": 10.0, "km": 1e6, "in": 25.4, "ft": 304.8, "µm": 1e-3, "nm": 1e-6}
+FARTHEST = 10.0
+"""Extents of the skin wrap within which a head's other surfaces lie: a whole body's skin is seven heads tall."""
+LARGEST = 1e9
+"""Of a coordinate, whatever its unit: a head in nm."""
+TIED = 0.1
+"""Of a head's extent: vertices that weights tie are 0.5 to 2 mm apart on average, those of shuffled weights 100."""
+ROW_TOLERANCE = 1e-3
+"""Of the sums of weights, which are one."""
+
+
+@checked
+def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
+    """Write a head to a .npz file, whole or not at all."""
+    arrays = {"format": np.array(FORMAT), "bone": head.bone, "triangles": head.skin_wrap.triangles}
+    arrays |= {"skin_vertices": head.skin.vertices, "skin_triangles": head.skin.triangles}
+    arrays |= {name: getattr(head, name).vertices for name in _WRAPS}
+    for name in _WEIGHTS:
+        weights = getattr(head, name)
+        arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
+    arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
+    for name in _INSIDE:
+        arrays |= arrays_of_surface(name, getattr(head, name))
+    if head.volume is not None:
+        arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
+        arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
+    arrays |= _arrays_of_rig(head.rig)
+    arrays |= arrays_of_surface("registered", head.registered)
+    write_arrays(path, arrays | {"notes": np.array(json.dumps(head.notes))})
+
+
+def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
+    """A rig as arrays: displacements of the vertices that it moves."""
+    if rig is None:
+        return {}
+    moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
+    about = {"source": rig.source, "missing": rig.missing, "doubtful": dict(rig.doubtful)}
+    shape = np.array(rig.deltas.shape[1])
+    arrays = {"rig_vertices": shape, "rig_moved": moved, "rig_deltas": rig.deltas[:, moved]}
+    return arrays | {"rig_about": np.array(json.dumps(about))}
+
+
+def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
+    """A surface as two named arrays; none for None."""
+    if surface is None:
+        return {}
+    return {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
+
+
+def surface_in(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
+    """The surface of that name, or None where there is none; KeyError for half of one, InputError for a bad one."""
+    if f"{name}_vertices" not in arrays:
+        return None
+    return surface_of(name, arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
+
+
+def surface_of(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surface:
+    """The surface of two arrays; InputError names what is wrong with them."""
+    points = checks.real(f"{name} vertices", vertices, (None, 3), most=LARGEST)
+    VERTICES.check(name, len(points))
+    TRIANGLES.check(name, len(triangles) if np.ndim(triangles) else 0)
+    try:
+        return Surface(points, triangles)
+    except MeshError as error:
+        raise InputError(f"{name} {error}") from None
+
+
+def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """The arrays named region_*, masks (count,), by the rest of their names; InputError for others."""
+    names = [name for name in arrays if name.startswith("region_")]
+    REGIONS.check("it has", len(names))
+    masks = {name.removeprefix("region_"): checks.mask(name, arrays[name], (count,)) for name in names}
+    if "face" in masks and not masks["face"].any():
+        raise InputError("region 'face': no vertex of the wrap belongs to it")
+    return masks
+
+
+def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
+    """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
+    data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+    weights = checks.sparse_rows(name, data, indices, indptr, rows, columns)
+    checks.in_range(f"{name}_data", weights.data, -1.0, 2.0)
+    sums = np.asarray(weights.sum(axis=1)).ravel()
+    off = np.flatnonzero(np.abs(sums - 1.0) > ROW_TOLERANCE)
+    if len(off):
+        raise InputError(f"{name}: {len(off)} rows do not sum to one, the first is {off[0]} ({sums[off[0]]:.4g})")
+    return weights
+
+
+def ties_in(
+    arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface, extent: float
+) -> tuple[csr_matrix, csr_matrix]:
+    """`wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
+    n, skin_n = len(wrap.vertices), len(skin.vertices)
+    ties = weights_in(arrays, "wrap_from_skin", n, skin_n), weights_in(arrays, "skin_from_wrap", skin_n, n)
+    for name, weights, there, here in zip(_WEIGHTS, ties, (skin, wrap), (wrap, skin), strict=True):
+        off = float(np.linalg.norm(weights @ there.vertices - here.vertices, axis=1).mean())
+        if off > TIED * extent:
+            raise InputError(f"{name}: it ties vertices {off:.3g} mm apart on average; is it of another head?")
+    return ties
+
+
+@dataclass(frozen=True, eq=False)
+class HeadParts:
+    """What a file says of a head, each part checked by itself: enough to measure it, though it may make no head.
+
+    Fields as in LayeredHead; `volume`: the vertices (k, 3) after the wraps', and both tissues' tets.
+    """
+
+    skin: Surface
+    wraps: tuple[Surface, Surface, Surface]
+    bone: Ints
+    regions: Mapping[str, np.ndarray]
+    wrap_from_skin: csr_matrix
+    skin_from_wrap: csr_matrix
+    muscles: Surface | None
+    skull: Surface | None
+    volume: tuple[Floats, Ints, Ints] | None
+    rig: Rig | None
+    registered: Surface | None
+    notes: tuple[str, ...]
+
+    def head(self) -> LayeredHead:
+        """The head; MeshError where tets are inverted."""
+        ties = (self.wrap_from_skin, self.skin_from_wrap)
+        volume = None
+        if self.volume is not None:
+            inner, *tissues = self.volume
+            vertices = np.vstack([*(wrap.vertices for wrap in self.wraps), inner])
+            soft, muscle = (TetMesh(vertices, tets) for tets in tissues)
+            volume = soft, muscle
+        return LayeredHead(
+            self.skin,
+            *self.wraps,
+            self.bone,
+            *ties,
+            self.regions,
+            muscles=self.muscles,
+            skull=self.skull,
+            volume=volume,
+            rig=self.rig,
+            registered=self.registered,
+            notes=self.notes,
+        )
+
+    def report(self) -> HeadReport:
+        """The gates, also where wraps cross and tets are inverted, so that no head can be made."""
+        rigged = None if self.rig is None else (self.rig, self.skin_from_wrap)
+        return check_layers(self.skin, self.wraps, self.bone, self.regions, rigged=rigged)
+
+
+@checked
+def load_head(path: str | os.PathLike[str]) -> LayeredHead:
+    """Read a head; InputError names a file that is missing, damaged or something else."""
+    with naming(path, "a layered head"):
+        return _parts(path).head()
+
+
+def check_file(path: str | os.PathLike[str]) -> HeadReport:
+    """The gates of the head in a file, also where its wraps cross and tets are inverted, so that no head can be made.
+
+    InputError names a file that is missing, damaged or something else.
+    """
+    with naming(path, "a layered head"):
+        return _parts(path).report()
+
+
+def read_parts(path: str | os.PathLike[str]) -> HeadParts:
+    """Read the parts of a head, which may make no head; InputError names a file that is missing or damaged."""
+    with naming(path, "a layered head"):
+        return _parts(path)
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str], of: str) -> Iterator[None]:
+    """Have every error name the file, once, in an InputError; `of` is what the file should be."""
+    try:
+        yield
+    except KeyError as error:
+        raise InputError(f"{path}: not {of}, array {error.args[0]!r} is missing") from None
+    except ValueError as error:  # a SoftdecaError too
+        said = str(error)
+        raise InputError(said if said.startswith(f"{path}: ") else f"{path}: damaged, {said}") from None
+
+
+def _parts(path: str | os.PathLike[str]) -> HeadParts:
+    arrays = read_arrays(path, of="a layered head")
+    if arrays.get("format", np.array("")).tolist() != FORMAT:
+        raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
+    skin = surface_of("skin", arrays["skin_vertices"], arrays["skin_triangles"])
+    skin_wrap, muscle_wrap, skull_wrap = (surface_of(name, arrays[name], arrays["triangles"]) for name in _WRAPS)
+    wraps = (skin_wrap, muscle_wrap, skull_wrap)
+    n, skin_n = len(skin_wrap.vertices), len(skin.vertices)
+    for name, wrap in zip(_WRAPS, wraps, strict=True):
+        checks.shape(name, wrap.vertices, (n, 3))
+    if not len(skin_wrap.triangles):
+        raise InputError("triangles: there are none")
+    surfaces = {"skin": skin, **dict(zip(_WRAPS, wraps, strict=True))}
+    more = {name: surface_in(arrays, name) for name in (*_INSIDE, "registered")}
+    extent = check_extent(surfaces | {name: surface for name, surface in more.items() if surface is not None})
+    return HeadParts(
+        skin,
+        wraps,
+        checks.whole("bone", arrays["bone"], 0, 2, (n,)),
+        masks_in(arrays, n),
+        *ties_in(arrays, skin, skin_wrap, extent),
+        volume=_volume_in(arrays, skin_wrap, extent),
+        rig=_rig_in(arrays, skin_n, extent),
+        notes=notes_in(arrays),
+        **more,
+    )
+
+
+def check_extent(surfaces: Mapping[str, Surface]) -> float:
+    """The largest extent [mm] of the skin wrap; InputError unless it is a head's and all surfaces are near it.
+
+    A head in another unit is refused here, in a line that names the unit: measures of it take no end.
+    """
+    wrap = surfaces["skin_wrap"].vertices
+    low, high = wrap.min(axis=0), wrap.max(axis=0)
+    extent = float((high - low).max())
+    if not EXTENT[0] <= extent <= EXTENT[1]:
+        units = [unit for unit, mm in UNITS.items() if USUAL[0] <= extent * mm <= USUAL[1]]
+        guess = f"; is it in {units[0]}? Heads are in mm" if units else ""
+        raise InputError(f"skin_wrap is {extent:.4g} mm across, a head {EXTENT[0]:g} to {EXTENT[1]:g} mm{guess}")
+    for name, surface in surfaces.items():
+        x, centre = surface.vertices, 0.5 * (low + high)
+        if len(x) and max((x.max(axis=0) - centre).max(), (centre - x.min(axis=0)).max()) > FARTHEST * extent:
+            off = np.abs(x - centre).max(axis=1)
+            raise InputError(
+                f"{name}: vertex {off.argmax()} lies {off.max():.3g} mm from the head's centre; "
+                f"expected at most {FARTHEST * extent:.4g}"
+            )
+    return extent
+
+
+def _volume_in(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -> tuple[Floats, Ints, Ints] | None:
+    if "volume_vertices" not in arrays:
+        return None
+    inner = checks.finite("volume_vertices", arrays["volume_vertices"], (None, 3))
+    middle = 0.5 * (wrap.vertices.min(axis=0) + wrap.vertices.max(axis=0))
+    if len(inner) and np.abs(inner - middle).max() > extent:
+        raise InputError("volume_vertices: some lie outside the head")
+    count = 3 * len(wrap.vertices) + VERTICES.check("volume", len(inner))
+    soft, muscle = (
+        checks.indices_below(name, arrays[name], count, (None, 4)) for name in ("volume_soft", "volume_muscle")
+    )
+    for name, tets in (("volume_soft", soft), ("volume_muscle", muscle)):
+        TETS.check(name, len(tets))
+    return inner, soft, muscle
+
+
+def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:
+    if "rig_deltas" not in arrays:
+        return None
+    count = checks.whole("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
+    if int(count) != skin_n:
+        raise InputError(f"rig_vertices: {int(count)}, the skin has {skin_n}")
+    moved = checks.indices_below("rig_moved", arrays["rig_moved"], skin_n, (None,))
+    if (np.diff(moved) <= 0).any():
+        raise InputError("rig_moved: expected vertices in rising order, each once")
+    given = checks.real("rig_deltas", arrays["rig_deltas"], (len(ARKIT), len(moved), 3), most=extent)
+    about = parse_json(checks.text("rig_about", arrays["rig_about"]))
+    deltas = np.zeros((len(ARKIT), skin_n, 3), dtype=np.float32)
+    deltas[:, moved] = given
+    if not isinstance(about, dict) or not isinstance(about.get("doubtful"), dict):
+        raise InputError("rig_about: expected source, missing and doubtful")
+    missing = checks.texts("rig_about: missing", about.get("missing"))
+    source, *reasons = checks.texts("rig_about", [about.get("source"), *about["doubtful"].values()])
+    for name in (*missing, *about["doubtful"]):
+        if name not in ARKIT:
+            raise InputError(f"rig_about: {shown(name)} is none of ARKit's expressions")
+    for reason in (source, *reasons):
+        NOTE_LETTERS.check("rig_about", len(reason))
+    doubtful = {name: plain(reason) for name, reason in zip(about["doubtful"], reasons, strict=True)}
+    return Rig(deltas, plain(source), missing, doubtful)
+
+
+def notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Notes of a file, control characters escaped; InputError for what is no list of texts."""
+    if "notes" not in arrays:
+        return ()
+    notes = checks.texts("notes", parse_json(checks.text("notes", arrays["notes"])))
+    NOTES.check("notes", len(notes))
+    for note in notes:
+        NOTE_LETTERS.check("notes", len(note))
+    return tuple(plain(note) for note in notes)
+
+
+def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:
+    """Write skin, wraps, and the tets with their layer (0 soft, 1 muscle) as .vtu files [mm]; return their paths."""
+    folder = Path(folder)
+    files = []
+    for name in ("skin", *_WRAPS, *_INSIDE):
+        surface = getattr(head, name)
+        if surface is None:
+            continue
+        data = {"bone": head.bone.astype(np.int32)} if name == "skull_wrap" else {}
+        mesh = meshio.Mesh(surface.vertices, [("triangle", surface.triangles)], point_data=data)
+        files.append(_write(folder / f"{name}.vtu", mesh))
+    layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)]).astype(np.int32)
+    tets = meshio.Mesh(head.vertices, [("tetra", head.tets)], cell_data={"layer": [layer]})
+    files.append(_write(folder / "tissue.vtu", tets))
+    return files
+
+
+def _write(path: Path, mesh: meshio.Mesh) -> Path:
+    with replaced(path) as temporary:
+        mesh.write(temporary, file_format="vtu")
+    return path
+
+
+SOFT, MUSCLE = 1, 2
+NAMES = {"soft_tissue": (SOFT, 3), "muscle": (MUSCLE, 3), "skin": (11, 2), "muscle_wrap": (12, 2), "skull": (13, 2)}
+"""Name, and tag and dimension, of what a head's file holds."""
+
+
+def of_head(head: LayeredHead, layers: tuple[int, int] = (1, 1)) -> TaggedTets:
+    """A head's tets, with so many layers of soft tissue and of muscle or its own volume mesh, and its three wraps.
+
+    Raises MeshError for layers of a head whose tets are a volume mesh, InputError for counts below one.
+    """
+    if head.volume is not None and tuple(layers) != (1, 1):
+        raise MeshError(f"layers {tuple(layers)}: the head's tets are a volume mesh, not layers of prisms")
+    soft, muscle = (head.soft, head.muscle) if tuple(layers) == (1, 1) else head.sub_layers(*layers)
+    triangles, n = head.skin_wrap.triangles, len(head.bone)
+    firsts = (0, n, 2 * n) if head.volume is not None else (0, layers[0] * n, sum(layers) * n)
+    tags = [tag for tag, dimension in NAMES.values() if dimension == 2]
+    return TaggedTets(
+        TetMesh(soft.vertices, np.vstack([soft.tets, muscle.tets])),
+        np.repeat([SOFT, MUSCLE], [len(soft.tets), len(muscle.tets)]),
+        {tag: name for name, (tag, _) in NAMES.items()},
+        {tag: triangles + first for tag, first in zip(tags, firsts, strict=True)},
+    )

@@ -1,0 +1,50 @@
+"""What a skin has to be before a head is fitted to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .base.errors import MeshError
+from .base.mesh import Ints, Surface
+
+LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
+
+
+def check_skin(surface: Surface, *, openings: int = 0) -> None:
+    """Raise MeshError unless a skin is one closed, consistently oriented surface of a head's size.
+
+    Up to `openings` holes are let pass: a scan is open at the neck.
+
+    The message says how many holes there are, which edge has more than two triangles, how many pieces, or what the
+    extent [mm] is where the unit seems wrong.
+    """
+    triangles = surface.triangles
+    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    unique, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    if (count > 2).any():
+        first = unique[count > 2][0]
+        raise MeshError(f"skin: {(count > 2).sum()} edges have more than two triangles, the first is {first.tolist()}")
+    holes = _pieces(unique[count == 1])
+    if holes > openings:
+        wanted = "it must be closed" + (f" but for {openings}" if openings else "")
+        raise MeshError(f"skin: the surface is open, with {holes} {'hole' if holes == 1 else 'holes'}; {wanted}")
+    if len(np.unique(edges, axis=0)) != len(edges):
+        raise MeshError("skin: neighbouring triangles are oriented against one another")
+    pieces = _pieces(unique)
+    if pieces > 1:
+        raise MeshError(f"skin: {pieces} separate pieces; it must be one (leave out eyeballs, teeth and tongue)")
+    extent = np.ptp(surface.vertices[np.unique(triangles)], axis=0)
+    if extent.min() < LEAST_EXTENT or extent.max() > GREATEST_EXTENT:
+        size = " x ".join(f"{length:.4g}" for length in extent)
+        raise MeshError(
+            f"skin: its extent is {size} mm, a head's lies within {LEAST_EXTENT:g}..{GREATEST_EXTENT:g}: units off?"
+        )
+
+
+def _pieces(edges: Ints) -> int:
+    used, number = np.unique(edges, return_inverse=True)
+    ends = number.reshape(edges.shape)
+    graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(used), len(used)))
+    return int(connected_components(graph, directed=False)[0])
