@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import InputError
-from ..lhm.base.files.resumable import alone_in
+from ..lhm.base.files.resumable import lock_folder
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
@@ -115,7 +115,7 @@ def animate(wanted: Wanted, served: Served, take: Take, progress: OnProgress) ->
     middle = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
     used = neutral.vertices[np.unique(neutral.triangles)]
     played = Played(neutral, served.deltas, middle, used, take, moved)
-    with alone_in(wanted.out, "animate"):
+    with lock_folder(wanted.out, "animate"):
         files = [played.export(wanted, progress)]
         frame_ms = 1e3 * float(np.median(spent))
         if wanted.preview != "none":

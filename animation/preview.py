@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..lhm.base.errors import InputError, MissingDependencyError
 from ..lhm.base.files.atomic import replaced
-from ..lhm.base.geometry.topology import closed
+from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Surface
 from ..viewer.pictures import behind, eyes_and_teeth, load_pyvista, look, poly, skin_colours
 from ..viewer.shading import shades
@@ -73,7 +73,7 @@ def pictures_of(
     for pair, gaze in zip(pairs, repeat(None) if weights is None else weights, strict=False):
         for (mesh, reverse, inner, offset), vertices in zip(meshes, pair, strict=True):
             moved = neutral.with_vertices(vertices + offset)
-            mesh.points, reverse.points = moved.vertices, closed(moved).vertices
+            mesh.points, reverse.points = moved.vertices, close_openings(moved).vertices
             mesh.point_data.active_normals = moved.vertex_normals
             if organs is not None:
                 inner.points = organs.at(moved.vertices, gaze)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..lhm.base.errors import InputError, SoftdecaError
-from ..lhm.base.files.resumable import alone_in
+from ..lhm.base.files.resumable import lock_folder
 from ..lhm.base.mesh import Floats
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
@@ -66,7 +66,7 @@ def run_take(
     check_preview(config.preview)
     if config.turned and take.head is None:
         raise InputError("turned: the take has no head rotation")
-    with alone_in(config.out, "simulate"):
+    with lock_folder(config.out, "simulate"):
         store = TakeStore(config.out, _manifest(config, head, deltas, take, parameters))
         neutral, reason = _neutral(config, head, parameters, store, progress)
         _simulate(config, neutral, deltas, take, store, progress)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.base.checks import finite, text, whole
+from ..lhm.base.checks import finite, integers, text
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import read_arrays, write_arrays
-from ..lhm.base.files.resumable import Records, begin
+from ..lhm.base.files.resumable import Records, begin_work
 from ..lhm.base.limits import TAKE_FRAMES
 from ..reference.face.sequence import State
 
@@ -44,7 +44,7 @@ class TakeStore:
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]):
         self.folder, self._log = folder, Records(folder / "log.jsonl")
-        begin(folder / "take.json", "take", manifest)
+        begin_work(folder / "take.json", "take", manifest)
 
     def done(self) -> tuple[int, State | None]:
         """How many frames are done, and the state after them; the log is cut to these.
@@ -53,7 +53,7 @@ class TakeStore:
         """
         try:
             arrays = read_arrays(self.folder / "state.npz", "frames", *STATE)
-            count = int(whole("frames", arrays["frames"], 0, TAKE_FRAMES.most, ()))
+            count = int(integers("frames", arrays["frames"], 0, TAKE_FRAMES.most, ()))
             state = State(*(finite(name, arrays[name]) for name in STATE))
             shapes = {finite("moved", self.moved(number), (None, 3)).shape for number in range(count)}
             if len(shapes) > 1:

@@ -11,10 +11,10 @@ import numpy as np
 
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
-from ..surrogate.corpus.group import UNDIFFERENTIATED
 from ..surrogate.corpus.mixture import NAMES
 from ..surrogate.corpus.plan import SPLITS
 from ..surrogate.corpus.reading import Row, Table
+from ..surrogate.corpus.simulator import UNDIFFERENTIATED
 from ..viewer.pictures import Panel, strip
 
 SIZE = 220

@@ -11,9 +11,9 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.progress import OnProgress
 from ..surrogate import Surrogate
-from ..surrogate.carried import Heads
+from ..surrogate.corpus.reading import Faces
 from ..surrogate.evaluate import evaluate
-from ..surrogate.modal.faces import Faces
+from ..surrogate.heads import Heads
 from ..surrogate.rivals.modal import ModalMethod
 from . import plots
 from .harness.study import Table
@@ -45,7 +45,7 @@ def errors_over_size(
     if len(networks) < 2 or networks[0].note.people == networks[-1].note.people:
         raise InputError("curve: two weights at least, trained on different numbers of people")
     for one in networks:
-        training.check_mesh(one)
+        one.check_mesh(training.mean)
     fewest = networks[0].note
     people = np.unique(training.groups[:, 0])[: fewest.people + len(fewest.held)]
     learned = np.setdiff1d(people, [number for one in networks for number in one.note.held])

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..lhm import expressions
 from ..lhm.base.geometry.bvh import TriangleTree
-from ..lhm.base.geometry.topology import openings
+from ..lhm.base.geometry.topology import find_openings
 from ..lhm.check import check_head
 from ..lhm.head import LayeredHead
 from ..reference import Parameters, facial_scene, solve
@@ -43,7 +43,7 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
     crossings = sum(figure.value or 0.0 for figure in report.figures if figure.name.startswith("crossings"))
     figures: dict[str, Any] = {
         "skin vertices": len(skin.vertices),
-        "openings of the skin": len(openings(skin.triangles)),
+        "openings of the skin": len(find_openings(skin.triangles)),
         "wrap to skin, mean [mm]": report.wrap_to_skin_mean,
         "smallest dihedral [°]": report.smallest_dihedral,
         "crossings of the wraps": int(crossings),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..lhm.arkit import ARKIT
-from ..lhm.base.geometry.rays import sky_seen
+from ..lhm.base.geometry.rays import visible_sky
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions.transfer import transfer_expressions
@@ -64,7 +64,7 @@ def slide(space: LinearSpace, forth: Registration, upon: LinearSpace, home: Regi
 
 def visible_face(space: LinearSpace) -> Mask:
     """The vertices (n,) of a mean head's face that see the sky."""
-    return face_of(space.mean, space.parts)[1] & (sky_seen(space.mean) > SEEN)
+    return face_of(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
 
 
 def agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:

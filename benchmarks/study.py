@@ -10,11 +10,11 @@ from pathlib import Path
 
 from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import SoftdecaError
-from ..lhm.base.files.resumable import alone_in
+from ..lhm.base.files.resumable import lock_folder
 from ..lhm.base.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
-from ..surrogate.corpus.person import OfSpace
+from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.schedule import processors, schedule
 from .harness import Asked, Results, Study, run_together
@@ -89,7 +89,7 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
     """
     agreement.tasks()
     begin, processor = time.perf_counter(), cpu_seconds()
-    with alone_in(out, "study"):
+    with lock_folder(out, "study"):
         template = load_template(identities.from_text(agreement.identities), progress=progress)
         corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
         made, failed = [], []

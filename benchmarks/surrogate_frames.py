@@ -11,11 +11,11 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress
-from ..surrogate.carried import Heads
 from ..surrogate.corpus.plan import Split
+from ..surrogate.corpus.reading import Faces
 from ..surrogate.corpus.references import FEM_LAWS
 from ..surrogate.evaluate_references import referenced
-from ..surrogate.modal.faces import Faces
+from ..surrogate.heads import Heads
 from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals.linearised import Linearised
 from ..surrogate.rivals.modal import ModalMethod

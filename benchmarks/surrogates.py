@@ -15,16 +15,16 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.progress import OnProgress
 from ..surrogate import Surrogate
-from ..surrogate.carried import BindCosts, Heads, measure_binds
 from ..surrogate.corpus.folder import known_plan
 from ..surrogate.corpus.manifest import OWNER, read_manifest
 from ..surrogate.corpus.people import people_of
 from ..surrogate.corpus.plan import Split
+from ..surrogate.corpus.reading import Faces
 from ..surrogate.evaluate import ALL, Score, evaluate
 from ..surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ..surrogate.evaluate_references import evaluate_references
 from ..surrogate.generalisation import evaluate_generalisation
-from ..surrogate.modal.faces import Faces
+from ..surrogate.heads import BindCosts, Heads, measure_binds
 from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals import Method
 from ..surrogate.rivals.blendshapes import Blendshapes
@@ -262,7 +262,7 @@ def learning() -> Mapping[str, Callable[[], Method]]:
 def faces_of(corpus: Path, split: Split | None, partial: bool, network: Surrogate) -> Faces:
     """The faces of a part of a corpus; InputError where the network is of another mesh."""
     faces = Faces(corpus, split, partial=partial)
-    faces.check_mesh(network.weights)
+    network.weights.check_mesh(faces.mean)
     return faces
 
 

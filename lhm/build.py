@@ -11,9 +11,9 @@ from scipy.sparse import csr_matrix
 
 from .anatomy.connectors import connectors_to
 from .arkit import ARKIT
-from .base.checks import checked
+from .base.checks import check_arguments
 from .base.errors import FitError, InputError
-from .base.files.cache import cached_as
+from .base.files.cache import load_or_make
 from .base.geometry.bvh import TriangleTree
 from .base.geometry.distance import SignedDistance
 from .base.geometry.topology import is_closed
@@ -60,7 +60,7 @@ def in_space(space: LinearSpace) -> InSpace:
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
 
 
-@checked
+@check_arguments
 def load_template(
     space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
 ) -> Template:
@@ -77,7 +77,7 @@ def load_template(
         return arrays_of(build_template(of.mean, **in_space(of), level=level, name=of.name, progress=progress))
 
     name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
-    template = cached_as(name, make, template_from)
+    template = load_or_make(name, make, template_from)
     return replace(template, regressor=default_regressor(template, of), space=of)
 
 

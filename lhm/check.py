@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from .base.checks import checked
+from .base.checks import check_arguments
 from .base.errors import MeshError
 from .base.geometry.bvh import TriangleTree
 from .base.geometry.distance import SignedDistance
 from .base.geometry.tets import aspect_ratios, smallest_dihedrals
-from .base.geometry.topology import closed, is_closed
+from .base.geometry.topology import close_openings, is_closed
 from .base.geometry.triangles import fan_crossings
 from .base.mesh import Floats, Ints, Surface, tet_volumes
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
@@ -180,7 +180,7 @@ _WRAPS = ("skin", "muscle", "skull")
 _BONES = (("cranium", CRANIUM), ("mandible", MANDIBLE), ("free", FREE))
 
 
-@checked
+@check_arguments
 def check_head(head: LayeredHead) -> HeadReport:
     """Measure all gates of a head (a quarter of a second)."""
     rigged = None if head.rig is None else (head.rig, head.skin_from_wrap)
@@ -280,7 +280,7 @@ def _fit(
     everywhere = np.ones(len(wraps[0].vertices), bool)
     face = regions.get("face", everywhere)
     pockets = regions.get("mouth", ~everywhere) | regions.get("eyes", ~everywhere)
-    to_skin = SignedDistance(closed(skin))
+    to_skin = SignedDistance(close_openings(skin))
     signed, _, triangle, weights = to_wrap(skin.vertices)
     # A vertex of the skin belongs to a region if most of the wrap's triangle under it does.
     corners = wraps[0].triangles[triangle]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
-from .base.checks import checked
+from .base.checks import check_arguments
 from .base.errors import InputError
 from .base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
 from .base.mesh import Floats, Ints, Surface
@@ -62,7 +62,7 @@ class _Prepared:
 _prepared: weakref.WeakKeyDictionary[Template, _Prepared] = weakref.WeakKeyDictionary()
 
 
-@checked
+@check_arguments
 def fit_head(
     template: Template,
     skin: Surface,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .base.checks import checked
+from .base.checks import check_arguments
 from .base.errors import InputError, MeshError
 from .base.mesh import Floats, Ints, Surface, TetMesh
 from .layers import sub_layers
@@ -17,7 +17,7 @@ from .rig import Rig
 FREE, CRANIUM, MANDIBLE = 0, 1, 2
 
 
-@checked
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class LayeredHead:
     """One person's neutral head.
@@ -83,7 +83,7 @@ class LayeredHead:
             raise MeshError(f"volume: its first {len(stack)} vertices, shared by both meshes, must be the wraps'")
         return soft, muscle
 
-    @checked
+    @check_arguments
     def sub_layers(self, soft: int, muscle: int) -> tuple[TetMesh, TetMesh]:
         """Soft tissue and muscle with their prisms split into so many layers, over shared vertices; see `layers`."""
         wraps = (self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices)
@@ -106,13 +106,13 @@ class LayeredHead:
             raise InputError("head: it has no expressions of its own; fit it anew, or name an identity space that has")
         return self.skin.vertices + self.rig.moved(weights)
 
-    @checked
+    @check_arguments
     def wrap_targets(self, expression: Floats) -> Floats:
         """Where a skin expression [mm], shape (skin vertices, 3), takes the skin wrap's vertices, shape (n, 3)."""
         moved = _of_shape("expression", expression, self.skin.vertices) - self.skin.vertices
         return self.skin_wrap.vertices + self.wrap_from_skin @ moved
 
-    @checked
+    @check_arguments
     def skin_after(self, expression: Floats, wrap: Floats) -> Floats:
         """The skin [mm] that an expression becomes when the skin wrap ends at `wrap`, shape (n, 3).
 

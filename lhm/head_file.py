@@ -15,8 +15,8 @@ from scipy.sparse import csr_matrix
 
 from .arkit import ARKIT
 from .base import checks
-from .base.checks import checked
-from .base.errors import InputError, MeshError, plain, shown
+from .base.checks import check_arguments
+from .base.errors import InputError, MeshError, escape, quote
 from .base.files.atomic import replaced
 from .base.files.npz import read_arrays, write_arrays
 from .base.files.tet_file import TaggedTets
@@ -45,7 +45,7 @@ ROW_TOLERANCE = 1e-3
 """Of the sums of weights, which are one."""
 
 
-@checked
+@check_arguments
 def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
     """Write a head to a .npz file, whole or not at all."""
     arrays = {"format": np.array(FORMAT), "bone": head.bone, "triangles": head.skin_wrap.triangles}
@@ -185,7 +185,7 @@ class HeadParts:
         return check_layers(self.skin, self.wraps, self.bone, self.regions, rigged=rigged)
 
 
-@checked
+@check_arguments
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
     with naming(path, "a layered head"):
@@ -237,7 +237,7 @@ def _parts(path: str | os.PathLike[str]) -> HeadParts:
     return HeadParts(
         skin,
         wraps,
-        checks.whole("bone", arrays["bone"], 0, 2, (n,)),
+        checks.integers("bone", arrays["bone"], 0, 2, (n,)),
         masks_in(arrays, n),
         *ties_in(arrays, skin, skin_wrap, extent),
         volume=_volume_in(arrays, skin_wrap, extent),
@@ -289,7 +289,7 @@ def _volume_in(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -
 def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:
     if "rig_deltas" not in arrays:
         return None
-    count = checks.whole("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
+    count = checks.integers("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
     if int(count) != skin_n:
         raise InputError(f"rig_vertices: {int(count)}, the skin has {skin_n}")
     moved = checks.indices_below("rig_moved", arrays["rig_moved"], skin_n, (None,))
@@ -305,11 +305,11 @@ def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig
     source, *reasons = checks.texts("rig_about", [about.get("source"), *about["doubtful"].values()])
     for name in (*missing, *about["doubtful"]):
         if name not in ARKIT:
-            raise InputError(f"rig_about: {shown(name)} is none of ARKit's expressions")
+            raise InputError(f"rig_about: {quote(name)} is none of ARKit's expressions")
     for reason in (source, *reasons):
         NOTE_LETTERS.check("rig_about", len(reason))
-    doubtful = {name: plain(reason) for name, reason in zip(about["doubtful"], reasons, strict=True)}
-    return Rig(deltas, plain(source), missing, doubtful)
+    doubtful = {name: escape(reason) for name, reason in zip(about["doubtful"], reasons, strict=True)}
+    return Rig(deltas, escape(source), missing, doubtful)
 
 
 def notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
@@ -320,7 +320,7 @@ def notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     NOTES.check("notes", len(notes))
     for note in notes:
         NOTE_LETTERS.check("notes", len(note))
-    return tuple(plain(note) for note in notes)
+    return tuple(escape(note) for note in notes)
 
 
 def export_vtk(folder: str | os.PathLike[str], head: LayeredHead) -> list[Path]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .base.errors import InputError
-from .base.geometry.tets import untangled
+from .base.geometry.tets import untangle
 from .base.mesh import Floats, Ints, TetMesh
 
 MOST = 32
@@ -80,4 +80,4 @@ def _upright(whole: Sequence[TetMesh], vertices: Floats, triangles: Ints, counts
     free = np.ones(len(vertices), dtype=bool)
     for first in np.concatenate([[0], np.cumsum(counts)]):
         free[first * n : (first + 1) * n] = False
-    return untangled(vertices, tets, free, SMALLEST * least)
+    return untangle(vertices, tets, free, SMALLEST * least)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from .base import checks
-from .base.checks import checked
+from .base.checks import check_arguments
 from .base.errors import InputError
 from .base.files.npz import read_arrays, write_arrays
 from .base.mesh import Surface
@@ -58,7 +58,7 @@ def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
     if skull_bone is not None:
         if skull is None:
             raise InputError("skull_bone: there is no skull")
-        skull_bone = checks.whole("skull_bone", skull_bone, 0, 2, (len(skull.vertices),))
+        skull_bone = checks.integers("skull_bone", skull_bone, 0, 2, (len(skull.vertices),))
     wrap_from_skin, skin_from_wrap = ties_in(arrays, skin, skin_wrap, extent)
     return Template(
         name=checks.text("name", arrays["name"]),
@@ -69,11 +69,11 @@ def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
         muscles=muscles,
         skull=skull,
         skull_bone=skull_bone,
-        parts=checks.whole("parts", arrays["parts"], OUTSIDE, CAP, (skin_n,)),
+        parts=checks.integers("parts", arrays["parts"], OUTSIDE, CAP, (skin_n,)),
         triangles=skin_wrap.triangles,
         stack=stack,
         room=checks.in_range("room", arrays["room"], 0.0, extent, (n,)),
-        bone=checks.whole("bone", arrays["bone"], 0, 2, (n,)),
+        bone=checks.integers("bone", arrays["bone"], 0, 2, (n,)),
     )
 
 
@@ -82,7 +82,7 @@ def save_template(path: str | os.PathLike[str], template: Template) -> None:
     write_arrays(path, arrays_of(template) | {"format": np.array(FORMAT)})
 
 
-@checked
+@check_arguments
 def read_template(path: str | os.PathLike[str]) -> Template:
     """Read a template; InputError names a file that is missing, damaged or something else."""
     with naming(path, "a template"):

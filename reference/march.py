@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..lhm.base.checks import checked
+from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError, SceneError
 from ..lhm.base.limits import MARCH_STEPS, MARCH_VALUES
 from ..lhm.base.mesh import Floats, Ints
@@ -75,7 +75,7 @@ class Motion:
         return course[step - 1] if step else None
 
 
-@checked
+@check_arguments
 def march(
     scene: Scene,
     *,

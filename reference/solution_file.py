@@ -10,7 +10,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..lhm.base.checks import checked
+from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import replaced
 from .scene import Scene
@@ -19,7 +19,7 @@ from .solution import Solution
 SUFFIXES = (".vtu", ".vtk")
 
 
-@checked
+@check_arguments
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
     """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with what the solution found, whole or not at all.
 

@@ -12,8 +12,9 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
-from .carried import BindCosts, Heads
-from .modal.faces import Face, Faces, Frames
+from .corpus.face import Face, Frames
+from .corpus.reading import Faces
+from .heads import BindCosts, Heads
 from .rivals import Bound, Method, Takes
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 

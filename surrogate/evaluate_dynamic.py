@@ -15,14 +15,13 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress, silent
 from ..reference import Parameters
 from ..reference.face.base import turns_before
-from .carried import Heads
-from .corpus.fields import basis
-from .corpus.mixture import NAMES
+from .corpus.face import Face
+from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE, Split
-from .corpus.reading import Row, Table
+from .corpus.reading import Faces, Row, Table
 from .dynamics import OSCILLATION, DynamicRig, Swing
 from .evaluate import Cost, Named, Score, score_of
-from .modal.faces import Face, Faces, static_of
+from .heads import Heads
 from .modal.looseness import Looseness
 from .rivals import Method
 
@@ -93,24 +92,17 @@ def evaluate_sequences(
     table = Table(folder, "sequences", "test", partial=partial)
     errors, motions, times = [], [], []
     for k in range(len(table)):
-        row = table[k]
+        row, identity = table[k], int(table.rows[k, 0])
+        face = Face(identity, table.person(identity), table.parameters(k), np.zeros((0, 3)))
         begin = time.process_time()
         found = method.play(row)
         times.append((time.process_time() - begin) / len(found))
         truth = row["corrected"].astype(np.float32)
         errors.append(np.linalg.norm(found - truth, axis=2))
-        motions.append(np.linalg.norm(truth - heads.carry(_still_face(table, row)), axis=2))
+        motions.append(np.linalg.norm(truth - heads.carry(face), axis=2))
     on_progress(f"evaluate, dynamic: {method.name}", 1.0)
     cost = Cost(fit_seconds=fitted, frame_ms=1e3 * float(np.median(times)))
     return score_of(method, DYNAMIC, np.concatenate(errors), np.concatenate(motions), cost, faces=len(table))
-
-
-def _still_face(table: Table, row: Row) -> Face:
-    """The face of a sequence, without derivatives: enough for its bones."""
-    identity = int(row["identity"])
-    skin, none = table.skin(identity).vertices, np.zeros((0, 3), dtype=np.float32)
-    coefficients = static_of(row["coefficients"])
-    return Face(identity, "", row["code"], coefficients, none, none, none, table.shapes(identity), skin)
 
 
 @dataclass(frozen=True, eq=False)

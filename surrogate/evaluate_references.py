@@ -12,12 +12,11 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
-from .carried import Heads
 from .corpus.plan import Split
-from .corpus.reading import Table
+from .corpus.reading import Faces, Table
 from .corpus.references import FEM_LAWS
 from .evaluate import Named, Score, score_of
-from .modal.faces import Faces
+from .heads import Heads
 from .rivals import Bound, Method
 
 KINDS = {law: f"against FEniCSx, {law}" for law in FEM_LAWS}

@@ -16,16 +16,16 @@ import numpy as np
 
 from ..lhm.base.errors import InputError, SoftdecaError
 from ..lhm.base.files.npz import read_arrays, write_arrays
-from ..lhm.base.files.resumable import alone_in, begin
+from ..lhm.base.files.resumable import begin_work, lock_folder
 from ..lhm.base.progress import OnProgress, silent
-from .carried import BindCosts, Heads
+from .corpus.face import Derivatives, Face, Frames
 from .corpus.folder import simulated_of
-from .corpus.group import Group
-from .corpus.person import People, Person
+from .corpus.people import People, Person
 from .corpus.plan import IDENTITY, SPLITS, CorpusPlan, Split
 from .corpus.shard import ACCEPTED
+from .corpus.simulator import FaceSimulator
 from .evaluate import ALL, Score, evaluate
-from .modal.faces import Face, Frames, static_of
+from .heads import BindCosts, Heads
 from .modal.weights import ModalWeights
 from .rivals import Method
 from .schedule import Schedule, results_of
@@ -107,8 +107,8 @@ def evaluate_generalisation(
     check_learned(plan, people, weights)
     wanted = pairs(plan, weights, count)
     work = _Work(folder, plan, people)
-    with alone_in(folder, "generalisation"):
-        begin(folder / "generalisation.json", "generalisation", simulated_of(plan, people))
+    with lock_folder(folder, "generalisation"):
+        begin_work(folder / "generalisation.json", "generalisation", simulated_of(plan, people))
         pending = [pair for pair in wanted if not work.is_whole(pair)]
         for done, _ in enumerate(results_of(work, pending, on=on, name="generalisation")):
             on_progress("generalisation: pairs of people simulated", (done + 1) / len(pending))
@@ -151,14 +151,15 @@ class _Work:
         plan, number = self.plan, pair.parameters[by]
         person = self.person(pair, whose)
         try:
-            group = Group.of(plan, self.people, person, self.people.head(person), number)
+            face = FaceSimulator.of(plan, self.people, person, self.people.head(person), plan.parameter_set(number))
         except SoftdecaError:
             return {}
-        derived = {"settled": group.settled, "offset": group.offset, "responses": group.responses}
+        known = face.derivatives
+        derived = {"settled": face.neutral.displacement, "offset": known.offset, "responses": known.responses}
         found: dict[str, np.ndarray] = {name: values.astype(np.float16) for name, values in derived.items()}
         for split in SPLITS:
             rows = [plan.weights(static) for static in plan.statics(pair.people[split], pair.group)]
-            answers = [group.static(weights) for weights in rows]
+            answers = [face.static(weights) for weights in rows]
             accepted = [k for k, answer in enumerate(answers) if answer.status == ACCEPTED]
             found[f"{split}/weights"] = np.array([rows[k] for k in accepted], dtype=np.float32).reshape(-1, 52)
             corrected = [answers[k].corrected for k in accepted]
@@ -174,17 +175,7 @@ class _Work:
         names = ("settled", "offset", "responses", f"{of}/weights", f"{of}/corrected")
         settled, offset, responses, weights, corrected = (arrays[f"{whose}/{by}/{name}"] for name in names)
         person, drawn = self.person(pair, whose), self.plan.parameter_set(pair.parameters[by])
-        face = Face(
-            identity=pair.people[whose],
-            kind=drawn.kind,
-            code=person.code,
-            coefficients=static_of(drawn.coefficients),
-            settled=settled,
-            offset=offset,
-            responses=responses,
-            shapes=person.shapes,
-            skin=person.skin.vertices,
-        )
+        face = Face(pair.people[whose], person, drawn, settled, Derivatives(offset, responses))
         return face, Frames(weights, corrected)
 
     def person(self, pair: Pair, whose: Split) -> Person:

@@ -10,7 +10,7 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from .modal.features import STATIC
+from .corpus.mixture import STATIC
 
 
 def around_vertices(values: Floats, surface: Surface) -> Floats:

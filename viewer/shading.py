@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..lhm.base.geometry.rays import sky_seen
+from ..lhm.base.geometry.rays import visible_sky
 from ..lhm.base.mesh import Floats, Surface
 
 SKIN, INSIDE = "#d8a48f", "#4a211f"
@@ -15,7 +15,7 @@ LIGHT = 0.2
 
 def lit(surface: Surface) -> Floats:
     """The share (n,) of SKIN in a vertex' colour, from 0 where it sees nothing of the sky to 1."""
-    return np.clip(sky_seen(surface) / LIGHT, 0.0, 1.0)
+    return np.clip(visible_sky(surface) / LIGHT, 0.0, 1.0)
 
 
 def shades(surface: Surface) -> NDArray[np.uint8]:

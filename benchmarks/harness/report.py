@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from .. import first_screen
 from ..plots import narrow
@@ -67,7 +67,7 @@ def read(path: Path, kind_of: Callable[[str], type[Study]]) -> Made:
         if not {"commit", "load"} <= set(results.machine):
             raise InputError("machine: no commit, or no load")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        reason = plain(" ".join(str(error).split()))[:120]
+        reason = escape(" ".join(str(error).split()))[:120]
         raise InputError(f"{file}: no results of a study ({type(error).__name__}: {reason})") from None
     return Made(study, results, file.parent)
 
@@ -82,7 +82,7 @@ def _study(kind: type[Study], said: Mapping[str, Any]) -> Study:
         default = known[name].default
         good = (int, float) if isinstance(default, float) else type(default)
         if default is not MISSING and not isinstance(value, good):
-            raise InputError(f"options {name}: got {shown(value)}, expected as {shown(default)}")
+            raise InputError(f"options {name}: got {quote(value)}, expected as {quote(default)}")
     return kind(**options)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.text import parse_json, read_bytes
 from ...lhm.base.limits import RESULT_BYTES
 
@@ -51,7 +51,7 @@ def read_results(path: Path) -> dict[str, Any]:
         _check_list("gate", said.setdefault("gates", []), _GATE, 2)
         for number, row in enumerate(said["rows"]):
             if row["status"] not in STATUSES:
-                raise InputError(f"row {number}, status: {shown(row['status'])}, expected one of {', '.join(STATUSES)}")
+                raise InputError(f"row {number}, status: {quote(row['status'])}, expected one of {', '.join(STATUSES)}")
     except InputError as error:
         raise InputError(f"{file}: no results of a study ({error})") from None
     return said
@@ -66,7 +66,7 @@ def of_this_version(where: str) -> Iterator[None]:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
-        reason = plain(" ".join(str(error).split()))[:80]
+        reason = escape(" ".join(str(error).split()))[:80]
         raise InputError(
             f"{where}: results damaged, or made by another version ({type(error).__name__}: {reason}); "
             "run that study again"
@@ -75,12 +75,12 @@ def of_this_version(where: str) -> Iterator[None]:
 
 def _check_list(name: str, items: Any, kinds: dict[str, tuple[type, ...]], needed: int) -> None:
     if not isinstance(items, list):
-        raise InputError(f"{name}s: expected a list, got {shown(items)}")
+        raise InputError(f"{name}s: expected a list, got {quote(items)}")
     for number, item in enumerate(items):
         if not isinstance(item, dict):
-            raise InputError(f"{name} {number}: expected an object, got {shown(item)}")
+            raise InputError(f"{name} {number}: expected an object, got {quote(item)}")
         for place, (key, of) in enumerate(kinds.items()):
             if key not in item and place < needed:
                 raise InputError(f"{name} {number}: no {key}")
             if key in item and (not isinstance(item[key], of) or (isinstance(item[key], bool) and bool not in of)):
-                raise InputError(f"{name} {number}, {key}: got {shown(item[key])}")
+                raise InputError(f"{name} {number}, {key}: got {quote(item[key])}")

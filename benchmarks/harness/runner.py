@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.resumable import Records, alone_in
+from ...lhm.base.files.resumable import Records, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.schedule import processors
@@ -156,7 +156,7 @@ class _Run:
         self.tasks = [task for task in self.study.tasks() if asked.match.lower() in str(task).lower()]
         if not self.tasks:
             raise InputError(f"{self.study.name}: no case and method matches {asked.match!r}")
-        folders.enter_context(alone_in(self._out, f"run of {self.study.name}"))
+        folders.enter_context(lock_folder(self._out, f"run of {self.study.name}"))
         self._with_what = machine.describe()
         self.rows = _Rows(self._out / "rows.jsonl", _digest(self.study))
         again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]

@@ -10,10 +10,10 @@ from pathlib import Path
 from ...lhm.base.errors import InputError
 from ...lhm.base.progress import silent
 from ...surrogate import Surrogate
-from ...surrogate.carried import BindCosts, Heads
 from ...surrogate.corpus.manifest import read_manifest
+from ...surrogate.corpus.reading import Faces
 from ...surrogate.evaluate import ALL, Score, evaluate
-from ...surrogate.modal.faces import Faces
+from ...surrogate.heads import BindCosts, Heads
 from ...surrogate.ruler import MOVES
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values

@@ -298,7 +298,7 @@ class _Run:
 def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
     from ...surrogate import Surrogate, linearised_rig
-    from ...surrogate.carried import neutral_at_rest
+    from ...surrogate.heads import neutral_at_rest
 
     head, parameters, network = of.head, Parameters(), Surrogate.load()
     shapes = of.space.expression_deltas(of.code)

@@ -18,13 +18,12 @@ import numpy as np
 
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.carried import Heads
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.corpus.reading import Table
+from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.evaluate import evaluate
-from softdeca.surrogate.modal.faces import Faces
+from softdeca.surrogate.heads import Heads
 from softdeca.surrogate.modal.training import ModalTraining, train_modal
 from softdeca.surrogate.rivals.carried import BonesCarried
 from softdeca.surrogate.rivals.linearised import Linearised

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..base.checks import finite, indices_below, of_kind, shape
+from ..base.checks import array_of_kind, finite, indices_below, shape
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays
 from ..base.limits import PARTS, VERTICES
@@ -68,7 +68,7 @@ def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays, each of its shape and range; InputError names one that is not."""
     vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
     faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
-    names, groups = (of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
+    names, groups = (array_of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
     PARTS.check("it has", names.size)
     shape("part_name", names, (None,))
     shape("part_group", groups, (len(names),))

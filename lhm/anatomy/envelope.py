@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix, diags
 from ..base.errors import InputError
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.distance import SignedDistance
-from ..base.geometry.surfaces import simplified, zero_surface
+from ..base.geometry.surfaces import simplify, zero_surface
 from ..base.mesh import Floats, Ints, Surface
 from ..head import CRANIUM, FREE, MANDIBLE
 from .bodyparts import Anatomy
@@ -101,7 +101,7 @@ def closed_envelope(
     field = _large(field, spacing, smallest)
     if not (field < 0).any():
         raise InputError(f"closed_envelope: nothing is left at a spacing of {spacing:g} mm")
-    surface = simplified(smooth(zero_surface(field, grid.origin, spacing)), MOST_TRIANGLES)
+    surface = simplify(smooth(zero_surface(field, grid.origin, spacing)), MOST_TRIANGLES)
     return surface if within is None else _kept_inside(surface, within, clearance)
 
 

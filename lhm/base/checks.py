@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
-from .errors import InputError, shown
+from .errors import InputError, quote
 
 if TYPE_CHECKING:
     # The folder of compiled code (`files.cache`) has to be known before `mesh` compiles, and `files` imports this.
@@ -34,7 +34,7 @@ Shape = tuple[int | None, ...]
 """Lengths of an array's axes; None for any."""
 
 
-def of_kind(name: str, values: Any, kinds: str, words: str) -> np.ndarray:
+def array_of_kind(name: str, values: Any, kinds: str, words: str) -> np.ndarray:
     """Return an array whose dtype is of these `kinds` (as "iu"); `words` say what was expected."""
     try:
         array = np.asarray(values)
@@ -55,7 +55,7 @@ def shape(name: str, values: Any, expected: Shape) -> None:
 
 def real(name: str, values: Any, expected: Shape | None = None, *, most: float | None = None) -> np.ndarray:
     """Return real numbers as they are stored, of a shape, none NaN or infinite, and none larger than `most` in size."""
-    array = of_kind(name, values, "fiu", "real numbers")
+    array = array_of_kind(name, values, "fiu", "real numbers")
     if expected is not None:
         shape(name, array, expected)
     # NaN and infinity spread to the extremes, which are found without a copy.
@@ -83,9 +83,9 @@ def in_range(name: str, values: Any, least: float, most: float, expected: Shape 
     return array
 
 
-def whole(name: str, values: Any, least: int, most: int, expected: Shape | None = None) -> Ints:
+def integers(name: str, values: Any, least: int, most: int, expected: Shape | None = None) -> Ints:
     """Return integers as int64 that all lie within least..most."""
-    array = of_kind(name, values, "iu", "integers")
+    array = array_of_kind(name, values, "iu", "integers")
     if expected is not None:
         shape(name, array, expected)
     if array.size and (int(array.min()) < least or int(array.max()) > most):
@@ -97,12 +97,12 @@ def whole(name: str, values: Any, least: int, most: int, expected: Shape | None 
 
 def indices_below(name: str, values: Any, count: int, expected: Shape | None = None) -> Ints:
     """Return integers as int64 that all lie within 0..count - 1."""
-    return whole(name, values, 0, count - 1, expected)
+    return integers(name, values, 0, count - 1, expected)
 
 
 def mask(name: str, values: Any, expected: Shape) -> np.ndarray:
     """Return an array of bool of a shape."""
-    array = of_kind(name, values, "b", "True and False")
+    array = array_of_kind(name, values, "b", "True and False")
     shape(name, array, expected)
     return array
 
@@ -121,7 +121,7 @@ def text(name: str, value: Any) -> str:
 def texts(name: str, value: Any) -> tuple[str, ...]:
     """Return a list of texts as a tuple."""
     if not isinstance(value, list | tuple) or not all(isinstance(each, str) for each in value):
-        raise InputError(f"{name}: expected a list of texts, got {shown(value)}")
+        raise InputError(f"{name}: expected a list of texts, got {quote(value)}")
     return tuple(value)
 
 
@@ -132,7 +132,7 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
     """
     values = finite(f"{name}_data", data, (None,))
     columns_of = indices_below(f"{name}_indices", indices, columns, (len(values),))
-    ends = whole(f"{name}_indptr", indptr, 0, len(values), (rows + 1,))
+    ends = integers(f"{name}_indptr", indptr, 0, len(values), (rows + 1,))
     if ends[0] != 0 or ends[-1] != len(values) or (np.diff(ends) < 0).any():
         raise InputError(f"{name}_indptr: expected numbers that rise from 0 to {len(values)}")
     return csr_matrix((values, columns_of, ends), shape=(rows, columns))
@@ -147,7 +147,7 @@ def _place(flat: int, array: np.ndarray) -> str:
 Checked = TypeVar("Checked", bound=Callable[..., Any])
 
 
-def checked(border: Checked) -> Checked:
+def check_arguments(border: Checked) -> Checked:
     """The function, or the class when one is made, that refuses arguments of other kinds than its annotations'.
 
     InputError then names function and argument, what was expected and what came. A text is no list, and an array
@@ -175,14 +175,14 @@ def _checking(function: Callable[..., Any], name: str) -> Callable[..., Any]:
         except TypeError:
             return function(*arguments, **named)  # whose own words for it are better
         for argument, kind in kinds().items():
-            if argument in given and not fits(given[argument], kind):
+            if argument in given and not is_of_kind(given[argument], kind):
                 raise InputError(f"{name}: {argument}: expected {_words(kind)}, got {_shown(given[argument])}")
         return function(*arguments, **named)
 
     return border
 
 
-def fits(value: object, kind: Any) -> bool:
+def is_of_kind(value: object, kind: Any) -> bool:
     """Whether a value is of an annotation's kind."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if kind is Any or isinstance(kind, TypeVar) or getattr(kind, "_is_protocol", False):
@@ -190,7 +190,7 @@ def fits(value: object, kind: Any) -> bool:
     if kind == ArrayLike or kind is np.ndarray or origin is np.ndarray:
         return _is_array(value)
     if origin in (typing.Union, types.UnionType):
-        return any(fits(value, one) for one in inner)
+        return any(is_of_kind(value, one) for one in inner)
     if origin is typing.Literal:
         return any(type(value) is type(one) for one in inner)
     if kind is float:
@@ -202,7 +202,7 @@ def fits(value: object, kind: Any) -> bool:
     if origin is collections.abc.Callable:
         return callable(value)
     if origin is tuple or origin in LISTS:
-        return _is_list(value, origin) and all(fits(one, inner[0]) for one in value)  # type: ignore[attr-defined]
+        return _is_list(value, origin) and all(is_of_kind(one, inner[0]) for one in value)  # type: ignore[attr-defined]
     return isinstance(value, origin or kind)
 
 

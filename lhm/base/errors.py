@@ -6,7 +6,7 @@ import numbers
 from typing import Any
 
 
-def plain(text: str) -> str:
+def escape(text: str) -> str:
     """Escape what is no printable character, so that a text from a file cannot steer the terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() else _escaped(c) for c in text)
 
@@ -20,7 +20,7 @@ class SoftdecaError(ValueError):
 
     def __str__(self) -> str:
         """The message: line ends and runs of spaces made one space, other control characters escaped."""
-        return plain(" ".join(super().__str__().split()))
+        return escape(" ".join(super().__str__().split()))
 
 
 class MeshError(SoftdecaError):
@@ -43,7 +43,7 @@ class MissingDependencyError(SoftdecaError):
     """An optional package is not installed; the message says what to install."""
 
 
-def shown(value: Any, longest: int = 40) -> str:
+def quote(value: Any, longest: int = 40) -> str:
     """Quote a value in an error: one line of printable characters, at most `longest` of them and three dots."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):
         # Python refuses to print an integer of more than 4,300 digits.
@@ -54,5 +54,5 @@ def shown(value: Any, longest: int = 40) -> str:
             if int(value) > 0
             else "less than -10^18"
         )
-    text = plain(value if isinstance(value, str) else repr(value))
+    text = escape(value if isinstance(value, str) else repr(value))
     return text if len(text) <= longest else text[:longest] + "..."

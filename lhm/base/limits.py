@@ -9,7 +9,7 @@ import numbers
 from dataclasses import dataclass
 from typing import Any
 
-from .errors import InputError, shown
+from .errors import InputError, quote
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Bound:
         good = isinstance(count, numbers.Integral) and not isinstance(count, bool)
         if not good or not self.least <= int(count) <= self.most:
             allowed = f"{self.least:,} to {self.most:,}" if self.least else f"at most {self.most:,}"
-            raise InputError(f"{name}: {shown(count)} {self.what}; expected {allowed}")
+            raise InputError(f"{name}: {quote(count)} {self.what}; expected {allowed}")
         return int(count)
 
 

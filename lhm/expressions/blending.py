@@ -9,13 +9,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.mesh import Floats
 from ..identities.space import LinearSpace
 
 
-@checked
+@check_arguments
 def index(name: str) -> int:
     """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
     if name in ARKIT:
@@ -82,7 +82,7 @@ def checked_weights(weights) -> Floats:
     return np.clip(values, 0.0, 1.0)
 
 
-@checked
+@check_arguments
 def blend(space: LinearSpace, code, weights) -> Floats:
     """Skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.mesh import Floats
 from .blending import index
 from .take import check_frames
@@ -61,7 +61,7 @@ HARD_SHAPES, HARD_RANGES = (2, 5), ((0.2, 1.0), (0.1, 0.5))
 """Shapes of a hard expression, and the range of their weights in either half of all."""
 
 
-@checked
+@check_arguments
 def sample_weights(rng: np.random.Generator) -> Floats:
     """One random expression: ARKit weights in [0, 1], shape (52,).
 
@@ -88,7 +88,7 @@ def sample_weights(rng: np.random.Generator) -> Floats:
     return weights if weights.any() else sample_weights(rng)
 
 
-@checked
+@check_arguments
 def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
     """Weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
 
@@ -109,7 +109,7 @@ def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     return weights
 
 
-@checked
+@check_arguments
 def hard_expressions(rng: np.random.Generator, frames: int) -> Floats:
     """Draw weights without order in time, shape (frames, 52), in [0, 1]: two to five random shapes at once, one-sided.
 

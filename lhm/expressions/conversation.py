@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from ..arkit import ARKIT
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.mesh import Floats
 from .head_motion import head_motion
 from .take import Take, check_frames
@@ -56,7 +56,7 @@ COARTICULATION = 0.035  # [s]
 UNEVEN = 0.08
 
 
-@checked
+@check_arguments
 def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
     """Weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
 
@@ -75,7 +75,7 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
     return face.weights()
 
 
-@checked
+@check_arguments
 def conversation_take(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Take:
     """A conversation's weights as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
     weights = conversation(rng, frames, rate=rate)

@@ -22,7 +22,7 @@ import re
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.errors import InputError, shown
+from ..base.errors import InputError, quote
 from ..base.mesh import Floats
 from .take import Take, take_of
 
@@ -102,7 +102,7 @@ def _columns(header: list[str]) -> dict[int, str]:
             continue
         near = difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=0.85)
         if near:
-            raise InputError(f"line 1: unknown column {shown(name)!r}; did you mean {lacking[near[0]]}?")
+            raise InputError(f"line 1: unknown column {quote(name)!r}; did you mean {lacking[near[0]]}?")
     return columns
 
 
@@ -113,12 +113,12 @@ def _values(frames: list[tuple[int, list[str]]], header: list[str], columns: lis
             try:
                 values[frame, place] = float(row[column])
             except ValueError:
-                raise InputError(f"line {line}, column {header[column]}: {shown(row[column])!r} is no number") from None
+                raise InputError(f"line {line}, column {header[column]}: {quote(row[column])!r} is no number") from None
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         frame, place = bad[0]
         line, row = frames[frame]
-        raise InputError(f"line {line}, column {header[columns[place]]}: {shown(row[columns[place]])} is not finite")
+        raise InputError(f"line {line}, column {header[columns[place]]}: {quote(row[columns[place]])} is not finite")
     return values
 
 
@@ -128,7 +128,7 @@ def _times(lines: list[int], timecodes: list[str]) -> tuple[float, Floats]:
     for number, (line, timecode) in enumerate(zip(lines, timecodes, strict=True)):
         match = _TIMECODE.fullmatch(timecode.strip())
         if match is None:
-            raise InputError(f"line {line}, column Timecode: {shown(timecode)!r}, expected HH:MM:SS:FF.fff")
+            raise InputError(f"line {line}, column Timecode: {quote(timecode)!r}, expected HH:MM:SS:FF.fff")
         parts[number] = [float(part) for part in match.groups()]
     seconds = parts[:, :3] @ [3600, 60, 1]
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])

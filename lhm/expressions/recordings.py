@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import RECORDED_FILES, RECORDINGS
 from ..base.mesh import Ints
@@ -57,7 +57,7 @@ class Recording:
         return take
 
 
-@checked
+@check_arguments
 def recordings(
     folder: str | os.PathLike[str] | None = None,
     *,

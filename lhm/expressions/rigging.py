@@ -20,9 +20,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from ..arkit import ARKIT
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
-from ..base.geometry.deformation import DeformationTransfer, deformation_gradients, require_area
+from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
 from .blending import checked_weights
 from .transfer import HELD, Anchors, checked_deltas
@@ -49,7 +49,7 @@ class PersonalRig:
     history: Floats
 
 
-@checked
+@check_arguments
 def personalised(neutral: Surface, deltas, examples, weights, *, rounds: int = ROUNDS) -> PersonalRig:
     """Fit the shapes to scanned expressions of one person.
 
@@ -60,7 +60,7 @@ def personalised(neutral: Surface, deltas, examples, weights, *, rounds: int = R
     that are not finite, weights that are all zero, triangles without area, and no round.
     """
     generic = checked_deltas("deltas", deltas, neutral)
-    require_area("neutral", neutral.vertices, neutral.triangles)
+    check_areas("neutral", neutral.vertices, neutral.triangles)
     motions = _checked_examples(examples, neutral) - neutral.vertices
     start = np.atleast_2d(checked_weights(weights))
     if len(start) != len(motions):

@@ -10,8 +10,8 @@ import re
 import zlib
 from importlib import resources
 
-from ..base.checks import checked
-from ..base.errors import InputError, shown
+from ..base.checks import check_arguments
+from ..base.errors import InputError, quote
 from ..base.limits import SPEECH_LETTERS
 from .livelink import parse_csv
 from .take import Take
@@ -27,7 +27,7 @@ GESTURES = {
 }
 
 
-@checked
+@check_arguments
 def speech(text: str, *, pace: float = PACE) -> Take:
     """A take of someone saying an English text, at 60 Hz; the same text and pace [sounds per second] give the same.
 
@@ -63,14 +63,14 @@ def _segments(text: str, seconds: float) -> list:
         pause = STOP if re.search(r"[.!?…]", mark) else COMMA
         segments.append(fx.PhonemeSegment("sil", segments[-1].end, segments[-1].end + pause))
     if len(segments) == 1:
-        raise InputError(f"speech: no words in {shown(text)!r}")
+        raise InputError(f"speech: no words in {quote(text)!r}")
     return segments
 
 
 def _spoken(word: str, sounds_of) -> list[str]:
     sounds = sounds_of.phrase(word)
     if not sounds and re.search(r"\w", word):
-        raise InputError(f"speech: {shown(word)!r} is no English word; numbers are to be written out")
+        raise InputError(f"speech: {quote(word)!r} is no English word; numbers are to be written out")
     return sounds
 
 

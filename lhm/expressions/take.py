@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import TAKE_FRAMES
 from ..base.mesh import Floats
@@ -21,7 +21,7 @@ GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
 
 
-@checked
+@check_arguments
 @dataclass(frozen=True, eq=False)
 class Take:
     """Weights in ARKit's order, shape (frames, 52), in [0, 1], at `times` [s], shape (frames,), rising.
@@ -157,7 +157,7 @@ def take_of(
     )
 
 
-@checked
+@check_arguments
 def resampled(take: Take, rate: float) -> Take:
     """The take at evenly spaced times from its first to its last, `rate` [Hz].
 

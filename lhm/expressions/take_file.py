@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.files.text import read_bytes
 from ..base.limits import TAKE_BYTES
@@ -15,7 +15,7 @@ from .take_json import parse_json
 from .weights_csv import is_transposed, parse_transposed
 
 
-@checked
+@check_arguments
 def read_take(path: str | os.PathLike[str]) -> Take:
     """A take from a CSV of LiveLink Face (`livelink`) or of a row per quantity (`weights_csv`), or JSON (`take_json`).
 

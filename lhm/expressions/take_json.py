@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.errors import InputError, shown
+from ..base.errors import InputError, quote
 from ..base.files.text import parse_json as from_json
 from ..base.limits import TAKE_FRAMES
 from ..base.mesh import Floats
@@ -94,7 +94,7 @@ def _number(value: Any, where: str) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"{where}: {shown(value)} is no finite number")
+        raise InputError(f"{where}: {quote(value)} is no finite number")
     return number
 
 

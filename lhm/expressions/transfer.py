@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import MeshError
-from ..base.geometry.deformation import DeformationTransfer, deformation_gradients, require_area
+from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.geometry.topology import connected_parts
 from ..base.mesh import Floats, Ints, Surface
 
@@ -49,7 +49,7 @@ class Anchors:
         return motion
 
 
-@checked
+@check_arguments
 def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface) -> Floats:
     """The displacements [mm] of the target's 52 expressions, shape (52, n, 3).
 
@@ -62,8 +62,8 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
     """
     deltas = checked_deltas("source_deltas", source_deltas, source_neutral)
     check_same_triangles("target", target, source_neutral)
-    require_area("source_neutral", source_neutral.vertices, source_neutral.triangles)
-    require_area("target", target.vertices, target.triangles)
+    check_areas("source_neutral", source_neutral.vertices, source_neutral.triangles)
+    check_areas("target", target.vertices, target.triangles)
     anchors = Anchors.of(deltas, target.triangles)
     system = DeformationTransfer(target, anchors.held, weight=HELD)
     gradients = np.empty((len(deltas), len(target.triangles), 9))

@@ -15,7 +15,7 @@ import io
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.errors import InputError, shown
+from ..base.errors import InputError, quote
 from ..base.mesh import Floats
 from .head_rotation import angles_of, of_quaternions
 from .take import Take, take_of
@@ -68,7 +68,7 @@ def _named(rows: list[tuple[int, list[str]]]) -> dict[str, tuple[int, list[str]]
     for line, name in unknown:
         near = difflib.get_close_matches(name.lower(), lacking, n=1, cutoff=0.85)
         if near:
-            raise InputError(f"line {line}: unknown quantity {shown(name)!r}; did you mean {lacking[near[0]]}?")
+            raise InputError(f"line {line}: unknown quantity {quote(name)!r}; did you mean {lacking[near[0]]}?")
     return named
 
 
@@ -78,9 +78,9 @@ def _numbers(name: str, line: int, row: list[str]) -> Floats:
         try:
             values[frame] = float(text)
         except ValueError:
-            raise InputError(f"line {line}, {name}, frame {frame}: {shown(text)!r} is no number") from None
+            raise InputError(f"line {line}, {name}, frame {frame}: {quote(text)!r} is no number") from None
         if not np.isfinite(values[frame]):
-            raise InputError(f"line {line}, {name}, frame {frame}: {shown(text)} is not finite")
+            raise InputError(f"line {line}, {name}, frame {frame}: {quote(text)} is not finite")
     return values
 
 

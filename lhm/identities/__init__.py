@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError
 from .space import IdentitySpace, LinearSpace
 
@@ -18,7 +18,7 @@ def Anny() -> LinearSpace:
     return load()
 
 
-@checked
+@check_arguments
 def ICTFaceKit(path: str | os.PathLike[str]) -> LinearSpace:
     """ICT-FaceKit's space from its .npz [cm in the file]; see `ict`. InputError names a bad file."""
     from .ict import load
@@ -26,7 +26,7 @@ def ICTFaceKit(path: str | os.PathLike[str]) -> LinearSpace:
     return load(path)
 
 
-@checked
+@check_arguments
 def FLAME(path: str | os.PathLike[str]) -> LinearSpace:
     """FLAME's space from the user's licensed .pkl or .npz [m in the file]; see `flame`. InputError names a bad file."""
     from .flame import load
@@ -34,7 +34,7 @@ def FLAME(path: str | os.PathLike[str]) -> LinearSpace:
     return load(path)
 
 
-@checked
+@check_arguments
 def MeshFolder(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
     """The space of a folder of meshes that share a topology; see `folder`. InputError names a bad file."""
     from .folder import load
@@ -42,7 +42,7 @@ def MeshFolder(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace
     return load(path, unit=unit)
 
 
-@checked
+@check_arguments
 def from_text(text: str) -> LinearSpace:
     """The space that a command line names: "anny", "ict:FILE", "flame:FILE" or "folder:DIR"; InputError for others."""
     kind, _, path = text.partition(":")

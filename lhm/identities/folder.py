@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.checks import whole
+from ..base.checks import integers
 from ..base.errors import InputError
 from ..base.files.npz import read_npy
 from ..base.files.surface_file import SUFFIXES, read_surface
@@ -95,7 +95,7 @@ def _parts(folder: Path, n: int) -> Ints:
             continue
         content = read_npy(file) if file.suffix == ".npy" else read_json(file, "a list of parts")
         try:
-            return whole("parts", content, OUTSIDE, CAP, (n,))
+            return integers("parts", content, OUTSIDE, CAP, (n,))
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
     return np.full(n, OUTSIDE)

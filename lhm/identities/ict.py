@@ -12,8 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..arkit import ARKIT
-from ..base.checks import finite, indices_below, of_kind, real, shape
-from ..base.errors import InputError, shown
+from ..base.checks import array_of_kind, finite, indices_below, real, shape
+from ..base.errors import InputError, quote
 from ..base.files.npz import read_arrays
 from ..base.limits import PARTS, SPACE_VALUES, VERTICES
 from ..base.mesh import Ints, Surface
@@ -58,17 +58,17 @@ def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The arrays, each of its shape and range; InputError names one that is not."""
     vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
     n = VERTICES.check("it has", len(vertices))
-    names = of_kind("part_names", data["part_names"], "U", "texts").ravel()
+    names = array_of_kind("part_names", data["part_names"], "U", "texts").ravel()
     PARTS.check("it has", len(names))
     triangles = indices_below("triangles", data["triangles"], n, (None, 3))
     SPACE_VALUES.check("it has", data["identity_deltas"].size + data["expression_deltas"].size)
     most = float(np.ptp(vertices, axis=0).max(initial=0.0))  # a shape moves no vertex farther than the head is large
     expressions = real("expression_deltas", data["expression_deltas"], (None, n, 3), most=most)
-    arkit = of_kind("expression_arkit", data["expression_arkit"], "U", "texts")
+    arkit = array_of_kind("expression_arkit", data["expression_arkit"], "U", "texts")
     shape("expression_arkit", arkit, (len(expressions),))
     for name in arkit.tolist():
         if name not in ARKIT:
-            raise InputError(f"expression_arkit: {shown(name)!r} is none of ARKit's expressions")
+            raise InputError(f"expression_arkit: {quote(name)!r} is none of ARKit's expressions")
     return {
         "vertices": vertices,
         "triangles": triangles,

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..base.checks import checked
+from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.mesh import Floats, Ints, Surface
 
@@ -88,7 +88,7 @@ class LinearSpace:
         """The neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
         return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._checked(code), self.identity, axes=1))
 
-    @checked
+    @check_arguments
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
         """A random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
         code = np.clip(rng.standard_normal(self.code_size), -CLIP, CLIP)

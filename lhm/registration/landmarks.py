@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..base.checks import finite
-from ..base.errors import InputError, MeshError, shown
+from ..base.errors import InputError, MeshError, quote
 from ..base.files.surface_file import FARTHEST
 from ..base.files.text import read_json
 from ..base.mesh import Floats, Ints, Surface, as_points
@@ -84,7 +84,7 @@ def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
         raise InputError(f'{path}: expected landmarks by name, {{"nose tip": [x, y, z], ...}}')
     for name, point in read.items():
         try:
-            finite(f"landmark {shown(name)!r}", point, (3,), most=FARTHEST)
+            finite(f"landmark {quote(name)!r}", point, (3,), most=FARTHEST)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     return read

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
 from ..base.geometry.bvh import TriangleTree
-from ..base.geometry.rays import sky_seen
+from ..base.geometry.rays import visible_sky
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress
 from ..identities.space import EYES, MOUTH, OUTSIDE
@@ -54,7 +54,7 @@ def laid_onto(
     own = {tuple(pair) for pair in TriangleTree(x, triangles).self_crossings().tolist()}
     # Lips that touch see no sky, but have to come to lie between those of the skin.
     lips = distance_to(x, x[places.rim]) < LIP_ZONE
-    drawn = (parts == OUTSIDE) & ((sky_seen(start) > SEEN) | lips)
+    drawn = (parts == OUTSIDE) & ((visible_sky(start) > SEEN) | lips)
     best, fewest = x, -1
     for stage in range(len(STIFFNESSES) + REPAIRS):
         repair = stage - len(STIFFNESSES) + 1

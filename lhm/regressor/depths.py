@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..base.checks import finite, in_range, text, whole
+from ..base.checks import finite, in_range, integers, text
 from ..base.errors import InputError
 from ..base.files.npz import read_arrays, write_arrays
 from ..base.geometry.warp import rigid_motion
@@ -179,7 +179,7 @@ class DepthRegressor:
         return cls(
             text("label", arrays["label"]),
             text("wrap", arrays["wrap"]),
-            int(whole("pairs", arrays["pairs"], 0, PAIRS.most, ())),
+            int(integers("pairs", arrays["pairs"], 0, PAIRS.most, ())),
             float(in_range("ridge", arrays["ridge"], 0.0, np.inf, ())),
             reference,
             axes,

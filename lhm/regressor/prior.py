@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from ..base.files.cache import cached_as
+from ..base.files.cache import load_or_make
 from ..base.geometry.warp import farthest_points
 from ..base.mesh import Floats
 from ..identities.space import LinearSpace
@@ -67,7 +67,7 @@ def default_regressor(template: Template, space: LinearSpace) -> DepthRegressor:
         pairs = prior_pairs(template, space, np.random.default_rng(SEED), PAIRS)
         return DepthRegressor.fit(pairs, template.skin_wrap).arrays()
 
-    return cached_as(name, make, DepthRegressor.from_arrays)
+    return load_or_make(name, make, DepthRegressor.from_arrays)
 
 
 def _smooth_field(points: Floats) -> Floats:

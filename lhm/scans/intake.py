@@ -13,7 +13,7 @@ import numpy as np
 from ..base.errors import InputError, MeshError, SoftdecaError
 from ..base.files.surface_file import Scan, read_scan
 from ..base.geometry.bvh import TriangleTree
-from ..base.geometry.topology import openings
+from ..base.geometry.topology import find_openings
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..expressions.naming import arkit_named
@@ -195,7 +195,7 @@ def _in_file(pairs: Pairs, scan: Scan, unit: str | None) -> Pairs:
 
 def _told_openings(skin: Surface) -> str:
     try:
-        loops = openings(skin.triangles)
+        loops = find_openings(skin.triangles)
     except MeshError:
         return "openings: not counted, the mesh is not a manifold"
     if not loops:

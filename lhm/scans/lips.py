@@ -8,7 +8,7 @@ import numpy as np
 
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.rays import first_hits
-from ..base.geometry.topology import openings
+from ..base.geometry.topology import find_openings
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
 
@@ -48,7 +48,7 @@ class LipLine:
 
 def rims(triangles: Ints, vertices: Floats, parts: Ints) -> tuple[Ints, Ints]:
     """The template's rim of the mouth's lining, upper and lower half, each from right to left, corners included."""
-    loop = openings(triangles[(parts[triangles] == MOUTH).any(axis=1)])[0]
+    loop = find_openings(triangles[(parts[triangles] == MOUTH).any(axis=1)])[0]
     x = vertices[loop]
     loop = np.roll(loop, -int(x[:, 0].argmin()))
     left = int(vertices[loop, 0].argmax())

@@ -12,7 +12,7 @@ from typing import get_args
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
@@ -53,7 +53,7 @@ WIDER = 3
 """Edges by which regions in contact reach further, since lips that roll in meet beyond their red."""
 
 
-@checked
+@check_arguments
 def facial_scene(
     head: LayeredHead,
     parameters: Parameters,
@@ -291,7 +291,7 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
         raise SceneError("soft bones are the skull wrap itself: attach eyes to it, but no bone")
 
 
-@checked
+@check_arguments
 def scene_under(scene: Scene, law: FaceLaw) -> Scene:
     """Return a facial scene under a law; PD_ENERGY leaves it as it is, others are those of `hyperelastic_scene`.
 
@@ -307,7 +307,7 @@ def scene_under(scene: Scene, law: FaceLaw) -> Scene:
     return hyperelastic_scene(scene, laws[law])
 
 
-@checked
+@check_arguments
 def neo_hookean_scene(scene: Scene) -> Scene:
     """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
 
@@ -316,7 +316,7 @@ def neo_hookean_scene(scene: Scene) -> Scene:
     return hyperelastic_scene(scene, NeoHookean)
 
 
-@checked
+@check_arguments
 def hyperelastic_scene(scene: Scene, law: Callable[[float, float], Material]) -> Scene:
     """The scene with each layer's Strain and Volume replaced by a law, made of Lamé's moduli mu and lmbda [kPa].
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.geometry import cholesky
 from ...lhm.base.geometry.cholesky import LinearSolver
 from ...lhm.base.mesh import Floats
@@ -128,7 +128,7 @@ class Linearised:
         return dict(zip(found, skins, strict=True))
 
 
-@checked
+@check_arguments
 def linearised(face: Settled, *, accuracy: float = TIGHT, like: Linearised | Analysed | None = None) -> Linearised:
     """Prepare a settled face's scenes, solve the neutral one tightly and factor its tangent.
 
@@ -150,7 +150,7 @@ def _tangent_of(
     scene: Scene, start: Floats, like: Linearised | Analysed | None, accuracy: float = TIGHT
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """A scene prepared and solved: by the PD matrix, where need be then by the tangent; and the tangent in the end."""
-    linear_solver: LinearSolver | None = None if cholesky.library() is None else "cholesky"
+    linear_solver: LinearSolver | None = None if cholesky.cholmod_library() is None else "cholmod"
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm = spring_norm(scene)
     direct = accuracy >= DIRECT

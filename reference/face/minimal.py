@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
@@ -73,7 +73,7 @@ def smallest(
     return Smallest(tuple(gone), total, changes, left)
 
 
-@checked
+@check_arguments
 def smallest_scene(
     scene: Scene, *, within: float = WITHIN, solver: str = "projective", tolerance: float = TOLERANCE
 ) -> Smallest:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
-from ...lhm.base.geometry.tets import untangled
+from ...lhm.base.geometry.tets import untangle
 from ...lhm.base.geometry.topology import split_triangles
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
@@ -21,7 +21,7 @@ LEAST = 0.1
 """Of a tet's volume at rest, that the start leaves it."""
 
 
-@checked
+@check_arguments
 def nested_start(
     scene: Scene,
     head: LayeredHead,
@@ -54,7 +54,7 @@ def nested_start(
     if scene.vertices.size != moved.size:
         raise SceneError(f"scene: expected {moved.size // 3} vertices of layers {layers}, got {len(scene.vertices)}")
     start = scene.vertices + moved.reshape(-1, 3)
-    return untangled(start, scene.tets, np.ones(len(start), dtype=bool), LEAST * scene.volumes)
+    return untangle(start, scene.tets, np.ones(len(start), dtype=bool), LEAST * scene.volumes)
 
 
 def _stacked(head: LayeredHead, layers: tuple[int, int]) -> Floats:

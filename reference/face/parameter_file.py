@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ...lhm.base.checks import checked, finite
-from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.checks import check_arguments, finite
+from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.text import read_toml
 from ...lhm.base.mesh import Floats
 from .parameters import Parameters
 
 
-@checked
+@check_arguments
 def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     """The parameters in a TOML file; what it does not name keeps its default.
 
@@ -42,12 +42,12 @@ def _value(path: Path, name: str, value):
 
 def _array(path: Path, name: str) -> Floats:
     if path.suffix != ".npy" or not os.path.isfile(path):  # False, too, for a name that is too long
-        raise InputError(f"parameter {name}: {shown(str(path), 200)}: expected a number, or an .npy file that is there")
+        raise InputError(f"parameter {name}: {quote(str(path), 200)}: expected a number, or an .npy file that is there")
     try:
         # A map of the file cannot be longer than the file, whatever its header says.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # numpy's reader raises whatever the damage makes it raise
-        reason = plain(" ".join(str(error).split()))[:60]
+        reason = escape(" ".join(str(error).split()))[:60]
         raise InputError(f"parameter {name}: {path}: not an array of numbers ({reason})") from None
     values = np.array(finite(f"parameter {name}: {path}", array))
     try:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.errors import InputError, shown
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.mesh import Floats
 
 STANDARD_GRAVITY = 9810.0
@@ -206,7 +206,7 @@ class Parameters:
         for info in cls.infos():
             if info.name == name:
                 return info
-        raise InputError(f"unknown parameter {shown(name)!r}; there are {', '.join(i.name for i in cls.infos())}")
+        raise InputError(f"unknown parameter {quote(name)!r}; there are {', '.join(i.name for i in cls.infos())}")
 
     def vector(self, names: tuple[str, ...] | None = None) -> Floats:
         """The values as an array, of all parameters or of the named ones; InputError for one that varies."""
@@ -221,11 +221,11 @@ class Parameters:
 def _checked(info: ParameterInfo, value: Any) -> float | Floats:
     """A parameter's value, a float or a read-only array (k,), within its range."""
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float, np.number, np.ndarray)):
-        raise InputError(f"parameter {info.name}: expected a number, got {shown(value)}")
+        raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}")
     try:
         array = np.array(value, dtype=np.float64)
     except (OverflowError, TypeError, ValueError):
-        raise InputError(f"parameter {info.name}: expected a number, got {shown(value)}") from None
+        raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}") from None
     if array.ndim and not info.local:
         raise InputError(f"parameter {info.name}: one number for the whole head, got an array of shape {array.shape}")
     if array.ndim > 1 or array.size == 0:

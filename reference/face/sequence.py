@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
@@ -57,7 +57,7 @@ class Sequence:
     time step at which the frequency cannot be followed. `of` makes one whose neutral face has settled under p.
     """
 
-    @checked
+    @check_arguments
     def __init__(
         self,
         head: LayeredHead,
@@ -84,7 +84,7 @@ class Sequence:
         self._pivot = pivot(head)
 
     @classmethod
-    @checked
+    @check_arguments
     def of(cls, neutral: Settled, **options: Any) -> Sequence:
         """Frames of a face settled under its p: expressions stay those of the head without p.
 
@@ -94,7 +94,7 @@ class Sequence:
         sequence._neutral = neutral
         return sequence
 
-    @checked
+    @check_arguments
     def begin(self, targets: Floats, *, velocity: Floats | None = None, base: Floats | None = None) -> Solution:
         """Put the head at rest in an expression [mm], shape (skin vertices, 3), but moving at `velocity` [mm/s].
 
@@ -112,7 +112,7 @@ class Sequence:
         self.state = State(solution.positions, _target(scene).positions, before, turns=turned)
         return solution
 
-    @checked
+    @check_arguments
     def frame(self, targets: Floats, *, base: Floats | None = None) -> Solution:
         """The next frame, towards an expression [mm], shape (skin vertices, 3); the first begins at rest in its own.
 
@@ -138,7 +138,7 @@ class Sequence:
             self.state = State(positions, sought, self.state.positions[:n], drift, turned_by)
         return solution
 
-    @checked
+    @check_arguments
     def skin(self, targets: Floats, solution: Solution) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
         return self._neutral.skin_after(targets, solution.positions)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ...lhm.flesh import LEAN_REGIONS, fleshy
@@ -103,7 +103,7 @@ class Settled:
         return scene_under(facial_scene(self.head, self.parameters, targets, **given), self.law)
 
 
-@checked
+@check_arguments
 def settled(
     head: LayeredHead,
     parameters: Parameters,

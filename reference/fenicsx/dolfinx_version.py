@@ -66,8 +66,8 @@ _LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
 # Without -ffast-math: an energy that is not a number must stay one. Compiled forms are cached on disk by dolfinx.
 _COMPILER = {"jit_params" if VERSION < (0, 6) else "jit_options": {"cffi_extra_compile_args": ["-O2"]}}
 _DEFAULTS = getattr(dolfinx.jit, f"DOLFINX_DEFAULT_JIT_{'PARAMETERS' if VERSION < (0, 6) else 'OPTIONS'}")
-if not cache.can_be_written(Path(_DEFAULTS["cache_dir"][0])):
-    _DEFAULTS["cache_dir"] = (cache.folder() / "fenics", _DEFAULTS["cache_dir"][1])
+if not cache.is_writable(Path(_DEFAULTS["cache_dir"][0])):
+    _DEFAULTS["cache_dir"] = (cache.cache_folder() / "fenics", _DEFAULTS["cache_dir"][1])
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
 from ..ranks import followers
@@ -103,7 +103,7 @@ class PartScene(Scene):
         seam.write_xdmf(path, self.part.domain, displacement, {"J": solution.volume_ratio})
 
 
-@checked
+@check_arguments
 def read_scene(
     path: str | os.PathLike[str],
     terms: Callable[[Part], Sequence[Term]],

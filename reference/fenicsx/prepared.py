@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from ..compiling import Clock
@@ -57,7 +57,7 @@ By P2 on a block of 2,187 unknowns, stretched by a fifth, MUMPS takes 9 iteratio
 LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear enough to descend at once
 
 
-@checked
+@check_arguments
 def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx | MirroredFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
@@ -131,7 +131,7 @@ class PreparedFenicsx:
             return "mumps"
         return "cg" if linear == "block" else linear
 
-    @checked
+    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,
@@ -270,7 +270,7 @@ class MirroredFenicsx:
     def __init__(self, everywhere: Mirrored, scene: Scene):
         self._everywhere, self.scene = everywhere, scene
 
-    @checked
+    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,

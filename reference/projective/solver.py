@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.cholesky import LinearSolver
 from ...lhm.base.mesh import Floats
@@ -117,7 +117,7 @@ class ProjectivePrepared:
     contact: Following | None
     spent: Spent
 
-    @checked
+    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,
@@ -236,11 +236,12 @@ def prepare(
     """Factor the PD matrix of a scene.
 
     method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
-    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see `lhm.base.geometry.cholesky`.
-    With "cholmod", a scene prepared `like` another of the same topology, such as another identity, takes over its
-    symbolic factorisation. `threads` share the local step. Terms: Strain, Volume, SurfaceStrain, Bending, Target,
-    Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another term, method or count,
-    InputError for another linear solver and MissingDependencyError for one that is not installed.
+    default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see
+    `lhm.base.geometry.cholesky`. With "cholmod", a scene prepared `like` another of the same topology, such as another
+    identity, takes over its symbolic factorisation. `threads` share the local step. Terms: Strain, Volume,
+    SurfaceStrain, Bending, Target, Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another
+    term, method or count, InputError for another linear solver and MissingDependencyError for one that is not
+    installed.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")

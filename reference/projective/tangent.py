@@ -67,7 +67,7 @@ class Pattern:
     """What all tangents of a topology share: where entries are, and, by CHOLMOD, in which order they are eliminated."""
 
     sparsity: Sparsity
-    analysis: cholesky.Analysis | None
+    analysis: cholesky.CholmodAnalysis | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class Tangent:
     @property
     def pattern(self) -> Pattern:
         """What serves again when its numbers, a quarter of a gigabyte for a head, are let go."""
-        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.Factor) else None)
+        return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.CholmodFactor) else None)
 
     def solve(self, right: Floats) -> Floats:
         """The inverse Hessian times gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""

@@ -20,7 +20,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
     By CHOLMOD where the system has it, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
     signs of D count the negative eigenvalues (Sylvester).
     """
-    solve = _superlu(matrix) if cholesky.library() is None else _cholmod(matrix)
+    solve = _superlu(matrix) if cholesky.cholmod_library() is None else _cholmod(matrix)
     if solve is None:
         return None
     solution = solve(right)
@@ -30,7 +30,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
 
 def _cholmod(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
     try:
-        factor = cholesky.Factor(matrix, definite=True)
+        factor = cholesky.CholmodFactor(matrix, definite=True)
     except np.linalg.LinAlgError:
         return None
     return lambda right: factor(right[:, None])[:, 0]

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from .. import terms
@@ -49,7 +49,7 @@ class Prepared:
     discretisation: Discretisation
     spent: Spent
 
-    @checked
+    @check_arguments
     def solve(
         self,
         scene: Scene | None = None,
@@ -105,7 +105,7 @@ class Prepared:
         )
 
 
-@checked
+@check_arguments
 def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     """Prepare a scene on linear ("P1") or quadratic tets ("P2"); for scenes of a few thousand tets.
 

@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 
 from ...lhm import fit_head, identities, load_template
 from ...lhm.base.errors import InputError
-from ...lhm.base.files.cache import cached
+from ...lhm.base.files.cache import load_or_make
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import ARKIT, personalised, sample_weights, transfer_expressions
@@ -23,7 +23,7 @@ from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.registration import register
 from ..codes import nearest_code
-from .person import Person
+from .people import Person
 
 SCANS = 24
 """Expressions of one person that the rig is made of; the paper's heads have 20 to 35."""
@@ -57,7 +57,7 @@ class External:
             ties = laid.template_weights.tocsr()
             return {"laid": laid.vertices, "data": ties.data, "indices": ties.indices, "indptr": ties.indptr}
 
-        found = cached(name, make)
+        found = load_or_make(name, make)
         shape = (len(own.mean.vertices), len(other.mean.vertices))
         ties = csr_matrix((found["data"], found["indices"], found["indptr"]), shape=shape)
         return cls(own, other, found["laid"], ties, partial(fit_head, template), f"{template.digest}-{name}")

@@ -16,20 +16,19 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.resumable import alone_in, check_same
+from ...lhm.base.files.resumable import check_manifest, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
 from .intact import REMEDY, check_person, read_intact
-from .manifest import MANIFEST, read_manifest
+from .manifest import MANIFEST, CorpusTemplate, read_manifest, read_template, write_template
 from .mixture import NAMES
-from .person import People
+from .people import People
 from .plan import IDENTITY, CorpusPlan, Split
+from .sequences import velocities_of
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
 from .simulate import GENERATOR, simulate_person
-from .template import CorpusTemplate, read_template, write_template
-from .velocities import velocities_of
 
 SERIAL = Schedule()
 PARTIAL = ".person-*"
@@ -92,7 +91,7 @@ class Corpus:
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
         self.manifest = simulated_of(plan, people) | {"format": FORMAT}
-        if check_same(self.folder / MANIFEST, "corpus", self.manifest):
+        if check_manifest(self.folder / MANIFEST, "corpus", self.manifest):
             read_manifest(self.folder)
 
     @property
@@ -114,7 +113,7 @@ class Corpus:
         Raises InputError where another generation runs in the folder or it cannot be written, and SoftdecaError if a
         worker dies again and again.
         """
-        with alone_in(self.folder, "generation of a corpus"):
+        with lock_folder(self.folder, "generation of a corpus"):
             for left in self.folder.glob(PARTIAL):
                 left.unlink(missing_ok=True)
             pending = [k for k in self._order() if not self.is_whole(k)]

@@ -1,4 +1,4 @@
-"""corpus.json: what a corpus says it is of, checked field by field before anything uses it."""
+"""Two files of every corpus, checked before use: corpus.json, its description, and template.npz, its mean skin."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ...lhm.base.checks import text
-from ...lhm.base.errors import InputError, shown
+from ...lhm.base.checks import finite, text
+from ...lhm.base.errors import InputError, SoftdecaError, quote
+from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
+from ...lhm.base.mesh import Floats, Surface
 from .plan import CorpusPlan
 
 MANIFEST = "corpus.json"
+TEMPLATE = "template.npz"
+FARTHEST = 1e4
+"""[mm] Of a vertex, and of how far a shape moves one: ten metres."""
 OWNER = ("plan", "people", "template", "generator", "format")
 """The fields that name the corpus in each of its shards."""
 
@@ -59,19 +64,19 @@ def read_manifest(folder: str | PathLike[str]) -> Manifest:
 
 def _checked(folder: Path, said: Any) -> Manifest:
     if not isinstance(said, dict):
-        raise InputError(f"expected an object, got {shown(said)}")
+        raise InputError(f"expected an object, got {quote(said)}")
     for name in ("plan", "people", "template"):
         text(name, said.get(name))
     for name in ("generator", "format"):
         if isinstance(said.get(name), bool) or not isinstance(said.get(name), (int, str)):
-            raise InputError(f"{name}: expected a number, got {shown(said.get(name))}")
+            raise InputError(f"{name}: expected a number, got {quote(said.get(name))}")
     content, made_with = said.get("content"), said.get("made_with", {})
     if not isinstance(content, dict) or not isinstance(made_with, dict):
         raise InputError("content and made_with: expected objects")
     text("takes", said.get("takes", ""))
     counts = CorpusPlan(**_options(content))
     if said.get("tested") != counts.tested:
-        raise InputError(f"tested: {shown(said.get('tested'))}, expected {counts.tested}")
+        raise InputError(f"tested: {quote(said.get('tested'))}, expected {counts.tested}")
     return Manifest(folder, said, counts, made_with)
 
 
@@ -81,5 +86,35 @@ def _options(content: Mapping[str, Any]) -> dict[str, Any]:
     missing = known - set(content)
     if missing or set(content) - known - {"recordings", "takes"}:
         wrong = min(missing or set(content) - known)
-        raise InputError(f"content: {shown(wrong)} is {'missing' if missing else 'not known'}")
+        raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
     return {name: content[name] for name in known}
+
+
+@dataclass(frozen=True, eq=False)
+class CorpusTemplate:
+    """The mean neutral skin [mm]; shapes (52, n, 3) [mm], None where each person has personal ones."""
+
+    mean: Surface
+    shapes: Floats | None
+
+
+def write_template(folder: str | PathLike[str], template: CorpusTemplate) -> None:
+    """Write it to a corpus' folder; InputError if it cannot be written."""
+    arrays = {"vertices": template.mean.vertices, "triangles": template.mean.triangles}
+    write_arrays(Path(folder) / TEMPLATE, arrays | ({} if template.shapes is None else {"shapes": template.shapes}))
+
+
+def read_template(folder: str | PathLike[str]) -> CorpusTemplate:
+    """Read it; InputError names the file if it is missing, damaged, or not in millimetres."""
+    path = Path(folder) / TEMPLATE
+    arrays = read_arrays(path, of="a corpus' template")
+    try:
+        if not {"vertices", "triangles"} <= set(arrays) <= {"vertices", "triangles", "shapes"}:
+            raise InputError(f"expected vertices, triangles and shapes, got {quote(', '.join(arrays))}")
+        vertices = finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST)
+        shapes = arrays.get("shapes")
+        if shapes is not None:
+            shapes = finite("shapes", shapes, (52, len(vertices), 3), most=FARTHEST)
+        return CorpusTemplate(Surface(vertices, arrays["triangles"]), shapes)
+    except SoftdecaError as error:
+        raise InputError(f"{path}: not a corpus' template, or damaged ({error})") from None

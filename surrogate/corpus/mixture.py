@@ -11,23 +11,35 @@
 Frequency and damping differ in all but the few. What is `local` is one number, or a smooth random field in the share of
 sets that the plan gives. Ranges are those of `Parameters`, but for these, where the energy would have several minima:
 muscle's strain ratio from 0.3 on, a strain limit up to 1.1, growth up to 1.4; a skin that is stiff or grows also bends.
+
+A field is a few numbers on waves that are the same for everybody: u(x) = c_0 + Σ_m c_m cos(k_m · x + b_m) over points
+x [mm] of the space's mean skin, where u is the parameter's value mapped to [-1, 1].
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
 from ...reference import Parameters
-from .fields import WAVES, on_faces, on_wraps
 
 KINDS = ("few", "materials", "effects", "both", "single")
 NAMES = tuple(info.name for info in Parameters.infos())
 INFOS = {info.name: info for info in Parameters.infos()}
+STATIC = tuple(name for name in NAMES if name not in ("frequency", "damping"))
+"""The parameters that a static frame depends on."""
+_STATIC_ROWS = [NAMES.index(name) for name in STATIC]
+WAVES = 16
+LENGTHS = (90.0, 300.0)
+"""Shortest and longest wave [mm]: from a cheek to the head."""
+FIELD_SEED = 20231
+"""Of the waves' directions, lengths and phases. Another one would give stored coefficients another meaning."""
 MATERIALS: dict[str, tuple[float, float]] = {
     "soft_stiffness": (1.0, 20.0),
     "volume_ratio": (5.0, 75.0),
@@ -51,11 +63,41 @@ IN_FIELD = 3
 """Waves of one field."""
 
 
+@cache
+def _waves() -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(FIELD_SEED)
+    directions = rng.normal(size=(WAVES, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    lengths = np.exp(rng.uniform(np.log(LENGTHS[0]), np.log(LENGTHS[1]), size=(WAVES, 1)))
+    return 2.0 * np.pi * directions / lengths, rng.uniform(0.0, 2.0 * np.pi, WAVES)
+
+
+def basis(points: Floats) -> Floats:
+    """One, then the waves, at points [mm], shape (k, 3); shape (k, 1 + WAVES)."""
+    vectors, phases = _waves()
+    return np.column_stack([np.ones(len(points)), np.cos(points @ vectors.T + phases)])
+
+
+def on_faces(mean: Surface) -> Floats:
+    """`basis` on the faces of a space's mean skin: the mean of their corners, shape (faces, 1 + WAVES)."""
+    return basis(mean.vertices)[mean.triangles].mean(axis=1)
+
+
+def on_wraps(head: LayeredHead, mean: Surface) -> Floats:
+    """`basis` on the triangles of a head's wraps, carried there from the mean skin, shape (triangles, 1 + WAVES)."""
+    return (head.wrap_from_skin @ basis(mean.vertices))[head.skin_wrap.triangles].mean(axis=1)
+
+
+def static_of(coefficients: Floats) -> Floats:
+    """Return the rows of STATIC, shape (S, 1 + WAVES), of the coefficients of all parameters."""
+    return coefficients[_STATIC_ROWS]
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterSet:
     """One p: `kind` of KINDS; `varied` (P,) which of NAMES differ from the default; coefficients (P, 1 + WAVES).
 
-    The coefficients are of values mapped to [-1, 1], see `fields`; zero after the first where a value is uniform.
+    The coefficients are of values mapped to [-1, 1]; zero after the first where a value is uniform.
     """
 
     kind: str
@@ -68,24 +110,35 @@ class ParameterSet:
         return tuple(name for name, varied in zip(NAMES, self.varied, strict=True) if varied)
 
     @property
+    def static(self) -> Floats:
+        """The coefficients of STATIC, shape (S, 1 + WAVES)."""
+        return static_of(self.coefficients)
+
+    @property
     def uniform(self) -> bool:
         """Whether no parameter varies over the face."""
         return not self.coefficients[:, 1:].any()
 
     def parameters(self, head: LayeredHead, mean: Surface) -> Parameters:
         """The parameters of a head whose skin has the vertices of the space's `mean`."""
-        waves = None if self.uniform else on_wraps(head, mean)
-        return Parameters(**{name: self._value(name, waves) for name in self.names})
+        values: dict[str, Any] = {name: self.level(name) for name in self.names}
+        if not self.uniform:
+            waves = on_wraps(head, mean)
+            for name in self.names:
+                row = self.coefficients[NAMES.index(name)].astype(np.float64)
+                if row[1:].any():
+                    values[name] = INFOS[name].denormalise(waves @ row)
+        return Parameters(**values)
+
+    def level(self, name: str) -> float:
+        """A parameter's value without its waves: the default where it does not differ."""
+        if name not in self.names:
+            return INFOS[name].default
+        return float(INFOS[name].denormalise(np.float64(self.coefficients[NAMES.index(name), 0])))
 
     def on_faces(self, mean: Surface) -> Floats:
         """All parameters, mapped to [-1, 1], on the faces of the mean skin, shape (faces, P)."""
         return np.clip(on_faces(mean) @ self.coefficients.T.astype(np.float64), -1.0, 1.0)
-
-    def _value(self, name: str, waves: Floats | None):
-        coefficients = self.coefficients[NAMES.index(name)].astype(np.float64)
-        if waves is None or not coefficients[1:].any():
-            return float(INFOS[name].denormalise(coefficients[0]))
-        return INFOS[name].denormalise(waves @ coefficients)
 
 
 def draw(rng: np.random.Generator, kind: str, *, field: bool) -> ParameterSet:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ...lhm.base.errors import InputError, shown
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.text import read_toml
 from ...lhm.base.limits import (
     ITERATIONS,
@@ -113,21 +113,21 @@ class CorpusPlan:
         PARAMETER_SETS.check("corpus plan identities * groups", self.identities * self.groups)
         PERSON_FRAMES.check("corpus plan groups * frames", self.groups * self.frames)
         if not isinstance(self.takes, str):
-            raise InputError(f"corpus plan takes: expected the name of a folder, got {shown(self.takes)}")
+            raise InputError(f"corpus plan takes: expected the name of a folder, got {quote(self.takes)}")
         if self.sequences > self.groups:
             raise InputError(f"corpus plan sequences: {self.sequences} for {self.groups} groups of a person")
         for name in ("responses", "parameter_responses", "varying", "inverted_share"):
             if not _is_share(getattr(self, name)):
-                raise InputError(f"corpus plan {name}: expected a share in [0, 1], got {shown(getattr(self, name))}")
+                raise InputError(f"corpus plan {name}: expected a share in [0, 1], got {quote(getattr(self, name))}")
         for name, known in (("kinds", KINDS), ("sources", SOURCES)):
             object.__setattr__(self, name, _shares(name, getattr(self, name), known))
         if self.sequences and not any(share for source, share in self.sources.items() if source not in STILL):
             raise InputError(f"corpus plan sources: sequences need another source than {', '.join(STILL)}")
         if not (isinstance(self.tolerance, float) and 0.0 < self.tolerance < 1.0):
-            raise InputError(f"corpus plan tolerance: expected a number in (0, 1), got {shown(self.tolerance)}")
+            raise InputError(f"corpus plan tolerance: expected a number in (0, 1), got {quote(self.tolerance)}")
         number = isinstance(self.seconds, (int, float)) and not isinstance(self.seconds, bool)
         if not (number and 1.0 <= self.seconds <= 3600.0):
-            raise InputError(f"corpus plan seconds: expected 1 to 3600, got {shown(self.seconds)}")
+            raise InputError(f"corpus plan seconds: expected 1 to 3600, got {quote(self.seconds)}")
 
     @property
     def tested(self) -> int:
@@ -274,11 +274,11 @@ class CorpusPlan:
         options = dict(options)
         preset = options.pop("preset", "small")
         if not isinstance(preset, str) or preset not in PRESETS:
-            raise InputError(f"corpus preset {shown(preset)!r}: there are {', '.join(PRESETS)}")
+            raise InputError(f"corpus preset {quote(preset)!r}: there are {', '.join(PRESETS)}")
         known = [item.name for item in fields(cls)]
         for name in options:
             if name not in known:
-                raise InputError(f"corpus plan: unknown option {shown(name)!r}; there are preset, {', '.join(known)}")
+                raise InputError(f"corpus plan: unknown option {quote(name)!r}; there are preset, {', '.join(known)}")
         return replace(PRESETS[preset], **options)
 
 
@@ -309,7 +309,7 @@ def _is_share(value: Any) -> bool:
 def _shares(name: str, given: Any, known: tuple[str, ...]) -> dict[str, float]:
     """Shares of all that is known, which add up to 1."""
     if not isinstance(given, Mapping) or set(given) - set(known) or not all(map(_is_share, given.values())):
-        raise InputError(f"corpus plan {name}: expected shares in [0, 1] of {', '.join(known)}, got {shown(given)}")
+        raise InputError(f"corpus plan {name}: expected shares in [0, 1] of {', '.join(known)}, got {quote(given)}")
     total = sum(given.values())
     if total <= 0:
         raise InputError(f"corpus plan {name}: all shares are zero")

@@ -9,10 +9,10 @@ from tempfile import TemporaryDirectory
 from ...lhm.expressions import ARKIT
 from .folder import CorpusStatus
 from .mixture import NAMES
-from .person import People
+from .people import People
 from .plan import LENGTH, CorpusPlan
+from .sequences import velocities_of
 from .simulate import simulate_person
-from .velocities import velocities_of
 
 VARIED = 9
 """Parameters of a set, about, in the mean over kinds."""

@@ -6,22 +6,28 @@ No file stays open between two rows, so nothing is shared across forks, and memo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...lhm.base.errors import InputError
-from ...lhm.base.mesh import Surface
+from ...lhm.base.mesh import Floats, Ints, Surface
 from ..surface_hash import surface_hash
+from .face import Derivatives, Face, Frames
 from .folder import shard_path
 from .intact import check_intact
-from .manifest import read_manifest
+from .manifest import read_manifest, read_template
+from .mixture import ParameterSet
+from .people import Person
 from .plan import SPLITS, Split
 from .shard import ACCEPTED, Place, places_of, read_arrays_of
-from .template import read_template
+
+if TYPE_CHECKING:
+    import torch
 
 Row = dict[str, Any]
 OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "groups/number", "persons/code")
@@ -126,6 +132,8 @@ class Table:
     @property
     def groups(self) -> NDArray[np.int64]:
         """Identity and number of the parameter set among the person's, of each row that has one, shape (rows, 2)."""
+        if self.table == "groups":
+            return self.rows
         return np.array([(k, self._people[k].small["group"][row]) for k, row in self.rows.tolist()])
 
     def __getitem__(self, index: int) -> Row:
@@ -150,8 +158,18 @@ class Table:
         identity, row = self.rows[index]
         return self._people[int(identity)].small[name][row]
 
+    def parameters(self, index: int) -> ParameterSet:
+        """The parameter set of a row's group."""
+        row = self.described(index)
+        return ParameterSet(row["kind"].decode(), row["varied"], row["coefficients"])
+
+    def person(self, identity: int) -> Person:
+        """A person's code, neutral skin and shapes."""
+        code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
+        return Person(code, self.skin(identity), self.shapes(identity), personal=self.template.shapes is None)
+
     def settled(self, identity: int, group: int) -> NDArray:
-        """By how much p moved a person's neutral skin [mm], shape (n, 3)."""
+        """How far p moves a person's neutral skin [mm], shape (n, 3)."""
         person = self._people[int(identity)]
         return person.settled.row(person.path, int(group))
 
@@ -172,3 +190,115 @@ def _accepted(small: dict[str, NDArray]) -> NDArray[np.int64]:
     if "status" not in small:
         return np.arange(len(next(iter(small.values()))))
     return np.flatnonzero(small["status"] == ACCEPTED.encode())
+
+
+class Faces:
+    """The faces of a split of a corpus, or of both; read as they are asked for.
+
+    Those with derivatives; of `table` "groups" all that settle. `partial`, `share` and errors: as of `Table`.
+    """
+
+    def __init__(
+        self,
+        folder: str | PathLike[str],
+        split: Split | None,
+        *,
+        table: Literal["responses", "groups"] = "responses",
+        partial: bool = False,
+        share: float = 1.0,
+    ):
+        self._table = Table(folder, table, split, partial=partial, share=share)
+        self._open_statics = lambda: Table(folder, "statics", split, partial=partial, share=share)
+        self.groups = self._table.groups
+
+    def __len__(self) -> int:
+        return len(self.groups)
+
+    @property
+    def folder(self) -> Path:
+        """The corpus' folder."""
+        return self._table.folder
+
+    @property
+    def mean(self) -> Surface:
+        """The mean skin of the space [mm]."""
+        return self._table.template.mean
+
+    @property
+    def space(self) -> str:
+        """The name of the people's space."""
+        return self._table.people
+
+    @property
+    def personal(self) -> bool:
+        """Whether each person has shapes of their own."""
+        return self._table.template.shapes is None
+
+    def code(self, index: int) -> Floats:
+        """The code (c,) of a face's person."""
+        return np.asarray(self._table.described(index)["code"], dtype=np.float64)
+
+    def coefficients(self, index: int) -> Floats:
+        """A face's coefficients of STATIC (P, 1 + WAVES)."""
+        return self._table.parameters(index).static
+
+    def face(self, index: int) -> Face:
+        """One face."""
+        row, (identity, group) = self._table[index], self.groups[index].tolist()
+        derivatives = None
+        if "expressions" in row:
+            derivatives = Derivatives(row["offset"], row["expressions"], bool(row["exact"]))
+        person, parameters = self._table.person(identity), self._table.parameters(index)
+        return Face(identity, person, parameters, self._table.settled(identity, group), derivatives)
+
+    def skin(self, identity: int) -> Surface:
+        """A person's neutral skin [mm]."""
+        return self._table.skin(identity)
+
+    @cached_property
+    def _statics(self) -> Table:
+        return self._open_statics()
+
+    @cached_property
+    def frames_of(self) -> list[Ints]:
+        """Rows of each face's accepted static frames; InputError where the split has none."""
+        rows: dict[tuple[int, int], list[int]] = {}
+        for row, (identity, group) in enumerate(self._statics.groups.tolist()):
+            rows.setdefault((identity, group), []).append(row)
+        return [np.array(rows.get(key, []), dtype=np.int64) for key in map(tuple, self.groups.tolist())]
+
+    def moved(self, index: int) -> list[float]:
+        """95 % of |T - S| [mm] in each of a face's static frames."""
+        return [float(self._statics.small(int(row), "moved")[1]) for row in self.frames_of[index]]
+
+    def frames(self, index: int, chosen: Ints | None = None) -> Frames:
+        """A face's accepted static frames, or those of the given numbers."""
+        rows = self.frames_of[index] if chosen is None else self.frames_of[index][chosen]
+        read = [self._statics[int(row)] for row in rows]
+        n = len(self.mean.vertices)
+        return Frames(
+            np.array([row["weights"] for row in read], dtype=np.float32).reshape(-1, 52),
+            np.array([row["corrected"] for row in read]).reshape(-1, n, 3),
+        )
+
+
+class CorpusDataset:
+    """The accepted rows of a table of a corpus as tensors, for torch's loaders; see `Table` for names and errors.
+
+    Texts are left out; T - S stays float16. Several workers may read: no file is open between two rows.
+    `partial`: of a corpus that is not complete, the people that are there.
+    """
+
+    def __init__(self, folder: str | PathLike[str], split: Split, *, table: str = "statics", partial: bool = False):
+        self.table = Table(folder, table, split, partial=partial)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+        import torch
+
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        row = self.table[index]
+        return {name: torch.as_tensor(np.asarray(value)) for name, value in row.items() if value.dtype.kind != "S"}

@@ -11,8 +11,8 @@ from ...lhm.base.mesh import Floats
 from ...reference import prepare
 from ...reference.face.facial import PD_ENERGY
 from ...reference.face.linearised import spring_norm
-from .group import Answer, Group
 from .shard import ACCEPTED
+from .simulator import Answer, FaceSimulator
 
 FEM_LAWS = (PD_ENERGY, "neo-Hookean")
 SMALL = 1e-2
@@ -30,20 +30,20 @@ class Reference:
     iterations: int = 0
 
 
-def references(group: Group, weights: Floats, answer: Answer) -> list[Reference]:
+def references(face: FaceSimulator, weights: Floats, answer: Answer) -> list[Reference]:
     """Solve a frame by FEniCSx with each of FEM_LAWS, each on the neutral face that has settled by that law.
 
     FEniCSx starts at the answer of projective dynamics, or at the settled face where that answer has inverted tets.
     """
-    positions = group.solve(weights).positions
-    return [_reference(group, weights, positions, answer, law) for law in FEM_LAWS]
+    positions = face.solve(weights).positions
+    return [_reference(face, weights, positions, answer, law) for law in FEM_LAWS]
 
 
-def _reference(group: Group, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
+def _reference(face: FaceSimulator, weights: Floats, positions: Floats, answer: Answer, law: str) -> Reference:
     none = np.zeros(answer.corrected.shape, dtype=np.float16)
-    expression = group.expression(weights)
+    expression = face.expression(weights)
     try:
-        neutral = group.neutral if law == PD_ENERGY else group.neutral_under(law)
+        neutral = face.neutral if law == PD_ENERGY else face.neutral_under(law)
         if not neutral.converged:
             raise SceneError(f"settling: {neutral.reason}")
         scene = neutral.scene(expression)

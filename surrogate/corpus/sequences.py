@@ -1,21 +1,31 @@
-"""Sixteen consecutive frames with inertia (SoftDECA 3.4), from a random velocity."""
+"""Sixteen consecutive frames with inertia, begun with a velocity of one long run of the corpus (SoftDECA 3.4)."""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from ...lhm.base.errors import SoftdecaError
+from ...lhm.base.errors import InputError, SoftdecaError
+from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.mesh import Floats
-from ...lhm.expressions import Take, rotations
+from ...lhm.base.progress import OnProgress, silent
+from ...lhm.expressions import Take, conversation, rotations
 from ...lhm.head import LayeredHead
-from ...reference import Sequence
+from ...reference import Parameters, Sequence, settled
 from ...reference.face.base import turns_before
 from ...reference.face.velocities import Velocities, plausible
-from .group import Answer, Group
-from .plan import LENGTH, RATE, CorpusPlan
+from ...reference.face.velocities import run as run_velocities
+from .people import People, Person
+from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
+from .simulator import Answer, FaceSimulator
+
+RUN = "velocities.npz"
+RUN_TOLERANCE = 5e-4
+"""Of the run: what its velocities are good for are starts that nobody has measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,19 +53,19 @@ class Rolled:
 
 
 def rolled(
-    plan: CorpusPlan, group: Group, take: Take, first: int, velocities: Velocities, rng: np.random.Generator
+    plan: CorpusPlan, face: FaceSimulator, take: Take, first: int, velocities: Velocities, rng: np.random.Generator
 ) -> Rolled:
     """Simulate the frames from `first` on, begun with a random one of the velocities; a failure is a status."""
-    n = len(group.person.skin.vertices)
+    n = len(face.person.skin.vertices)
     weights, turned = _driven(take, first)
     try:
-        velocity = _velocity(group.head, velocities, rng)
-        running = Sequence.of(group.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
-        expressions = [group.expression(w) for w in weights]
+        velocity = _velocity(face.head, velocities, rng)
+        running = Sequence.of(face.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
+        expressions = [face.expression(w) for w in weights]
         begun = running.begin(expressions[0], velocity=velocity, base=turns_before(turned))
-        at_rest = group.corrected(weights[0], begun.positions)
+        at_rest = face.corrected(weights[0], begun.positions)
         frames = zip(weights, expressions, turned, strict=True)
-        answers = [group.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
+        answers = [face.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
     except SoftdecaError as error:
         return Rolled.failed(f"sequence: {error}", take, first, n)
     return Rolled(
@@ -91,3 +101,44 @@ def _driven(take: Take, first: int) -> tuple[Floats, Floats]:
 def _status(answers: list[Answer]) -> str:
     bad = [(k, one.status) for k, one in enumerate(answers) if one.status != ACCEPTED]
     return f"frame {bad[0][0]}: {bad[0][1]}" if bad else ACCEPTED
+
+
+def velocities_of(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
+    """The velocities of a run of `plan.run` frames of made-up conversation on the plan's first person, default p.
+
+    Kept in the corpus' folder; made anew where the file is missing, damaged or of another plan.
+    """
+    path = folder / RUN
+    owner = f"{plan.digest}-{people.name}"
+    try:
+        arrays = read_arrays(path, "local", "owner", "checksum", of="the velocities of a corpus")
+        if str(arrays["owner"]) == owner and str(arrays["checksum"]) == _checksum(arrays["local"]):
+            return Velocities(arrays["local"].astype(np.float32))
+    except InputError:
+        pass
+    local = _run(plan, people, on_progress).local.astype(np.float16)
+    write_arrays(path, {"local": local, "owner": np.array(owner), "checksum": np.array(_checksum(local))})
+    return Velocities(local.astype(np.float32))
+
+
+def _checksum(local: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(local).tobytes()).hexdigest()
+
+
+def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:
+    person = people.person(plan.rng(VELOCITIES))
+    weights = conversation(plan.rng(VELOCITIES, 1), plan.run, rate=RATE)
+    running = Sequence.of(
+        settled(people.head(person), Parameters()), time_step=1.0 / RATE, dynamic=True, tolerance=RUN_TOLERANCE
+    )
+
+    def expressions():
+        for number, w in enumerate(weights):
+            yield _expression(person, w)
+            on_progress(f"a long run: frame {number + 1} of {plan.run}", (number + 1) / plan.run)
+
+    return run_velocities(running, expressions())
+
+
+def _expression(person: Person, weights: np.ndarray) -> np.ndarray:
+    return person.skin.vertices + np.tensordot(weights, person.shapes, axes=1)

@@ -13,6 +13,7 @@ import io
 import json
 import os
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
@@ -27,12 +28,15 @@ from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.text import read_json
 from ...lhm.base.limits import SHARD_BYTES
 from ...lhm.base.mesh import Floats
+from .mixture import NAMES, WAVES
+from .plan import LENGTH
 
 ACCEPTED = "accepted"
 FORMAT = 1
 """Of the file, and of what its arrays mean; raised when either changes."""
 LONGEST = 200
 """Characters of a status."""
+WEIGHTS = 52
 _REMEDY = "`softdeca corpus generate` makes it anew"
 
 Halves = NDArray[np.float16]
@@ -41,33 +45,71 @@ Numbers = NDArray[np.int64]
 Texts = NDArray[np.bytes_]
 
 
-def texts(values) -> Texts:
-    """Texts as ASCII of at most LONGEST characters."""
-    return np.array([str(value).encode("ascii", "replace")[:LONGEST] for value in values], dtype=f"S{LONGEST}")
+@dataclass(frozen=True)
+class Column:
+    """What a column of a table has in each row: its type, and lengths of axes; None is any, VERTICES the skin's.
+
+    large: left in the file by readers until a row is asked for. low, high: the range of its numbers, where one is told.
+    below: its numbers are rows of that table.
+    """
+
+    dtype: np.dtype
+    shape: tuple[int | None, ...]
+    large: bool
+    low: float
+    high: float
+    below: str
+
+
+VERTICES = -1
+FARTHEST = 1e5
+"""[mm] Of a vertex, and of a number of a code or a coefficient, whatever its unit."""
+
+
+def column(
+    dtype: Any,
+    *shape: int | None,
+    large: bool = False,
+    low: float = -np.inf,
+    high: float = np.inf,
+    below: str = "",
+) -> Any:
+    """A field of a table; see `Column`."""
+    return field(metadata={"column": Column(np.dtype(dtype), shape, large, low, high, below)})
+
+
+def text_column() -> Any:
+    """A field of texts."""
+    return column(f"S{LONGEST}")
+
+
+def columns_of(kind: type) -> dict[str, Column]:
+    """The columns of a table's class by name."""
+    return {item.name: item.metadata["column"] for item in fields(kind)}
 
 
 @dataclass(frozen=True, eq=False)
 class Persons:
     """The one person: code (1, c), neutral skin (1, n, 3) [mm], and shapes (0 or 1, 52, n, 3) [mm], if personal."""
 
-    code: Floats
-    skin: Singles
-    shapes: Halves
+    code: Floats = column(np.float64, None, low=-FARTHEST, high=FARTHEST)
+    skin: Singles = column(np.float32, VERTICES, 3, large=True, low=-FARTHEST, high=FARTHEST)
+    shapes: Halves = column(np.float16, WEIGHTS, VERTICES, 3, large=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Groups:
     """The G parameter sets: number of the plan, kind, varied (G, P), coefficients (G, P, 1 + WAVES), see `mixture`.
 
-    settled (G, n, 3) [mm]: by how much the neutral skin moved; status: accepted, or why it did not settle.
+    settled (G, n, 3) [mm]: how far the neutral skin moved; status: accepted, or why it did not settle.
     """
 
-    number: Numbers
-    kind: Texts
-    varied: NDArray[np.bool_]
-    coefficients: Singles
-    settled: Halves
-    status: Texts
+    number: Numbers = column(np.int64)
+    kind: Texts = text_column()
+    varied: NDArray[np.bool_] = column(bool, len(NAMES))
+    coefficients: Singles = column(np.float32, len(NAMES), 1 + WAVES, low=-FARTHEST, high=FARTHEST)
+    settled: Halves = column(np.float16, VERTICES, 3, large=True)
+    status: Texts = text_column()
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,42 +121,42 @@ class Statics:
     of the simulated skin wrap that cross.
     """
 
-    group: Numbers
-    recording: Texts
-    frame: Numbers
-    weights: Singles
-    corrected: Halves
-    moved: Singles
-    status: Texts
-    iterations: Numbers
-    residual: Singles
-    smallest_volume_ratio: Singles
-    inverted: Numbers
-    crossings: Numbers
+    group: Numbers = column(np.int64, below="groups")
+    recording: Texts = text_column()
+    frame: Numbers = column(np.int64)
+    weights: Singles = column(np.float32, WEIGHTS, low=0.0, high=1.0)
+    corrected: Halves = column(np.float16, VERTICES, 3, large=True)
+    moved: Singles = column(np.float32, 2)
+    status: Texts = text_column()
+    iterations: Numbers = column(np.int64)
+    residual: Singles = column(np.float32)
+    smallest_volume_ratio: Singles = column(np.float32)
+    inverted: Numbers = column(np.int64)
+    crossings: Numbers = column(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Sequences:
-    """The Q sequences of L frames: as Statics, with an axis L; and what was before them.
+    """The Q sequences of L frames: as Statics, with an axis L; and the two frames before them.
 
     before (Q, 2, n, 3) [mm]: the skins of the two frames before the first, less S of the first; rotations
     (Q, L, 3, 3): of the head in the room, by which its flesh was shaken (see `reference.face.base`; in the two frames
     before by `turns_before` of these). A sequence is accepted as a whole.
     """
 
-    group: Numbers
-    recording: Texts
-    frame: Numbers
-    weights: Singles
-    rotations: Singles
-    before: Halves
-    corrected: Halves
-    status: Texts
-    iterations: Numbers
-    residual: Singles
-    smallest_volume_ratio: Singles
-    inverted: Numbers
-    crossings: Numbers
+    group: Numbers = column(np.int64, below="groups")
+    recording: Texts = text_column()
+    frame: Numbers = column(np.int64)
+    weights: Singles = column(np.float32, LENGTH, WEIGHTS, low=0.0, high=1.0)
+    rotations: Singles = column(np.float32, LENGTH, 3, 3, low=-1.001, high=1.001)
+    before: Halves = column(np.float16, 2, VERTICES, 3, large=True)
+    corrected: Halves = column(np.float16, LENGTH, VERTICES, 3, large=True)
+    status: Texts = text_column()
+    iterations: Numbers = column(np.int64, LENGTH)
+    residual: Singles = column(np.float32, LENGTH)
+    smallest_volume_ratio: Singles = column(np.float32, LENGTH)
+    inverted: Numbers = column(np.int64, LENGTH)
+    crossings: Numbers = column(np.int64, LENGTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +166,10 @@ class Responses:
     offset (R, n, 3) [mm]: T - S at w = 0; expressions (R, 52, n, 3) [mm]: d(T - S)/dw.
     """
 
-    group: Numbers
-    exact: NDArray[np.bool_]
-    offset: Halves
-    expressions: Halves
+    group: Numbers = column(np.int64, below="groups")
+    exact: NDArray[np.bool_] = column(bool)
+    offset: Halves = column(np.float16, VERTICES, 3, large=True)
+    expressions: Halves = column(np.float16, WEIGHTS, VERTICES, 3, large=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,20 +179,20 @@ class ParameterResponses:
     Per unit of the parameter mapped to [-1, 1], of a field by shifting it as a whole.
     """
 
-    group: Numbers
-    name: Texts
-    change: Halves
+    group: Numbers = column(np.int64, below="groups")
+    name: Texts = text_column()
+    change: Halves = column(np.float16, VERTICES, 3, large=True)
 
 
 @dataclass(frozen=True, eq=False)
 class References:
     """The M answers of FEniCSx: static (row of Statics), law ("PD" or "neo-Hookean"), corrected = T - S (M, n, 3)."""
 
-    static: Numbers
-    law: Texts
-    corrected: Halves
-    status: Texts
-    iterations: Numbers
+    static: Numbers = column(np.int64, below="statics")
+    law: Texts = text_column()
+    corrected: Halves = column(np.float16, VERTICES, 3, large=True)
+    status: Texts = text_column()
+    iterations: Numbers = column(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +221,24 @@ class Shard:
 
 
 TABLES: dict[str, type] = {name: kind for name, kind in get_type_hints(Shard).items() if name != "seconds"}
+
+
+def stack_rows(kind: type, rows: Sequence[Mapping[str, Any]], vertices: int) -> Any:
+    """Make a table of rows, each a value by column's name; texts become ASCII of at most LONGEST characters.
+
+    A column that no row has is empty.
+    """
+    arrays = {}
+    for name, column in columns_of(kind).items():
+        values = [row[name] for row in rows if name in row]
+        if column.dtype.kind == "S":
+            values = [str(value).encode("ascii", "replace")[:LONGEST] for value in values]
+        if values:
+            arrays[name] = np.array(values, dtype=column.dtype)
+        else:
+            lengths = (vertices if length == VERTICES else length or 0 for length in column.shape)
+            arrays[name] = np.zeros((0, *lengths), dtype=column.dtype)
+    return kind(**arrays)
 
 
 def write_shard(path: Path, shard: Shard, owner: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,11 +17,13 @@ from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
 from ...reference.face.palsy import kept_share, left_share
 from ...reference.face.settling import GROWING
-from ..corpus.fields import basis
-from ..corpus.mixture import NAMES
+from ..corpus.mixture import STATIC, basis
 
-STATIC = tuple(name for name in NAMES if name not in ("frequency", "damping"))
-"""The parameters that a static frame depends on, in the order of the columns here."""
+if TYPE_CHECKING:
+    from ..corpus.face import Face
+    from ..corpus.reading import Faces
+    from .weights import ModalWeights
+
 POINTS = 24
 """Places at which the summary has what varies over the face."""
 DEPTH = 30.0
@@ -93,7 +96,7 @@ class Features:
         return np.array(chosen[:POINTS])
 
     def at_vertices(self, coefficients: Floats) -> Floats:
-        """The p at the vertices, shape (n, P), of coefficients (P, 1 + WAVES), see `corpus.fields`."""
+        """The p at the vertices, shape (n, P), of coefficients (P, 1 + WAVES), see `corpus.mixture`."""
         return np.clip(self._basis @ np.asarray(coefficients, dtype=np.float64).T, -1.0, 1.0)
 
     def mirrored(self, at_vertices: Floats) -> Floats:
@@ -157,6 +160,39 @@ class Features:
 def normalised_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
     """A code (c,) as the network has it: all of it counts about as much as a few parameters."""
     return 0.5 * (np.asarray(code, dtype=np.float64) - mean) / scale
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Features of faces, for a network: `code_mean` and `code_scale` (c,) normalise codes."""
+
+    features: Features
+    code_mean: Floats
+    code_scale: Floats
+
+    @classmethod
+    def of(cls, faces: Faces) -> Inputs:
+        """From the codes of all faces."""
+        codes = np.array([faces.code(k) for k in range(len(faces))])
+        people = np.unique(faces.groups[:, 0], return_index=True)[1]
+        return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
+
+    @classmethod
+    def as_of(cls, weights: ModalWeights) -> Inputs:
+        """As trained weights have them."""
+        return cls(Features(weights.mean), weights.code_mean, weights.code_scale)
+
+    def code(self, code: Floats) -> Floats:
+        """See `normalised_code`."""
+        return normalised_code(code, self.code_mean, self.code_scale)
+
+    def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
+        """See `Features.summary`."""
+        return self.features.summary(self.code(code), at_vertices)
+
+    def summary_of(self, face: Face) -> Floats32:
+        """The summary of a face of a corpus."""
+        return self.summary(face.code, self.features.at_vertices(face.coefficients))
 
 
 def _by_default(at_vertices: Floats, columns: tuple[int, ...]) -> Floats:

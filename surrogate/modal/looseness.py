@@ -14,7 +14,7 @@ from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.base import pivot
 from ...reference.face.inertia import loose
-from ..corpus.person import People
+from ..corpus.people import People
 
 PEOPLE = 96
 SEED = 41

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ...lhm.base.checks import finite, of_kind, shape
+from ...lhm.base.checks import array_of_kind, finite, shape
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Surface
 from .features import EFFECTS, Features
@@ -69,7 +69,7 @@ def check_network(network: Mapping[str, np.ndarray], mean: Surface, code_size: i
         word = "missing" if missing[0] in _ARRAYS else "not known"
         raise InputError(f"array {missing[0]!r} of the network is {word}")
     for name in _ARRAYS:
-        finite(f"network {name}", of_kind(f"network {name}", network[name], "f", "real numbers"), most=LARGEST)
+        finite(f"network {name}", array_of_kind(f"network {name}", network[name], "f", "real numbers"), most=LARGEST)
     own = {
         name: len(array)
         for name, array in (

@@ -14,11 +14,13 @@ import numpy as np
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ...lhm.base.progress import OnProgress, silent
+from ..corpus.face import Face
+from ..corpus.mixture import STATIC
+from ..corpus.reading import Faces
 from ..learning import keep_state, kept_state, torch
 from ..processes import ALONE, Processes, processes
 from ..surface_hash import surface_hash
-from .faces import Face, Faces, Inputs, Neutral, Neutrals
-from .features import EFFECTS, STATIC, Features
+from .features import EFFECTS, Features, Inputs
 from .network import NEUTRAL, WEIGHTS, ModalConfig, ModalNetwork, start_positions
 from .principal import principal
 from .weights import ModalWeights, TrainingNote
@@ -75,7 +77,7 @@ def train_modal(
     faces: Faces,
     config: ModalTraining | None = None,
     *,
-    neutrals: Neutrals | None = None,
+    neutrals: Faces | None = None,
     start: ModalWeights | None = None,
     state: str | PathLike[str] | None = None,
     on_progress: OnProgress = silent,
@@ -119,7 +121,7 @@ class _Loop:
         self,
         faces: Faces,
         config: ModalTraining,
-        neutrals: Neutrals | None = None,
+        neutrals: Faces | None = None,
         group: Processes = ALONE,
         start: ModalWeights | None = None,
     ):
@@ -242,7 +244,7 @@ class _Loop:
         own = network.neutral(0, hidden, summary, unmoved, self._effects(p, skins, vertices), vertices)
         return _distance(own - self._tensor(settled))
 
-    def _some_neutrals(self, rng) -> list[Neutral]:
+    def _some_neutrals(self, rng) -> list[Face]:
         if self.neutrals is None:
             return []
         return [self.neutrals.face(int(k)) for k in rng.choice(len(self.neutrals), self.config.neutrals)]
@@ -365,7 +367,7 @@ def _hull(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, 
 
 def _again(start: ModalWeights, faces: Faces, inputs: Inputs, config: ModalTraining) -> ModalNetwork:
     """The network of earlier weights; InputError where they do not fit."""
-    faces.check_mesh(start)
+    start.check_mesh(faces.mean)
     n3 = 3 * len(faces.mean.vertices)
     network = ModalNetwork(
         config.network,
@@ -385,12 +387,12 @@ def _again(start: ModalWeights, faces: Faces, inputs: Inputs, config: ModalTrain
 
 
 def _started(
-    faces: Faces, training, neutrals: Neutrals | None, inputs: Inputs, config: ModalTraining, rng: np.random.Generator
+    faces: Faces, training, neutrals: Faces | None, inputs: Inputs, config: ModalTraining, rng: np.random.Generator
 ) -> ModalNetwork:
     """The network with modes and linear amplitudes from principal components of what it learns."""
     n3 = 3 * len(faces.mean.vertices)
     known = [faces.face(int(index)) for index in rng.permutation(training)[: config.sampled]]
-    settling: list[Face | Neutral] = [*known]
+    settling: list[Face] = [*known]
     if neutrals is not None:
         settling += [neutrals.face(int(k)) for k in rng.permutation(len(neutrals))[: 4 * config.sampled]]
     features = inputs.features
@@ -435,7 +437,7 @@ def _started(
     return network
 
 
-def _settling(face: Face | Neutral, features: Features, *, mirrored: bool = False) -> Move:
+def _settling(face: Face, features: Features, *, mirrored: bool = False) -> Move:
     """What a face settles under, its skin, and how far it goes; or of its mirror image."""
     at_vertices, skin, move = features.without_palsy(features.at_vertices(face.coefficients)), face.skin, face.settled
     if mirrored:
@@ -447,7 +449,7 @@ def _relaxing(face: Face, features: Features) -> Move:
     return features.at_vertices(face.coefficients), face.skin, face.relaxed
 
 
-def _moved_summaries(faces: Sequence[Face | Neutral], moves: Sequence[Move], inputs: Inputs) -> Floats32:
+def _moved_summaries(faces: Sequence[Face], moves: Sequence[Move], inputs: Inputs) -> Floats32:
     """How far each face's summary is from that of nothing moved, a row each."""
     rows = []
     for face, (at_vertices, *_) in zip(faces, moves, strict=True):

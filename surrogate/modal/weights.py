@@ -14,14 +14,14 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from ...lhm.base.checks import finite, in_range, text, whole
-from ...lhm.base.errors import InputError, plain, shown
+from ...lhm.base.checks import finite, in_range, integers, text
+from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.text import parse_json, read_bytes
 from ...lhm.base.limits import CURVE_POINTS, WEIGHTS_BYTES
 from ...lhm.base.mesh import Floats, Surface
+from ..corpus.mixture import STATIC
 from ..surface_hash import surface_hash
-from .features import STATIC
 from .looseness import Looseness
 from .shapes import check_network
 
@@ -74,6 +74,13 @@ class ModalWeights:
         """The hash of the mean skin."""
         return surface_hash(self.mean)
 
+    def check_mesh(self, mean: Surface) -> None:
+        """Raise InputError for faces over another mean skin."""
+        if self.template != surface_hash(mean):
+            raise InputError(
+                f"weights: of a mean skin of {len(self.mean.vertices)} vertices, not of the corpus' space and level"
+            )
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write one .safetensors file; `path` is whole or as it was.
 
@@ -113,7 +120,7 @@ class ModalWeights:
             size = int.from_bytes(content[:8], "little")
             about = parse_json(parse_json(content[8 : 8 + size])["__metadata__"]["softdeca"])
             if about["format"] != FORMAT:
-                raise InputError(f"format {shown(about['format'])!r}, this version reads {FORMAT!r}")
+                raise InputError(f"format {quote(about['format'])!r}, this version reads {FORMAT!r}")
             if tuple(about["parameters"]) != STATIC:
                 raise InputError("of other parameters than this version has; train them anew")
             arrays = load(content)
@@ -121,7 +128,7 @@ class ModalWeights:
                 raise InputError("their numbers do not match their checksum")
             return cls._checked(about, arrays)
         except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-            said = plain(" ".join(str(error).split()))[:200] or type(error).__name__
+            said = escape(" ".join(str(error).split()))[:200] or type(error).__name__
             raise InputError(f"weights {path}: damaged, or no weights of softdeca ({said})") from None
 
     @classmethod
@@ -140,7 +147,7 @@ class ModalWeights:
         loose = _looseness(arrays, len(code_mean), len(mean.vertices))
         weights = cls(text("space", about["space"]), mean, code_mean, code_scale, network, _note(about["note"]), loose)
         if weights.template != about["template"]:
-            named = shown(about["template"])
+            named = quote(about["template"])
             raise InputError(f"their mesh is not the one they name ({named}); train them anew")
         return weights
 
@@ -158,7 +165,7 @@ def _note(said: Mapping[str, Any]) -> TrainingNote:
     """The note of a training, its counts, curve and ranges checked."""
     counts = {name: said[name] for name in ("people", "faces", "frames", "neutrals", "steps")}
     for name, count in counts.items():
-        whole(f"note {name}", count, 0, 2**53, ())
+        integers(f"note {name}", count, 0, 2**53, ())
     curve = said["curve"]
     CURVE_POINTS.check("note curve", len(curve))
     for point in curve:
@@ -167,9 +174,9 @@ def _note(said: Mapping[str, Any]) -> TrainingNote:
         raise InputError("note curve: no point with its seconds")
     unknown = set(said["seen"]) ^ set(STATIC)
     if unknown:
-        raise InputError(f"note seen: {shown(min(unknown))} is not known, or missing")
+        raise InputError(f"note seen: {quote(min(unknown))} is not known, or missing")
     seen = {name: tuple(in_range(f"note seen {name}", said["seen"][name], -1.0, 1.0, (2,)).tolist()) for name in STATIC}
-    held = whole("note held", np.array(said.get("held", ()), dtype=np.int64), 0, 2**53, (None,)).tolist()
+    held = integers("note held", np.array(said.get("held", ()), dtype=np.int64), 0, 2**53, (None,)).tolist()
     config, before = said["config"], said.get("before")
     if not isinstance(config, dict) or not isinstance(before, (dict, type(None))):
         raise InputError("note config and before: expected objects")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...lhm import identities
-from ...lhm.base.checks import checked
+from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError
 from ...lhm.base.geometry.deformation import DeformationTransfer, weighted_edges
 from ...lhm.base.mesh import Floats, Floats32, Surface
@@ -36,7 +36,7 @@ class HypernetworkSurrogate:
         self._transfer = DeformationTransfer(checkpoint.reference, checkpoint.anchors, dtype=np.float32)
 
     @classmethod
-    @checked
+    @check_arguments
     def load(cls, path: str | PathLike[str]) -> HypernetworkSurrogate:
         """Read a checkpoint. InputError if it is missing or damaged."""
         return cls(Checkpoint.load(path))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..modal.faces import Face, Faces
+from ..corpus.face import Face
+from ..corpus.reading import Faces
 from .protocol import Bound, Takes
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..carried import Heads
-from ..modal.faces import Face, Faces
+from ..corpus.face import Face
+from ..corpus.reading import Faces
+from ..heads import Heads
 from .protocol import Bound, Takes
 
 

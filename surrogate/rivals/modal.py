@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..corpus.face import Face
+from ..corpus.reading import Faces
 from ..modal.compressed import compressed
-from ..modal.faces import Face, Faces
 from ..modal.rig import Modal
 from ..modal.weights import ModalWeights
 from .protocol import Bound, Takes

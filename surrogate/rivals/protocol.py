@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Literal, Protocol
 
 from ...lhm.base.mesh import Floats32
-from ..modal.faces import Face, Faces
+from ..corpus.face import Face
+from ..corpus.reading import Faces
 
 Bound = Callable[[Floats32], Floats32]
 """T - S [mm], shape (F, n, 3), of weights (F, 52), for one person and p."""

@@ -6,7 +6,9 @@ import numpy as np
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
-from ..modal.faces import Face, Faces, Inputs
+from ..corpus.face import Face
+from ..corpus.reading import Faces
+from ..modal.features import Inputs
 from .protocol import Bound, Takes
 
 LENGTHS = (0.5, 1.0, 2.0, 4.0)

@@ -7,8 +7,10 @@ from typing import Literal
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ..modal.faces import Face, Faces, Inputs
-from ..modal.features import STATIC
+from ..corpus.face import Face
+from ..corpus.mixture import STATIC
+from ..corpus.reading import Faces
+from ..modal.features import Inputs
 from ..modal.principal import principal
 from .protocol import Bound, Takes
 

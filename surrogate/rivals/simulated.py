@@ -6,9 +6,10 @@ import numpy as np
 
 from ...lhm.base.mesh import Floats
 from ...reference.face.linearised import Linearised, spring_norm
-from ..carried import Heads
+from ..corpus.face import Face
+from ..corpus.reading import Faces
+from ..heads import Heads
 from ..linear import linearised_face
-from ..modal.faces import Face, Faces
 from .protocol import Bound, Takes
 
 TOLERANCE, MOST = 5e-4, 200

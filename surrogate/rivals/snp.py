@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32
-from ..corpus.mixture import NAMES
+from ..corpus.mixture import NAMES, static_of
 from ..corpus.reading import Row, Table
 from ..dynamics import OSCILLATION
 from ..learning import torch
-from ..modal.faces import Inputs, static_of
-from ..modal.features import Features
+from ..modal.features import Features, Inputs
 from ..modal.principal import principal
 from .trained import SEED, STEPS, perceptron
 

@@ -7,8 +7,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from ...lhm.base.mesh import Floats32, Ints
+from ..corpus.face import Face
+from ..corpus.reading import Faces
 from ..learning import nn, torch
-from ..modal.faces import Face, Faces, Inputs
+from ..modal.features import Inputs
 from .protocol import Bound, Takes
 
 FRAMES, STEPS, BATCH, VERTICES, RATE = 6000, 1500, 32, 512, 2e-3

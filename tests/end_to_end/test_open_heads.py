@@ -5,7 +5,7 @@ import pytest
 
 from softdeca.lhm import Surface, check_head, identities, load_template, scans
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.base.geometry.topology import closed, openings
+from softdeca.lhm.base.geometry.topology import close_openings, find_openings
 from softdeca.lhm.identities.space import EYES, MOUTH, OUTSIDE
 from softdeca.lhm.scans.eyes import SIDES
 
@@ -35,7 +35,7 @@ def test_a_rigs_open_head_is_fitted_and_stays_open(name, request, tmp_path):
     assert any("z is up, x the front" in note for note in head.notes), head.notes
     assert len(head.skin.vertices) == len(np.unique(kept))
     # Neck, mouth and two eyes.
-    assert len(openings(head.skin.triangles)) == len(openings(kept)) >= 4
+    assert len(find_openings(head.skin.triangles)) == len(find_openings(kept)) >= 4
     assert check_head(head).problems == ()
     assert not any("sealed" in note or "closed" in note for note in head.notes), head.notes
 
@@ -44,7 +44,7 @@ def test_a_head_sealed_at_mouth_and_lids_is_opened_and_says_what_stays_still(dat
     space = identities.from_text(f"ict:{data / 'ict_facekit.npz'}")
     drawn = space.mean.vertices + space.expressions[[ARKIT.index(f"eyeBlink{side}") for side in SIDES]].sum(axis=0)
     hidden = np.isin(space.parts, (MOUTH, EYES))[space.mean.triangles].any(axis=1)
-    skin = closed(Surface(drawn, space.mean.triangles[~hidden]))
+    skin = close_openings(Surface(drawn, space.mean.triangles[~hidden]))
     path = tmp_path / "head.obj"
     path.write_text(obj(skin.vertices @ TURNED.T / 10, skin.triangles, 3))
     head = scans.fit_scan(path, load_template(level=1))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import check_head, expressions, identities, load_template
-from softdeca.lhm.base.geometry.topology import openings
+from softdeca.lhm.base.geometry.topology import find_openings
 from softdeca.lhm.head_file import load_head
 from softdeca.lhm.registration import landmark_ids
 
@@ -68,7 +68,7 @@ def test_the_fit_says_what_it_found(fitted):
 
 def test_it_keeps_its_topology_openings_and_registration(fitted, person):
     head = load_head(fitted[0])
-    assert len(openings(head.skin.triangles)) == 1
+    assert len(find_openings(head.skin.triangles)) == 1
     assert check_head(head).problems == ()
     assert head.registered.vertices.shape == person.vertices.shape
     assert head.rig.source == "transferred from anny" and head.rig.missing == ()

@@ -10,7 +10,7 @@ from softdeca.benchmarks.harness.machine import lacks
 from softdeca.benchmarks.surrogates import READY
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.sphere import Spheres
 

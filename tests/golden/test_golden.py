@@ -127,7 +127,7 @@ def network() -> Numbers:
 def corpus() -> Numbers:
     """A shard of people who are spheres: what frames, sequences and derivatives hold."""
     from softdeca.surrogate.corpus.folder import Corpus
-    from softdeca.surrogate.corpus.person import OfSpace
+    from softdeca.surrogate.corpus.people import OfSpace
     from softdeca.surrogate.corpus.plan import PRESETS
     from softdeca.surrogate.corpus.reading import Table
     from softdeca.surrogate.sphere import Spheres

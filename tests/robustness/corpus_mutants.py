@@ -30,10 +30,11 @@ from softdeca.reference.face.parameters import Parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus, status_of, verify_folder
 from softdeca.surrogate.corpus.manifest import read_manifest
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.mixture import STATIC
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan, read_plan
 from softdeca.surrogate.corpus.reading import Table
-from softdeca.surrogate.modal.features import STATIC, Features
+from softdeca.surrogate.modal.features import Features
 from softdeca.surrogate.modal.shapes import array_shapes
 from softdeca.surrogate.modal.weights import ModalWeights, TrainingNote
 from softdeca.surrogate.sphere import Spheres

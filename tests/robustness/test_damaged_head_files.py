@@ -144,8 +144,8 @@ def test_a_damaged_template_is_refused(tmp_path, whole, name):
 
 
 def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypatch):
-    """Of right arrays with wrong values too: `cached_as` asks the reader."""
-    from softdeca.lhm.base.files.cache import cached_as
+    """Of right arrays with wrong values too: `load_or_make` asks the reader."""
+    from softdeca.lhm.base.files.cache import load_or_make
     from softdeca.lhm.template_file import template_from
 
     monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
@@ -157,5 +157,5 @@ def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypat
         return whole["template"]
 
     for _ in range(2):
-        assert cached_as("thing", make, template_from).parts.max() <= 3
+        assert load_or_make("thing", make, template_from).parts.max() <= 3
     assert made == [1]

@@ -14,7 +14,7 @@ from softdeca.lhm import identities, load_template
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.geometry.bvh import TriangleTree
-from softdeca.lhm.base.geometry.topology import openings
+from softdeca.lhm.base.geometry.topology import find_openings
 from softdeca.lhm.head_file import check_file, load_head
 from softdeca.lhm.scans.repair import repaired
 
@@ -215,7 +215,7 @@ def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, 
     x, triangles = space.mean.vertices, space.triangles
     holes = x[cKDTree(x).query([[-50.0, -20, 50], [0, 115, 60]])[1]]
     torn = triangles[(np.linalg.norm(x[triangles][:, :, None] - holes, axis=3) > 9.0).all(axis=(1, 2))]
-    assert len(openings(torn)) == 2
+    assert len(find_openings(torn)) == 2
     torn = np.vstack([np.where(RNG.random((len(torn), 1)) < 0.5, torn, torn[:, ::-1]), torn[:40], [[0, 1, 1]]])
     order = RNG.permutation(len(x))
     rough = x + 0.15 * RNG.standard_normal(x.shape)
@@ -223,7 +223,7 @@ def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, 
     ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
     assert ended.status == 0, ended.errors
     head = load_head(out)
-    assert check_file(out).problems == () and len(openings(head.skin.triangles)) == 2
+    assert check_file(out).problems == () and len(find_openings(head.skin.triangles)) == 2
     assert any("taken for in" in note for note in head.notes)
     # The same skin again, upright and in millimetres, and its expressions those of the head that it was.
     used = np.unique(torn)

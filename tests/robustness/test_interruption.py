@@ -30,7 +30,7 @@ BARE = WITHOUT.format(missing=("dolfinx", "basix", "ufl", "torch", "anny"))
 CORPUS = """
 import sys
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.schedule import schedule
 from softdeca.surrogate.sphere import Spheres

@@ -12,7 +12,7 @@ from softdeca.lhm.anatomy.placement import THICKEST, part_of, place, without_poc
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
-from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplified, zero_surface
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplify, zero_surface
 from softdeca.lhm.base.mesh import Surface
 from softdeca.lhm.head import CRANIUM, FREE, MANDIBLE
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
@@ -77,16 +77,16 @@ def _fans(surface: Surface):
 
 def test_simplified_sphere_is_closed_and_near():
     surface = ball((0, 0, 0), 20.0, 30)
-    fewer = simplified(surface, 2000)
+    fewer = simplify(surface, 2000)
     mesh = as_trimesh(fewer)
     assert len(fewer.triangles) <= 2000 and mesh.is_watertight and mesh.euler_number == 2
     assert len(TriangleTree(fewer.vertices, fewer.triangles).self_crossings()) == 0
     # Chords of 2000 even triangles have a sagitta of 0.06 mm; uneven ones have more.
     distance = TriangleTree(fewer.vertices, fewer.triangles).closest(surface.vertices)[2]
     assert distance.max() < 0.2
-    assert simplified(surface, 10**6) is surface
+    assert simplify(surface, 10**6) is surface
     with pytest.raises(InputError, match="at least 4"):
-        simplified(surface, 3)
+        simplify(surface, 3)
 
 
 def test_envelope_of_a_ball_is_the_ball():

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError
-from softdeca.lhm.base.checks import checked
+from softdeca.lhm.base.checks import check_arguments
 from softdeca.lhm.base.mesh import Floats
 
 
-@checked
+@check_arguments
 def called(
     number: float = 0.0,
     count: int = 1,
@@ -30,7 +30,7 @@ def called(
     return "done"
 
 
-@checked
+@check_arguments
 @dataclass(frozen=True)
 class Made:
     size: float

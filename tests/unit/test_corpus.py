@@ -18,21 +18,26 @@ from softdeca.reference.face.base import turns_before
 from softdeca.reference.face.velocities import Velocities
 from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.folder import Corpus, summed
-from softdeca.surrogate.corpus.group import Group
 from softdeca.surrogate.corpus.mixture import NAMES
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import Rates, predicted
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.sequences import rolled
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulate import simulate_static
+from softdeca.surrogate.corpus.simulator import FaceSimulator
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
 PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
 PLAN = replace(PRESETS["tiny"], references=0)
+
+
+def parameters_of(identity):
+    """The parameter set of a person's first group."""
+    return PLAN.parameter_set(PLAN.parameter_numbers(identity)[0])
 
 
 def refuse(skin):
@@ -54,11 +59,11 @@ def test_a_frame_is_what_the_simulator_makes_of_its_expression(made):
     identity, row = 0, 1
     shard = made.shard(identity)
     person = PEOPLE.person(PLAN.rng(0, identity))
-    group = Group.of(PLAN, PEOPLE, person, PEOPLE.head(person), PLAN.parameter_numbers(identity)[0])
+    face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
     weights = PLAN.weights(PLAN.static(identity, row)).astype(np.float32)
     np.testing.assert_array_equal(shard.statics.weights[row], weights)
-    tight = group.linear.prepared.solve(group.scene(weights), tolerance=1e-10)
-    assert np.abs(group.corrected(weights, tight.positions) - shard.statics.corrected[row]).max() < 0.01
+    tight = face.linear.prepared.solve(face.scene(weights), tolerance=1e-10)
+    assert np.abs(face.corrected(weights, tight.positions) - shard.statics.corrected[row]).max() < 0.01
     assert shard.statics.residual[row] <= PLAN.tolerance
 
 
@@ -71,18 +76,18 @@ def test_any_frame_can_be_had_again_alone(made):
 def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     """From what is kept of it, rotations in 24 bits, the sequence can be had again; without them it is another."""
     person = PEOPLE.person(PLAN.rng(0, 0))
-    group = Group.of(PLAN, PEOPLE, person, PEOPLE.head(person), PLAN.parameter_numbers(0)[0])
+    face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(0))
     n, take = len(person.skin.vertices), conversation_take(np.random.default_rng(0), 40)
     still = Velocities(np.zeros((1, n, 3), np.float32))
-    kept = rolled(PLAN, group, take, 20, still, np.random.default_rng(0))
+    kept = rolled(PLAN, face, take, 20, still, np.random.default_rng(0))
     turned = kept.rotations.astype(np.float32)
     assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
     off = []
     for bases in (turned, np.tile(np.eye(3), (LENGTH, 1, 1))):
-        running = Sequence.of(group.neutral, dynamic=True, tolerance=PLAN.tolerance)
-        running.begin(group.expression(kept.weights[0]), base=turns_before(bases))
+        running = Sequence.of(face.neutral, dynamic=True, tolerance=PLAN.tolerance)
+        running.begin(face.expression(kept.weights[0]), base=turns_before(bases))
         again = [
-            group.corrected(w, running.frame(group.expression(w), base=base).positions)
+            face.corrected(w, running.frame(face.expression(w), base=base).positions)
             for w, base in zip(kept.weights, bases, strict=True)
         ]
         off.append(np.abs(np.array(again) - kept.corrected).max())
@@ -93,14 +98,14 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
     for identity in range(PLAN.identities):
         shard = made.shard(identity)
         person = PEOPLE.person(PLAN.rng(0, identity))
-        group = Group.of(PLAN, PEOPLE, person, PEOPLE.head(person), PLAN.parameter_numbers(identity)[0])
+        face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
         step = np.zeros(52)
         step[5] = 1e-2
 
-        def tight(weights, group=group):
-            near = group.linear.start(group.expression(weights))
-            return group.corrected(
-                weights, group.linear.prepared.solve(group.scene(weights), start=near, tolerance=1e-7).positions
+        def tight(weights, face=face):
+            near = face.linear.start(face.expression(weights))
+            return face.corrected(
+                weights, face.linear.prepared.solve(face.scene(weights), start=near, tolerance=1e-7).positions
             )
 
         difference = (tight(step) - tight(-step)) / 2e-2
@@ -122,7 +127,7 @@ KILLED = """
 import os, signal, sys
 from dataclasses import replace
 from softdeca.surrogate.corpus import folder
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import PRESETS
 from softdeca.surrogate.sphere import Spheres
 
@@ -284,7 +289,7 @@ def test_rows_of_a_shard_that_is_cut_off_are_an_error(made, tmp_path):
 
 def test_torch_reads_it_in_several_processes(made):
     torch = pytest.importorskip("torch")
-    from softdeca.surrogate.corpus.dataset import CorpusDataset
+    from softdeca.surrogate.corpus.reading import CorpusDataset
 
     data = CorpusDataset(made.folder, "train")
     loaded = [batch["corrected"] for batch in torch.utils.data.DataLoader(data, batch_size=1, num_workers=2)]
@@ -340,9 +345,9 @@ def test_parameters_of_a_head_are_those_of_the_fields(made):
 
 
 def test_corpora_are_made_in_one_folder_by_one_at_a_time(made):
-    from softdeca.lhm.base.files.resumable import alone_in
+    from softdeca.lhm.base.files.resumable import lock_folder
 
-    with alone_in(made.folder, "generation of a corpus"), pytest.raises(InputError, match="another generation"):
+    with lock_folder(made.folder, "generation of a corpus"), pytest.raises(InputError, match="another generation"):
         made.generate()
 
 

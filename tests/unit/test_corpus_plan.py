@@ -9,9 +9,8 @@ import pytest
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.settling import changes_neutral
-from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES
+from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES, static_of
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan, read_plan
-from softdeca.surrogate.modal.faces import static_of
 from softdeca.surrogate.ruler import EFFECTS, kind_of_coefficients
 from softdeca.surrogate.sphere import Spheres
 

@@ -10,15 +10,15 @@ from softdeca.benchmarks.breakeven import breakeven
 from softdeca.lhm import InputError
 from softdeca.lhm.base.progress import silent
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.carried import Heads
+from softdeca.surrogate.corpus.face import Frames
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.corpus.reading import Table
+from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.evaluate import evaluate, score_of
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
-from softdeca.surrogate.modal.faces import Faces, Frames
+from softdeca.surrogate.heads import Heads
 from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.weights import TrainingNote
 from softdeca.surrogate.rivals.blendshapes import Blendshapes

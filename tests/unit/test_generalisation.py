@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.base.errors import InputError, SoftdecaError
-from softdeca.surrogate.corpus.mixture import NAMES
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.mixture import NAMES, STATIC
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import IDENTITY, CorpusPlan
 from softdeca.surrogate.generalisation import KINDS, check_learned, evaluate_generalisation, pairs
-from softdeca.surrogate.modal.features import STATIC
 from softdeca.surrogate.rivals.blendshapes import Blendshapes
 from softdeca.surrogate.rivals.linearised import Linearised
 from softdeca.surrogate.schedule import Schedule

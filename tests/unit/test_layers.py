@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, MeshError
-from softdeca.lhm.base.geometry.tets import untangled
+from softdeca.lhm.base.geometry.tets import untangle
 from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.lhm.layers import prism_tets, stacked
 from softdeca.reference.face.stack import Stack
@@ -66,7 +66,7 @@ def test_a_tet_that_nothing_may_move_stays_and_is_told():
     x, tet = np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 2, 1, 3]])
     assert tet_volumes(x, tet) < 0
     with pytest.raises(MeshError, match="1 stay inverted"):
-        untangled(x, tet, np.zeros(4, dtype=bool), np.array([0.1]))
+        untangle(x, tet, np.zeros(4, dtype=bool), np.array([0.1]))
     # With one corner free the tet reaches the volume asked for, and the others stay.
-    moved = untangled(x, tet, np.arange(4) == 3, np.array([0.1]))
+    moved = untangle(x, tet, np.arange(4) == 3, np.array([0.1]))
     assert tet_volumes(moved, tet) == pytest.approx([0.1], rel=1e-3) and np.array_equal(moved[:3], x[:3])

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError, MeshError, Surface
-from softdeca.lhm.base.files.cache import cached
+from softdeca.lhm.base.files.cache import load_or_make
 from softdeca.lhm.base.files.surface_file import read_surface
 from softdeca.lhm.skin import check_skin
 
@@ -75,11 +75,11 @@ def test_cache_is_read_back_and_rebuilt_when_damaged(tmp_path, monkeypatch):
         return {"a": np.arange(5.0)}
 
     for _ in range(2):
-        np.testing.assert_array_equal(cached("thing", make)["a"], np.arange(5.0))
+        np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
     assert len(made) == 1
     file = tmp_path / "cache" / "thing.npz"
     file.write_bytes(file.read_bytes()[:60])
-    np.testing.assert_array_equal(cached("thing", make)["a"], np.arange(5.0))
+    np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
     assert len(made) == 2
-    np.testing.assert_array_equal(cached("thing", make)["a"], np.arange(5.0))
+    np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
     assert len(made) == 2 and len(list(file.parent.iterdir())) == 1

@@ -18,14 +18,14 @@ from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters, settled
 from softdeca.reference.face.linearised import linearised
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.carried import Heads
-from softdeca.surrogate.corpus.fields import WAVES
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.mixture import STATIC, WAVES
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
-from softdeca.surrogate.modal.faces import Faces
-from softdeca.surrogate.modal.features import STATIC, Features
+from softdeca.surrogate.heads import Heads
+from softdeca.surrogate.modal.features import Features
 from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.network import ModalConfig
 from softdeca.surrogate.modal.rig import Modal
@@ -69,7 +69,7 @@ def weights(faces):
 def test_people_with_shapes_of_their_own_are_bound(faces, weights):
     """A corpus keeps such shapes as it keeps what it simulates: in half precision."""
     face, method = faces["test"].face(0), ModalMethod(weights)
-    own = replace(face, shapes=face.shapes.astype(np.float16))
+    own = replace(face, person=replace(face.person, shapes=face.shapes.astype(np.float16)))
     expressions = np.linspace(0.0, 1.0, 104).reshape(2, 52)
     np.testing.assert_allclose(method.bind(own)(expressions), method.bind(face)(expressions), atol=0.02)
 
@@ -149,7 +149,7 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
 
 PARALLEL = """
 import os, pickle, sys
-from softdeca.surrogate.modal.faces import Faces
+from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.modal.training import train_modal
 folder, out = sys.argv[1:]
 config = pickle.load(open(out + "/config", "rb"))
@@ -164,7 +164,7 @@ def test_processes_of_torchrun_end_with_one_network(faces, tmp_path):
     (tmp_path / "config").write_bytes(pickle.dumps(config))
     words = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", tmp_path / "work.py"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    folder = faces["train"]._responses.folder
+    folder = faces["train"].folder
     ended = subprocess.run(
         [sys.executable, *words, folder, tmp_path], capture_output=True, text=True, env=environment, timeout=300
     )

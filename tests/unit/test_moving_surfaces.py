@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError, Surface
-from softdeca.lhm.base.files.moving_surface import morphs, write_gltf, write_vtkhdf
+from softdeca.lhm.base.files.moving_surface import reduce_to_morphs, write_gltf, write_vtkhdf
 
 SPHERE = trimesh.creation.icosphere(2, radius=100)
 SKIN = Surface(SPHERE.vertices, SPHERE.faces)
@@ -110,11 +110,11 @@ def test_gltf_animates_the_motion_within_its_stated_error(tmp_path):
 def test_morphs_meet_their_bound_with_no_more_targets_than_frames():
     noise = np.random.default_rng(0).normal(size=(9, 40, 3)).astype(np.float32)
     for tolerance in (3.0, 1.0, 1e-3):
-        found = morphs(noise, tolerance=tolerance)
+        found = reduce_to_morphs(noise, tolerance=tolerance)
         off = np.linalg.norm(np.tensordot(found.weights, found.targets, axes=1) - noise, axis=2).max()
         assert off <= tolerance and off == pytest.approx(found.error, rel=1e-2, abs=1e-5)
         assert found.weights.shape[1] <= 9
-    limited = morphs(noise, tolerance=1e-3, most=2)
+    limited = reduce_to_morphs(noise, tolerance=1e-3, most=2)
     assert limited.weights.shape[1] == 2 and limited.error > 1
 
 

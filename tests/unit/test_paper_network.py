@@ -10,7 +10,7 @@ from softdeca.lhm import InputError, Surface
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.paper import HypernetworkSurrogate
 from softdeca.surrogate.paper.anchors import still_vertices

@@ -10,8 +10,8 @@ from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.lhm.base.geometry import cholesky
 from softdeca.reference import Scene, SceneError, prepare, solve, terms
 
-cholmod_is_there = pytest.mark.skipif(cholesky.library() is None, reason="libcholmod.so.3 is not installed")
-SOLVERS = ["cholespy", "superlu", pytest.param("cholesky", marks=cholmod_is_there)]
+cholmod_is_there = pytest.mark.skipif(cholesky.cholmod_library() is None, reason="libcholmod.so.3 is not installed")
+SOLVERS = ["cholespy", "superlu", pytest.param("cholmod", marks=cholmod_is_there)]
 
 
 def matrix(size=200, seed=0):
@@ -56,9 +56,9 @@ def test_cholmod_tells_definite_matrices_from_others(size, capfd):
     symmetric += symmetric.T
     lowest = np.linalg.eigvalsh(symmetric).min()
     with pytest.raises(np.linalg.LinAlgError):
-        cholesky.Factor(csc_matrix(symmetric - 0.9 * lowest * np.eye(size)), definite=True)
+        cholesky.CholmodFactor(csc_matrix(symmetric - 0.9 * lowest * np.eye(size)), definite=True)
     definite = csc_matrix(symmetric - 1.1 * lowest * np.eye(size))
-    solve = cholesky.Factor(definite, definite=True)
+    solve = cholesky.CholmodFactor(definite, definite=True)
     first, second = rng.normal(size=(2, size, 1))
     x, y = solve(first), solve(second)  # an answer is not overwritten by the next
     assert np.allclose(definite @ x, first) and np.allclose(definite @ y, second)
@@ -67,22 +67,22 @@ def test_cholmod_tells_definite_matrices_from_others(size, capfd):
 
 @cholmod_is_there
 def test_cholmod_takes_over_an_analysis_where_the_pattern_fits():
-    first = cholesky.Factor(matrix())
-    second = cholesky.Factor(matrix(seed=5), like=first)
+    first = cholesky.CholmodFactor(matrix())
+    second = cholesky.CholmodFactor(matrix(seed=5), like=first)
     assert second.analysis is first.analysis
     right = np.random.default_rng(1).normal(size=(200, 3))
     for made, seed in ((second, 5), (first, 0)):
         np.testing.assert_allclose(made(right), np.linalg.solve(matrix(seed=seed).toarray(), right), atol=1e-8)
-    assert cholesky.Factor(matrix(150), like=first).analysis is not first.analysis
+    assert cholesky.CholmodFactor(matrix(150), like=first).analysis is not first.analysis
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
-        cholesky.Factor(-matrix())
+        cholesky.CholmodFactor(-matrix())
 
 
 @cholmod_is_there
 def test_another_identity_is_prepared_like_the_first(sphere_head):
-    first = prepare(scene_of(sphere_head), linear_solver="cholesky")
+    first = prepare(scene_of(sphere_head), linear_solver="cholmod")
     scene = scene_of(sphere_head, stiffness=7.0, scale=1.1, shift=5.0)
-    second = prepare(scene, linear_solver="cholesky", like=first)
+    second = prepare(scene, linear_solver="cholmod", like=first)
     assert second.system.groups[0].solver.analysis is first.system.groups[0].solver.analysis
     np.testing.assert_allclose(
         second.solve(tolerance=1e-9).positions, solve(scene, tolerance=1e-9).positions, atol=1e-5
@@ -92,9 +92,9 @@ def test_another_identity_is_prepared_like_the_first(sphere_head):
 def test_linear_solvers_that_are_not_there_are_named(sphere_head, monkeypatch):
     with pytest.raises(InputError, match="unknown linear solver 'pardiso'; there are cholespy, cholmod, superlu"):
         prepare(scene_of(sphere_head), linear_solver="pardiso")
-    monkeypatch.setattr(cholesky, "library", lambda: None)
+    monkeypatch.setattr(cholesky, "cholmod_library", lambda: None)
     monkeypatch.setattr(cholesky, "CholeskySolverD", None)
-    for name in ("cholesky", "cholespy"):
+    for name in ("cholmod", "cholespy"):
         with pytest.raises(MissingDependencyError, match=f"linear solver '{name}' needs"):
             cholesky.factorise(matrix(), linear_solver=name)
 

@@ -6,11 +6,11 @@ import pytest
 from softdeca.reference import Parameters, settled, solve, terms
 from softdeca.reference.face.facial import scene_under
 from softdeca.reference.face.linearised import DIRECT, linearised
-from softdeca.surrogate.corpus.group import Group
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import PRESETS
 from softdeca.surrogate.corpus.references import FEM_LAWS, references
 from softdeca.surrogate.corpus.shard import ACCEPTED
+from softdeca.surrogate.corpus.simulator import FaceSimulator
 from softdeca.surrogate.sphere import Spheres
 
 PLAN = PRESETS["tiny"]
@@ -18,24 +18,24 @@ P = Parameters(soft_volume=1.3)
 
 
 @pytest.fixture(scope="module")
-def group():
+def face():
     pytest.importorskip("dolfinx")
     space = Spheres(2)
     people = OfSpace(space, space.mean, space.fit)
     person = people.person(PLAN.rng(0, 0))
     linear = linearised(settled(people.head(person), P), accuracy=DIRECT)
-    return Group(PLAN, person, PLAN.parameter_set(0), linear, linear.first_order(person.shapes), (False, False))
+    return FaceSimulator(PLAN, person, PLAN.parameter_set(0), linear, linear.first_order(person.shapes))
 
 
-def test_each_law_settles_the_face_itself(group):
+def test_each_law_settles_the_face_itself(face):
     weights = np.zeros(52)
     weights[5] = 0.5
-    answer = group.answer(weights, group.solve(weights))
-    same, own = references(group, weights, answer)
+    answer = face.answer(weights, face.solve(weights))
+    same, own = references(face, weights, answer)
     assert FEM_LAWS == ("PD", "neo-Hookean") and {same.status, own.status} == {ACCEPTED}
     # Half precision leaves steps of some micrometres at these sizes.
     assert np.abs(same.corrected - answer.corrected).max() < 0.02
-    expression = group.expression(weights)
+    expression = face.expression(weights)
 
     def by_scikit_fem(neutral):
         """The neo-Hookean answer of another implementation on this neutral face."""
@@ -43,8 +43,8 @@ def test_each_law_settles_the_face_itself(group):
         scene = scene if scene.of(terms.Hyperelastic) else scene_under(scene, "neo-Hookean")
         return neutral.skin_after(expression, solve(scene, solver="skfem").positions) - expression
 
-    by_law = settled(group.head, P, law="neo-Hookean", solver="skfem")
-    alone, shared = by_scikit_fem(by_law), by_scikit_fem(group.neutral)
+    by_law = settled(face.head, P, law="neo-Hookean", solver="skfem")
+    alone, shared = by_scikit_fem(by_law), by_scikit_fem(face.neutral)
     to_alone, to_shared = (np.abs(own.corrected - other).max() for other in (alone, shared))
     assert to_alone < 0.02 and to_shared > 4.0 * to_alone
-    assert group.neutral_under("neo-Hookean") is group.neutral_under("neo-Hookean")
+    assert face.neutral_under("neo-Hookean") is face.neutral_under("neo-Hookean")

@@ -13,13 +13,13 @@ from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scaled_skull
 from softdeca.reference.face.settling import carry_skin
-from softdeca.surrogate.carried import Heads, measure_binds
 from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.mixture import STATIC, ParameterSet, static_of
 from softdeca.surrogate.corpus.people import people_of
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
+from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.evaluate import ALL, UNSCALED, Score, evaluate
-from softdeca.surrogate.modal.faces import Faces, static_of
-from softdeca.surrogate.modal.features import STATIC
+from softdeca.surrogate.heads import Heads, measure_binds
 from softdeca.surrogate.rivals.carried import BonesCarried
 from softdeca.surrogate.rivals.linearised import Linearised
 from softdeca.surrogate.ruler import (
@@ -140,10 +140,9 @@ def test_a_face_with_scaled_bones_and_no_head_is_refused_by_name(faces):
     scaled = next(faces.face(k) for k in range(len(faces)) if Heads(PEOPLE).carry(faces.face(k)).any())
     with pytest.raises(InputError, match="bones carried: a head of each person is needed, but nobody"):
         Heads(None).carry(scaled)
-    plain = replace(scaled, coefficients=scaled.coefficients.copy())
-    for k, name in enumerate(STATIC):
-        plain.coefficients[k] = 0.0
-        plain.coefficients[k, 0] = np.float32(Parameters.info(name).normalise(Parameters.info(name).default))
+    p = scaled.parameters
+    none = ParameterSet(p.kind, np.zeros_like(p.varied), p.coefficients)
+    plain = replace(scaled, parameters=none)
     assert not Heads(None).carry(plain).any()
 
 

@@ -11,7 +11,7 @@ from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, l
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files.surface_file import Scan, read_scan
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-from softdeca.lhm.base.geometry.topology import closed, is_closed, openings
+from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
 from softdeca.lhm.expressions.naming import arkit_name, arkit_named
 from softdeca.lhm.registration.registration import face_of
 from softdeca.lhm.scans.repair import repaired
@@ -156,7 +156,7 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
 def test_a_draco_file_is_read(data):
     pytest.importorskip("DracoPy")
     done = repaired(read_scan(data / "heads" / "lee_perry_smith.glb"))
-    assert len(done.scan.vertices) == 8844 and len(openings(done.scan.triangles)) == 4
+    assert len(done.scan.vertices) == 8844 and len(find_openings(done.scan.triangles)) == 4
     assert any("379 vertices" in note for note in done.notes)
 
 
@@ -196,7 +196,7 @@ def test_a_defect_is_repaired_and_told(name):
     assert volume(done.scan) == pytest.approx(volume(Scan(X, TRIANGLES)), rel=1e-3)
     assert len(done.scan.triangles) == len(TRIANGLES)
     np.testing.assert_array_equal(vertices[done.origin], done.scan.vertices)
-    assert is_closed(closed(done.scan.surface).triangles)
+    assert is_closed(close_openings(done.scan.surface).triangles)
 
 
 def test_a_sound_surface_is_left_as_it_is_open_or_not():
@@ -237,14 +237,14 @@ def test_openings_are_closed_where_the_boundary_touches_itself_too():
     fans = [np.flatnonzero((TRIANGLES == vertex).any(axis=1)) for vertex in (0, 30)]
     kept = np.delete(TRIANGLES, np.concatenate(fans), axis=0)
     surface = Surface(X, kept)
-    loops = openings(kept)
-    assert len(loops) == 2 and is_closed(closed(surface).triangles)
+    loops = find_openings(kept)
+    assert len(loops) == 2 and is_closed(close_openings(surface).triangles)
     # Two triangles that share a vertex only: a boundary like an eight.
     neighbour = next(t for t in TRIANGLES if 0 in t and t[0] == 0)
     others = [k for k, t in enumerate(TRIANGLES) if 0 in t]
     eight = np.delete(TRIANGLES, [others[0], others[len(others) // 2]], axis=0)
-    assert len(neighbour) == 3 and is_closed(closed(Surface(X, eight)).triangles)
-    assert sum(map(len, openings(eight))) == 6
+    assert len(neighbour) == 3 and is_closed(close_openings(Surface(X, eight)).triangles)
+    assert sum(map(len, find_openings(eight))) == 6
 
 
 # Names

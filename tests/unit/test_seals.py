@@ -12,7 +12,7 @@ from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.deformation import greatest_stretches, torn_area
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-from softdeca.lhm.base.geometry.topology import closed, is_closed, openings
+from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
 from softdeca.lhm.fit import fit_registered, space_rig
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH
 from softdeca.lhm.openings import lid_path, lip_path
@@ -86,9 +86,9 @@ def test_a_slit_is_one_opening_and_leaves_the_surface_where_it_was():
     front = (x[triangles][:, :, 2] > 0).all(axis=1)
     cut = slit(triangles, x[:, 1] - 0.1 * x[:, 0], x[:, 0], (-0.5, 0.5), front, x)
     y = cut.on(x)
-    loops = openings(cut.triangles)
+    loops = find_openings(cut.triangles)
     assert len(loops) == 1 and len(loops[0]) == 2 * len(cut.upper) - 2
-    assert is_closed(closed(Surface(y, cut.triangles)).triangles)
+    assert is_closed(close_openings(Surface(y, cut.triangles)).triangles)
     assert Surface(y, cut.triangles).areas.sum() == pytest.approx(Surface(x, triangles).areas.sum())
     np.testing.assert_array_equal(y[cut.upper], y[cut.lower])
     assert (cut.upper == cut.lower).sum() == 2 and np.ptp(y[cut.upper, 0]) > 0.8
@@ -178,7 +178,7 @@ def test_eyes_are_told_open_solid_and_closed(template, laid):
 
     assert eyes(template.skin) == Eyes("open", "open")
     outside = without(template, EYES)
-    solid = closed(Surface(template.skin.vertices, outside))
+    solid = close_openings(Surface(template.skin.vertices, outside))
     assert eyes(solid) == Eyes("solid", "solid")
     x = template.skin.vertices + shape(template, "eyeBlinkLeft")
     told = eyes(Surface(x, template.skin.triangles))
@@ -190,7 +190,7 @@ def test_eyes_are_told_open_solid_and_closed(template, laid):
 
 def test_lids_laid_on_what_has_no_lids_are_not_made_out(template):
     # Above the brows there is no edge for the rims of the lids to lie at.
-    solid = closed(Surface(template.skin.vertices, without(template, EYES)))
+    solid = close_openings(Surface(template.skin.vertices, without(template, EYES)))
     away = template.skin.with_vertices(template.skin.vertices + [0, 30.0, -2.0])
     space, lids = template.space, template.marks.lids
     told = eyes_of(space, template.skin, template.parts, lids, away, solid)
@@ -260,7 +260,7 @@ def membrane(template):
     drawn = template.skin.vertices + shape(template, "eyeBlinkLeft", "eyeBlinkRight")
     outside = template.skin.triangles[~np.isin(template.parts, (MOUTH, EYES))[template.skin.triangles].any(axis=1)]
     n = len(drawn)
-    skin = closed(Surface(drawn, outside))
+    skin = close_openings(Surface(drawn, outside))
     known = csr_matrix((np.ones(n), (np.arange(n), np.arange(n))), shape=(n, len(skin.vertices)))
     laid = registered_by(template.skin, template.parts, known, skin)
     # What is tied is found, as after a registration: the fans' middles lie on nothing.

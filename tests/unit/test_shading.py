@@ -3,7 +3,7 @@
 import numpy as np
 
 from softdeca.lhm import Surface, load_template
-from softdeca.lhm.base.geometry.rays import sky_seen
+from softdeca.lhm.base.geometry.rays import visible_sky
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH
 from softdeca.viewer.shading import INSIDE, SKIN, shades
@@ -11,8 +11,8 @@ from softdeca.viewer.shading import INSIDE, SKIN, shades
 
 def test_a_ball_sees_the_whole_sky_from_outside_and_none_from_inside():
     x, triangles = geodesic_sphere(4)
-    assert (sky_seen(Surface(90 * x, triangles)) > 0.9).all()
-    assert (sky_seen(Surface(90 * x, triangles[:, ::-1])) == 0).all()
+    assert (visible_sky(Surface(90 * x, triangles)) > 0.9).all()
+    assert (visible_sky(Surface(90 * x, triangles[:, ::-1])) == 0).all()
 
 
 def test_an_open_box_sees_from_its_floor_what_its_walls_leave():
@@ -23,7 +23,7 @@ def test_an_open_box_sees_from_its_floor_what_its_walls_leave():
     k, after = np.arange(48), (np.arange(48) + 1) % 48
     floor = np.stack([np.full(48, 96), k, after], axis=1)
     walls = np.vstack([np.stack([k, 48 + k, after], axis=1), np.stack([after, 48 + k, 48 + after], axis=1)])
-    seen = sky_seen(Surface(np.vstack([low, high, [[0, 0, 0]]]), np.vstack([floor, walls])))
+    seen = visible_sky(Surface(np.vstack([low, high, [[0, 0, 0]]]), np.vstack([floor, walls])))
     assert abs(seen[96] - 0.5) <= 1 / 16
 
 

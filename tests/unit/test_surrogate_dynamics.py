@@ -10,7 +10,7 @@ import pytest
 from softdeca.lhm import InputError, expressions
 from softdeca.reference import Parameters, Sequence, settled
 from softdeca.surrogate import linearised_rig
-from softdeca.surrogate.corpus.person import OfSpace
+from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.dynamics import DynamicRig, Swing
 from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.sphere import Spheres

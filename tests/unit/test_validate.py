@@ -7,7 +7,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.lhm.base import checks, limits
-from softdeca.lhm.base.errors import plain, shown
+from softdeca.lhm.base.errors import escape, quote
 from softdeca.lhm.base.files import text
 from softdeca.lhm.base.limits import JSON_DEPTH, Bound
 
@@ -122,9 +122,9 @@ def test_a_bound_names_what_is_counted():
 
 
 def test_what_a_file_says_cannot_steer_the_terminal():
-    assert plain("a\x1b[31mb\x9b\u202ec") == "a\\x1b[31mb\\x9b\\u202ec"
-    assert plain("Köpfe, 頭") == "Köpfe, 頭"
-    assert shown("x" * 100) == "x" * 40 + "..." and shown("\a") == "\\x07"
+    assert escape("a\x1b[31mb\x9b\u202ec") == "a\\x1b[31mb\\x9b\\u202ec"
+    assert escape("Köpfe, 頭") == "Köpfe, 頭"
+    assert quote("x" * 100) == "x" * 40 + "..." and quote("\a") == "\\x07"
 
 
 def test_the_docs_have_every_bound():

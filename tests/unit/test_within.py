@@ -6,7 +6,7 @@ import pytest
 from softdeca.lhm import Surface, expressions, identities
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
-from softdeca.lhm.base.geometry.topology import openings
+from softdeca.lhm.base.geometry.topology import find_openings
 from softdeca.lhm.identities.space import OUTSIDE
 from softdeca.viewer.pictures import VIEW, Panel, strip
 from softdeca.viewer.within import _default, turned, within
@@ -77,7 +77,7 @@ def test_their_surfaces_are_closed_and_look_outward():
     faces = found.triangles[((found.triangles >= TEETH.start) & (found.triangles < TEETH.start + 144)).all(axis=1)]
     a, b, c = (tooth[faces[:, k] - TEETH.start] for k in range(3))
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3 - tooth.mean(axis=0)) > -1e-9).all()
-    assert openings(SPACE.mean.triangles) == []  # the skin's own pockets hold them
+    assert find_openings(SPACE.mean.triangles) == []  # the skin's own pockets hold them
 
 
 def test_another_skin_has_none():

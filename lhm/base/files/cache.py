@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import stat
@@ -22,16 +23,16 @@ Arrays = Mapping[str, np.ndarray]
 Made = TypeVar("Made")
 
 
-def folder() -> Path:
+def cache_folder() -> Path:
     """The cache folder: $SOFTDECA_CACHE, or the user's cache folder of this platform; it is there and can be written.
 
     Where neither can be, a temporary folder of this user takes its place, and a warning says so once.
     """
     wanted = Path(os.environ.get("SOFTDECA_CACHE") or platformdirs.user_cache_dir("softdeca"))
-    return wanted if can_be_written(wanted) else _temporary(wanted)
+    return wanted if is_writable(wanted) else _temporary(wanted)
 
 
-def can_be_written(path: Path) -> bool:
+def is_writable(path: Path) -> bool:
     """Whether files can be put into a folder, which is made if missing."""
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -61,31 +62,22 @@ def keep_compiled_functions() -> None:
     To be called before the first function that is to be kept: numba refuses to define one.
     """
     try:
-        numba.njit(cache=True)(can_be_written)
+        numba.njit(cache=True)(is_writable)
     except RuntimeError:
-        numba.config.CACHE_DIR = str(folder() / "numba")
+        numba.config.CACHE_DIR = str(cache_folder() / "numba")
 
 
-def cached(name: str, make: Callable[[], Arrays]) -> Arrays:
-    """The arrays stored as `name`.npz, or made and stored if the file is missing, damaged or cannot be read.
+def load_or_make(name: str, make: Callable[[], Arrays], read: Callable[[Arrays], Made] = dict) -> Made:  # type: ignore[assignment]
+    """Return what `read` makes of the arrays stored as `name`.npz, by default the arrays themselves.
 
-    Where the disk is full the arrays are made each time.
+    They are made and stored if the file is missing, cannot be read, or is damaged, for which `read` raises InputError
+    or KeyError. Where the disk is full the arrays are made each time.
     """
-    return cached_as(name, make, dict)
-
-
-def cached_as(name: str, make: Callable[[], Arrays], read: Callable[[Arrays], Made]) -> Made:
-    """What `read` makes of the arrays stored as `name`.npz; they are made and stored if the file is missing or damaged.
-
-    `read` raises InputError or KeyError for damaged arrays. Where the disk is full the arrays are made each time.
-    """
-    path = folder() / f"{name}.npz"
+    path = cache_folder() / f"{name}.npz"
     try:
         return read(read_arrays(path))
     except (InputError, MeshError, KeyError):
         arrays = make()
-    try:
+    with contextlib.suppress(InputError):
         write_arrays(path, arrays)
-    except InputError:
-        pass
     return read(arrays)

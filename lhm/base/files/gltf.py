@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from ..checks import finite, in_range, indices_below, shape
-from ..errors import InputError, MissingDependencyError, plain, shown
+from ..errors import InputError, MissingDependencyError, escape, quote
 from ..limits import CORNERS, GLTF_DEPTH, GLTF_NODES, MORPH_TARGETS, MORPH_VALUES, TRIANGLES, UNPACKED_BYTES, VERTICES
 from ..mesh import Floats, Ints
 from .meshopt import decode_meshopt
@@ -46,9 +46,9 @@ def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
     except InputError:
         raise
     except KeyError as error:
-        raise InputError(f"not a sound glTF file ({shown(str(error.args[0]))} is missing)") from None
+        raise InputError(f"not a sound glTF file ({quote(str(error.args[0]))} is missing)") from None
     except (IndexError, TypeError, ValueError, AttributeError, struct.error, OverflowError) as error:
-        raise InputError(f"not a sound glTF file ({type(error).__name__}: {plain(str(error))[:60]})") from None
+        raise InputError(f"not a sound glTF file ({type(error).__name__}: {escape(str(error))[:60]})") from None
 
 
 class _Document:
@@ -105,7 +105,7 @@ class _Document:
         """An object by its number in one of the document's lists."""
         listed = self._json[kind]
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(listed):
-            raise InputError(f"{kind}: {shown(number)} is none of its {len(listed)}")
+            raise InputError(f"{kind}: {quote(number)} is none of its {len(listed)}")
         return listed[number]
 
     def _placed(self) -> Iterator[tuple[dict, Floats]]:
@@ -178,7 +178,7 @@ class _Document:
         MORPH_VALUES.check("a mesh has", 3 * len(x) * len(listed))
         targets = {}
         for k, target in enumerate(listed):
-            name = plain(str(names[k]))[:LONGEST_NAME] if k < len(names) else f"target {k}"
+            name = escape(str(names[k]))[:LONGEST_NAME] if k < len(names) else f"target {k}"
             if "POSITION" in target:
                 targets[name] = self._accessor(target["POSITION"], "VEC3")
                 shape(f"morph target {name!r}", targets[name], (len(x), 3))
@@ -188,7 +188,7 @@ class _Document:
         """An accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3"."""
         accessor = self._item("accessors", number)
         if accessor["type"] != kind_of:
-            raise InputError(f"accessor {number}: of type {shown(accessor['type'])}, expected {kind_of}")
+            raise InputError(f"accessor {number}: of type {quote(accessor['type'])}, expected {kind_of}")
         kind, width = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[kind_of]
         # Zeros, where no view is named, take no place in the file.
         count = (CORNERS if width == 1 else VERTICES).check(f"accessor {number}", accessor["count"])
@@ -241,7 +241,7 @@ class _Document:
             else:
                 file = self._folder / unquote(uri)
                 if not file.is_file():
-                    raise InputError(f"its data file {shown(uri)!r} is not beside it")
+                    raise InputError(f"its data file {quote(uri)!r} is not beside it")
                 self._buffers[number] = read_bytes(file)
         return self._buffers[number]
 
@@ -268,7 +268,7 @@ def _glb(content: bytes) -> tuple[Any, bytes | None]:
 def _within(name: str, number: Any, most: int) -> int:
     """A count of bytes, at most `most`."""
     if isinstance(number, bool) or not isinstance(number, int) or number < 0:
-        raise InputError(f"{name}: {shown(number)} is no count of bytes")
+        raise InputError(f"{name}: {quote(number)} is no count of bytes")
     if number > most:
         raise InputError(ENDED)
     return number

@@ -33,7 +33,7 @@ class Morphs:
     error: float
 
 
-def morphs(motion: NDArray[np.float32], *, tolerance: float, most: int = 256) -> Morphs:
+def reduce_to_morphs(motion: NDArray[np.float32], *, tolerance: float, most: int = 256) -> Morphs:
     """As few morph targets as bring every vertex of every frame within `tolerance` [mm], but at most `most`.
 
     motion (k, n, 3) [mm]: displacements from neutral. The targets are chosen greedily: the displacement that is worst
@@ -71,7 +71,7 @@ def write_gltf(
     """
     if motion.shape != (len(times), *neutral.vertices.shape):
         raise InputError(f"glTF: motion of shape {motion.shape} for {len(times)} times and {neutral.vertices.shape}")
-    found = morphs(motion, tolerance=tolerance)
+    found = reduce_to_morphs(motion, tolerance=tolerance)
     _write(path, neutral, times, found, _normal_targets(neutral, motion, found.weights), name=name)
     return found
 

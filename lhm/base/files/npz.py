@@ -11,7 +11,7 @@ from typing import IO
 
 import numpy as np
 
-from ..errors import InputError, shown
+from ..errors import InputError, quote
 from ..limits import ARRAYS, FILE_BYTES, UNPACKED_BYTES
 from .atomic import write_whole
 from .text import read_bytes
@@ -91,7 +91,7 @@ def _parsed(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
     for length in shape:
         size *= length
     if min(shape, default=0) < 0 or size != there:
-        raise InputError(f"{name}: its header says {shown(size)} bytes, it has {there:,}")
+        raise InputError(f"{name}: its header says {quote(size)} bytes, it has {there:,}")
     flat = np.empty(size, np.uint8)
     if size and file.readinto(flat.data) != size:  # type: ignore[attr-defined]
         raise InputError(f"{name}: cut off")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from ..errors import InputError, plain
+from ..errors import InputError, escape
 from ..limits import TRIANGLES, VERTICES
 from ..mesh import Floats, Ints
 from .text import read_bytes
@@ -67,7 +67,7 @@ def read_ply(path: Path) -> tuple[Floats, Ints]:
     for element in elements:
         least = 2 * len(element.properties) if not order else element.least_bytes
         if element.count * least > len(body) + 1:
-            raise InputError(f"{ENDED} ({element.count} times {plain(element.name)!r})")
+            raise InputError(f"{ENDED} ({element.count} times {escape(element.name)!r})")
     read = _Text(body) if not order else _Binary(body)
     vertices, triangles = np.zeros((0, 3)), []
     for element in elements:
@@ -99,7 +99,7 @@ def _header(lines: list[str]) -> tuple[str, list[_Element]]:
             element = elements.pop()
             elements.append(_Element(element.name, element.count, (*element.properties, _property(words, order))))
         else:
-            raise InputError(f"its header has a line that no PLY file has: {plain(line)[:60]!r}")
+            raise InputError(f"its header has a line that no PLY file has: {escape(line)[:60]!r}")
     if order is None:
         raise InputError("its header names no format that is read: ascii, binary_little_endian, binary_big_endian")
     return order, elements
@@ -110,7 +110,7 @@ def _property(words: list[str], order: str) -> _Property:
     listed = kinds[:1] == ["list"]
     kinds = kinds[1:] if listed else kinds
     if len(kinds) != 1 + listed or not set(kinds) <= set(KINDS):
-        raise InputError(f"its header names a kind of number that no PLY file has: {plain(' '.join(words))[:60]!r}")
+        raise InputError(f"its header names a kind of number that no PLY file has: {escape(' '.join(words))[:60]!r}")
     dtypes = [np.dtype((order or "<") + KINDS[kind]) for kind in kinds]
     if listed and dtypes[0].kind == "f":
         raise InputError("its header has a list whose length is no integer")
@@ -204,7 +204,7 @@ def _lists(read: _Binary | _Text, element: _Element) -> tuple[Ints, Ints]:
     lists = [k for k, p in enumerate(element.properties) if p.length]
     named = [k for k in lists if element.properties[k].name in ("vertex_indices", "vertex_index")]
     if not lists or element.properties[(named or lists)[0]].kind.kind == "f":
-        raise InputError(f"its header names no vertices of the elements {plain(element.name)!r}")
+        raise InputError(f"its header names no vertices of the elements {escape(element.name)!r}")
     flat, lengths = read.rows(element, (named or lists)[0])
     if flat.dtype.kind == "f":  # of text
         if len(flat) and not (np.abs(flat) < 2**53).all():

@@ -2,7 +2,7 @@
 
 Simulated takes and studies keep a line of JSON per piece here, takes and corpora what they are of. A piece that is
 arrays is a file of its own, whole or not there (`atomic`): a take's frame, and a corpus' person, whose shard has a
-checksum and its corpus' name as well, since it is copied and read without its folder. `alone_in` keeps a second run
+checksum and its corpus' name as well, since it is copied and read without its folder. `lock_folder` keeps a second run
 out.
 """
 
@@ -58,7 +58,7 @@ def _record(line: bytes) -> dict[str, Any] | None:
     return found if isinstance(found, dict) else None
 
 
-def manifest_of(path: Path, what: str, names: Iterable[str] = ()) -> dict[str, Any] | None:
+def read_manifest(path: Path, what: str, names: Iterable[str] = ()) -> dict[str, Any] | None:
     """What a folder's file says that its work is of, `what` in words, with all these names; None if there is none.
 
     Raises InputError for a file that says something else.
@@ -74,9 +74,9 @@ def manifest_of(path: Path, what: str, names: Iterable[str] = ()) -> dict[str, A
     return found
 
 
-def check_same(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
+def check_manifest(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
     """Whether the folder's work has begun; InputError, naming what differs, if it is not of this manifest."""
-    found = manifest_of(path, what)
+    found = read_manifest(path, what)
     for name, value in manifest.items():
         if found is not None and found.get(name) != value:
             raise InputError(
@@ -86,14 +86,14 @@ def check_same(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
     return found is not None
 
 
-def begin(path: Path, what: str, manifest: Mapping[str, Any]) -> None:
-    """Note what a folder's work is of, where it has not begun; raises what `check_same` raises."""
-    if not check_same(path, what, manifest):
+def begin_work(path: Path, what: str, manifest: Mapping[str, Any]) -> None:
+    """Note what a folder's work is of, where it has not begun; raises what `check_manifest` raises."""
+    if not check_manifest(path, what, manifest):
         write_whole(path, json.dumps(dict(manifest), indent=1).encode())
 
 
 @contextmanager
-def alone_in(folder: Path, what: str) -> Iterator[None]:
+def lock_folder(folder: Path, what: str) -> Iterator[None]:
     """Make the folder and hold it against a second `what`; InputError if one runs there or it cannot be made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import checked, finite
-from ..errors import InputError, MeshError, shown
+from ..checks import check_arguments, finite
+from ..errors import InputError, MeshError, quote
 from ..limits import TRIANGLES, VERTICES
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
 from .gltf import read_gltf
@@ -23,7 +23,7 @@ from .text import read_bytes
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 
-@checked
+@check_arguments
 def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
     """A triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
 
@@ -127,7 +127,7 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
                 for b, c in zip(polygon[1:-1], polygon[2:], strict=True):
                     corners.extend((polygon[0], b, c))
         except (ValueError, OverflowError):
-            said = shown(line.strip().decode("utf-8", "replace"), 60)
+            said = quote(line.strip().decode("utf-8", "replace"), 60)
             raise InputError(f"line {number} is none of an OBJ file: {said!r}") from None
     vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
@@ -194,7 +194,7 @@ def _stl_text(content: bytes) -> np.ndarray:
             elif kind not in (b"solid", b"facet", b"outer", b"endloop", b"endsolid", b""):
                 raise ValueError
         except ValueError:
-            said = shown(line.strip().decode("utf-8", "replace"), 60)
+            said = quote(line.strip().decode("utf-8", "replace"), 60)
             raise InputError(f"line {number} is none of an STL file: {said!r}") from None
     if facet:
         raise InputError("the file is cut off within a triangle")

@@ -13,8 +13,8 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..checks import checked, finite, indices_below
-from ..errors import InputError, SoftdecaError, plain
+from ..checks import check_arguments, finite, indices_below
+from ..errors import InputError, SoftdecaError, escape
 from ..limits import FILE_BYTES, TAGS, TETS, VERTICES
 from ..mesh import Ints, TetMesh
 from .atomic import replaced
@@ -61,7 +61,7 @@ def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
         mesh.write(temporary, **{"file_format": FORMATS[kind], **settings})
 
 
-@checked
+@check_arguments
 def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
     """The tets of a file in any of the formats, with their tags (0 where it has none) and tagged triangles.
 
@@ -102,7 +102,7 @@ def _tagged(path: Path, mesh: meshio.Mesh, kind: str, unit: str) -> TaggedTets:
             for tag in np.unique(values):
                 surfaces.setdefault(int(tag), []).append(triangles[values == tag])
     TAGS.check("it has", len(surfaces))
-    names = {int(tag): plain(str(name)) for name, (tag, _) in mesh.field_data.items()} if kind == ".msh" else {}
+    names = {int(tag): escape(str(name)) for name, (tag, _) in mesh.field_data.items()} if kind == ".msh" else {}
     return TaggedTets(read, tags, names, {tag: np.vstack(parts) for tag, parts in surfaces.items()})
 
 
@@ -122,7 +122,7 @@ def _read(path: Path, kind: str) -> meshio.Mesh:
             warnings.simplefilter("ignore")
             return meshio.read(path, file_format=FORMATS[kind])
     except (Exception, SystemExit) as error:  # its readers raise whatever broken text makes them raise
-        said = plain(str(error).strip().split("\n")[0])[:80]
+        said = escape(str(error).strip().split("\n")[0])[:80]
         raise InputError(f"{path}: not a readable tet mesh ({type(error).__name__}{said and ': ' + said})") from None
 
 

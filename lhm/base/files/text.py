@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MissingDependencyError, plain, shown
+from ..errors import InputError, MissingDependencyError, escape, quote
 from ..limits import FILE_BYTES, JSON_BYTES, JSON_DEPTH, JSON_DIGITS, TOML_BYTES, Bound
 
 
@@ -61,7 +61,7 @@ def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON: {plain(' '.join(str(error).split()))[:80]}") from None
+        raise InputError(f"not JSON: {escape(' '.join(str(error).split()))[:80]}") from None
 
 
 _STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
@@ -86,7 +86,7 @@ def _float(allow_nan: bool) -> Any:
     def number(digits: str) -> float:
         value = float(digits)
         if not allow_nan and not np.isfinite(value):
-            raise InputError(f"{shown(digits)} is no finite number")
+            raise InputError(f"{quote(digits)} is no finite number")
         return value
 
     return number
@@ -111,5 +111,5 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        reason = plain(" ".join(str(error).split()))[:80]
+        reason = escape(" ".join(str(error).split()))[:80]
         raise InputError(f"{path}: not a TOML file that can be read ({reason})") from None

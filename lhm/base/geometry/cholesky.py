@@ -37,7 +37,7 @@ except ImportError:
 
 LinearSolver = Literal["cholespy", "cholmod", "superlu"]
 Solve = Callable[[NDArray], NDArray]
-Like: TypeAlias = "Solve | Analysis | None"
+Like: TypeAlias = "Solve | CholmodFactor | CholmodAnalysis | None"
 
 
 def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, like: Like = None) -> Solve:
@@ -50,16 +50,16 @@ def factorise(matrix: csc_matrix, *, linear_solver: LinearSolver | None = None, 
     if linear_solver not in (None, *get_args(LinearSolver)):
         raise InputError(f"unknown linear solver {linear_solver!r}; there are {', '.join(get_args(LinearSolver))}")
     if linear_solver == "cholmod":
-        if library() is None:
+        if cholmod_library() is None:
             raise MissingDependencyError("linear solver 'cholmod' needs libcholmod.so.3 (Debian's libcholmod3)")
-        return Factor(matrix, _known(like))
+        return CholmodFactor(matrix, _known(like))
     if linear_solver == "cholespy" and CholeskySolverD is None:
         raise MissingDependencyError("linear solver 'cholespy' needs the package cholespy")
     return _superlu(matrix) if linear_solver == "superlu" or CholeskySolverD is None else _cholespy(matrix)
 
 
-def _known(like: Like) -> Factor | Analysis | None:
-    return like if isinstance(like, (Factor, Analysis)) else None
+def _known(like: Like) -> CholmodFactor | CholmodAnalysis | None:
+    return like if isinstance(like, (CholmodFactor, CholmodAnalysis)) else None
 
 
 def _superlu(matrix: csc_matrix) -> Solve:
@@ -86,10 +86,10 @@ def factorise_definite(matrix: csc_matrix, *, linear_solver: LinearSolver | None
     linear_solver None takes CHOLMOD by supernodes where the system has it, which is what factors of three unknowns per
     vertex need most, else what `factorise` takes; `like` and errors are as there.
     """
-    if linear_solver is None and library() is not None:
+    if linear_solver is None and cholmod_library() is not None:
         linear_solver = "cholmod"
-    if linear_solver == "cholmod" and library() is not None:
-        return Factor(matrix, _known(like), definite=True)
+    if linear_solver == "cholmod" and cholmod_library() is not None:
+        return CholmodFactor(matrix, _known(like), definite=True)
     if linear_solver == "superlu" or (linear_solver is None and CholeskySolverD is None):
         # LU without pivoting meets the signs of LDLᵀ.
         lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -126,7 +126,7 @@ class _Dense(ctypes.Structure):
 
 
 @cache
-def library() -> ctypes.CDLL | None:
+def cholmod_library() -> ctypes.CDLL | None:
     """The shared library, or None where there is none."""
     try:
         found = ctypes.CDLL("libcholmod.so.3")
@@ -137,7 +137,7 @@ def library() -> ctypes.CDLL | None:
     return found
 
 
-class Analysis:
+class CholmodAnalysis:
     """The order of elimination and the structure of the factor for all matrices of one pattern.
 
     With `definite` the factor is LLᵀ by supernodes, which a matrix that is not positive definite does not have; else
@@ -145,7 +145,7 @@ class Analysis:
     """
 
     def __init__(self, matrix: csc_matrix, *, definite: bool = False):
-        loaded = library()
+        loaded = cholmod_library()
         if loaded is None:
             raise OSError("libcholmod.so.3 is not installed")
         self.library = loaded
@@ -172,16 +172,20 @@ class Analysis:
         )
 
 
-class Factor:
+class CholmodFactor:
     """A numeric factor, float64; calling it solves.
 
     Raises LinAlgError for a matrix of which there is none: with `definite`, for each that is not positive definite.
     """
 
-    def __init__(self, matrix: csc_matrix, like: Factor | Analysis | None = None, *, definite: bool = False):
-        known = like.analysis if isinstance(like, Factor) else like
+    def __init__(
+        self, matrix: csc_matrix, like: CholmodFactor | CholmodAnalysis | None = None, *, definite: bool = False
+    ):
+        known = like.analysis if isinstance(like, CholmodFactor) else like
         fits = known is not None and known.fits(matrix)
-        self.analysis: Analysis = known if known is not None and fits else Analysis(matrix, definite=definite)
+        self.analysis: CholmodAnalysis = (
+            known if known is not None and fits else CholmodAnalysis(matrix, definite=definite)
+        )
         calls, common = self.analysis.library, self.analysis.common
         self._factor = c_void_p(calls.cholmod_copy_factor(self.analysis.symbolic, common))
         if not self._factor:

@@ -34,12 +34,12 @@ def deformation_gradients(before: Floats, after: Floats, triangles) -> Floats:
 
     Raises MeshError for a triangle without area in `before`.
     """
-    require_area("before", before, triangles)
+    check_areas("before", before, triangles)
     frames, moved = sumner_frames(before, triangles), sumner_frames(after, triangles)
     return moved @ np.linalg.inv(frames)
 
 
-def require_area(name: str, vertices: Floats, triangles) -> None:
+def check_areas(name: str, vertices: Floats, triangles) -> None:
     """Raise MeshError for triangles without area: how many, and the first by its number."""
     g11, g12, g22 = _edge_products(vertices, triangles)
     flat = np.flatnonzero(g11 * g22 - g12**2 <= 1e-14 * (g11 + g22) ** 2)  # left: (2 area)²
@@ -108,7 +108,7 @@ class DeformationTransfer:
 
 def _edge_stiffness(reference: Surface) -> Floats:
     """Area · Dm⁻¹ Dm⁻ᵀ per face as (c11, c12, c22), which is all of D and G that a face needs, shape (m, 3)."""
-    require_area("reference", reference.vertices, reference.triangles)
+    check_areas("reference", reference.vertices, reference.triangles)
     g11, g12, g22 = _edge_products(reference.vertices, reference.triangles)
     return np.stack([g22, -g12, g11], axis=1) / (2.0 * np.sqrt(g11 * g22 - g12**2))[:, None]
 

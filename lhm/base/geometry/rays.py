@@ -79,7 +79,7 @@ RAYS, REACH, OFF = 16, 200.0, 0.05
 """Directions tried at each point; how far [mm] they look, and how far off the surface they begin."""
 
 
-def sky_seen(surface: Surface, points: Floats | None = None, normals: Floats | None = None) -> Floats:
+def visible_sky(surface: Surface, points: Floats | None = None, normals: Floats | None = None) -> Floats:
     """The share (k,) of the directions before each point, by their cosine, that meet nothing within 200 mm.
 
     `points` on the surface [mm] and their unit normals, shape (k, 3); by default its vertices.

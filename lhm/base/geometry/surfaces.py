@@ -123,7 +123,7 @@ TURN = 0.3
 """A triangle's normal may turn in one collapse by as much as this cosine allows."""
 
 
-def simplified(surface: Surface, most: int) -> Surface:
+def simplify(surface: Surface, most: int) -> Surface:
     """A closed manifold surface with at most `most` triangles if collapses that keep it a manifold reach it.
 
     Garland and Heckbert's quadric error (SIGGRAPH 1997); a collapse must satisfy the link condition (Dey et al. 1999)

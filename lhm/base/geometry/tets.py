@@ -74,7 +74,7 @@ REACHED = 0.5
 """The share of the volume asked for that passes: the last bit of it is slow to come."""
 
 
-def untangled(vertices: Floats, tets: Ints, free: NDArray[np.bool_], least: Floats) -> Floats:
+def untangle(vertices: Floats, tets: Ints, free: NDArray[np.bool_], least: Floats) -> Floats:
     """Vertices [mm], shape (n, 3), of which those `free` (n,) that touch too small a tet are moved until it is not.
 
     `least` (m,) [mm³] is the volume asked for. The squared shortfalls, each over its `least`, are minimised by L-BFGS.

@@ -28,12 +28,12 @@ def across_edges(triangles: Ints) -> Ints:
     return order[np.searchsorted(forth[order], back)].reshape(-1, 3) // 3
 
 
-def closed(surface: Surface) -> Surface:
+def close_openings(surface: Surface) -> Surface:
     """The surface with its openings closed; its own vertices come first, one more for each opening follows.
 
     Raises MeshError for edges with more than two triangles, and for neighbours oriented against one another.
     """
-    loops = openings(surface.triangles)
+    loops = find_openings(surface.triangles)
     if not loops:
         return surface
     first = len(surface.vertices)
@@ -42,7 +42,7 @@ def closed(surface: Surface) -> Surface:
     return Surface(np.vstack([surface.vertices, centres]), np.vstack([surface.triangles, *fans]))
 
 
-def openings(triangles: Ints) -> list[Ints]:
+def find_openings(triangles: Ints) -> list[Ints]:
     """The loops of edges that have one triangle, as vertices in the direction of their triangles, the longest first.
 
     Where the boundary touches itself at a vertex it is several loops. Raises MeshError for edges with more than two

@@ -1,4 +1,4 @@
-"""Faces of a corpus with their heads: by how much scaled bones carry the skin, and what binding by simulation costs."""
+"""Heads of a corpus' people: how far scaled bones carry a face's skin, and the cost of a bind by simulation."""
 
 from __future__ import annotations
 
@@ -10,19 +10,16 @@ from os import PathLike
 import numpy as np
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
 from ..lhm.head import LayeredHead
 from ..reference import Parameters, prepare, settled
 from ..reference.face.linearised import DIRECT, spring_norm
 from ..reference.face.settling import FOR_TARGETS, carry_skin
-from .corpus.fields import on_wraps
+from .corpus.face import Face
 from .corpus.folder import known_plan
-from .corpus.people import people_of
-from .corpus.person import OfSpace, People, Person
+from .corpus.people import OfSpace, People, people_of
 from .linear import derivatives
-from .modal.faces import Face
-from .modal.features import STATIC
 from .ruler import BONES
 
 SCALED = 1.02
@@ -66,9 +63,7 @@ class Heads:
 
     def fit(self, face: Face) -> LayeredHead:
         """Fit the head anew."""
-        people = self.people
-        skin = Surface(np.asarray(face.skin, dtype=np.float64), people.mean.triangles)
-        return people.head(Person(face.code, skin, face.shapes))
+        return self.people.head(face.person)
 
     def shapes(self, face: Face) -> Floats:
         """What each shape adds to the skin of a face's person [mm], shape (52, n, 3): of a space, by the code."""
@@ -77,17 +72,14 @@ class Heads:
 
     def parameters(self, face: Face, head: LayeredHead) -> Parameters:
         """The parameters of a face on the wraps of its head, as the corpus simulated it."""
-        waves, values = on_wraps(head, self.people.mean), {}
-        for name, row in zip(STATIC, face.coefficients.astype(np.float64), strict=True):
-            values[name] = Parameters.info(name).denormalise(waves @ row) if row[1:].any() else _uniform(face, name)
-        return Parameters(**values)
+        return face.parameters.parameters(head, self.people.mean)
 
     def carry(self, face: Face) -> Floats32:
         """Displace a face's skin with its scaled bones [mm], shape (n, 3); see `settling.carry_skin`."""
-        scales = {name: _uniform(face, name) for name in BONES}
+        scales = {name: face.parameters.level(name) for name in BONES}
         if all(scale == Parameters.info(name).default for name, scale in scales.items()):
             return np.zeros(face.skin.shape, dtype=np.float32)
-        key = face.skin.tobytes(), face.coefficients.tobytes()
+        key = face.skin.tobytes(), face.parameters.coefficients.tobytes()
         if key not in self._carried:
             self._carried[key] = carry_skin(self.head(face), Parameters(**scales)).astype(np.float32)
         return self._carried[key]
@@ -137,11 +129,3 @@ def neutral_at_rest(head: LayeredHead, parameters: Parameters) -> Floats:
     scene = face.scene(head.skin.vertices)
     answer = prepare(scene).solve(start=face.positions, absolute=DIRECT * spring_norm(scene))
     return face.skin_after(head.skin.vertices, answer.positions)
-
-
-def _uniform(face: Face, name: str) -> float:
-    """The value of a parameter that is one number for the whole face."""
-    info, level = Parameters.info(name), face.coefficients[STATIC.index(name), 0]
-    if np.float32(level) == np.float32(info.normalise(info.default)):
-        return info.default
-    return float(info.denormalise(np.float64(level)))

@@ -1,4 +1,4 @@
-"""A person under one parameter set: the settled face, its responses, and the answers to expressions."""
+"""The simulator of one face of a corpus: settled and linearised once, then asked for expressions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from ...lhm.head import LayeredHead
 from ...reference import Scene, Settled, Solution, settled
 from ...reference.face.linearised import DIRECT, Analysed, Linearised, linearised, spring_norm
 from ...reference.face.settling import FOR_TARGETS
+from .face import Derivatives, Face
 from .mixture import INFOS, ParameterSet
-from .person import People, Person
+from .people import People, Person
 from .plan import CorpusPlan
 from .shard import ACCEPTED
 
@@ -41,16 +42,16 @@ class Answer:
         return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
 
 
-def settled_neutral(people: People, head: LayeredHead, drawn: ParameterSet) -> Settled:
-    """The neutral face under a parameter set; SceneError where it does not come to rest."""
-    neutral = settled(head, drawn.parameters(head, people.mean), **FOR_TARGETS)
+def settle_neutral(people: People, head: LayeredHead, parameters: ParameterSet) -> Settled:
+    """Settle the neutral face under a parameter set; SceneError where it does not come to rest."""
+    neutral = settled(head, parameters.parameters(head, people.mean), **FOR_TARGETS)
     if not neutral.converged:
         raise SceneError(str(neutral.reason))
     return neutral
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class FaceSimulator:
     """The face of one person at rest under one parameter set, prepared for expressions.
 
     first_order (52, scene's vertices, 3) [mm]: how the tets move with each shape, from which expressions start.
@@ -58,21 +59,20 @@ class Group:
 
     plan: CorpusPlan
     person: Person
-    drawn: ParameterSet
+    parameters: ParameterSet
     linear: Linearised
     first_order: Floats
-    wanted: tuple[bool, bool]
 
     @classmethod
-    def of(cls, plan: CorpusPlan, people: People, person: Person, head: LayeredHead, number: int) -> Group:
-        """Settle the face under the plan's parameter set of this number; SceneError where it does not come to rest."""
-        drawn = plan.parameter_set(number)
-        neutral = settled_neutral(people, head, drawn)
+    def of(
+        cls, plan: CorpusPlan, people: People, person: Person, head: LayeredHead, parameters: ParameterSet
+    ) -> FaceSimulator:
+        """Settle and linearise a person's face; SceneError where it does not come to rest."""
+        neutral = settle_neutral(people, head, parameters)
         linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
         _last.clear()
         _last[people.name] = linear.analysed
-        moved = linear.first_order(person.shapes)
-        return cls(plan, person, drawn, linear, moved, plan.has_responses(number))
+        return cls(plan, person, parameters, linear, linear.first_order(person.shapes))
 
     @property
     def head(self) -> LayeredHead:
@@ -94,20 +94,16 @@ class Group:
     def _by_law(self) -> dict[str, Settled]:
         return {}
 
-    @property
-    def exact(self) -> bool:
-        """Whether the derivatives are by the energy's own Hessian."""
-        return self.linear.exact
-
     @cached_property
-    def offset(self) -> Floats:
-        """T - S at w = 0 [mm], shape (n, 3)."""
-        return self.linear.offset + self.neutral.displacement
+    def derivatives(self) -> Derivatives:
+        """Offset and responses of T - S."""
+        offset = self.linear.offset + self.neutral.displacement
+        responses = self.linear.skin_moved(self.first_order, self.person.shapes) - self.person.shapes
+        return Derivatives(offset, responses, self.linear.exact)
 
-    @cached_property
-    def responses(self) -> Floats:
-        """d(T - S)/dw at w = 0 [mm], shape (52, n, 3)."""
-        return self.linear.skin_moved(self.first_order, self.person.shapes) - self.person.shapes
+    def face(self, identity: int) -> Face:
+        """The face as a corpus keeps it, of person number `identity`."""
+        return Face(identity, self.person, self.parameters, self.neutral.displacement, self.derivatives)
 
     @cached_property
     def parameter_responses(self) -> dict[str, Floats]:
@@ -115,7 +111,7 @@ class Group:
 
         But for the strain limit: where it is 1 the energy has kinks.
         """
-        along = {name: self._along(name) for name in self.drawn.names if name not in UNDIFFERENTIATED}
+        along = {name: self._along(name) for name in self.parameters.names if name not in UNDIFFERENTIATED}
         return self.linear.of_parameters(along) if along else {}
 
     def _along(self, name: str) -> float | Floats:
@@ -123,11 +119,6 @@ class Group:
         info, value = INFOS[name], np.asarray(getattr(self.neutral.parameters, name))
         change = value * np.log(info.high / info.low) if info.log else np.full(value.shape, info.high - info.low)
         return 0.5 * change if value.ndim else float(0.5 * change)
-
-    @property
-    def settled(self) -> Floats:
-        """By how much the neutral skin moved [mm], shape (n, 3)."""
-        return self.neutral.displacement
 
     def expression(self, weights: Floats | Floats32) -> Floats:
         """S [mm], shape (n, 3), of weights (52,)."""
@@ -185,8 +176,8 @@ class Group:
         )
 
     @cached_property
-    def face(self) -> np.ndarray:
-        """Which skin vertices are of the face, shape (n,); all where the head does not tell."""
+    def _in_face(self) -> np.ndarray:
+        """Whether each skin vertex is of the face, shape (n,); all where the head does not tell."""
         n = len(self.head.bone)
         mask = np.asarray(self.head.regions.get("face", np.ones(n, dtype=bool)), dtype=np.float64)
         return np.asarray(self.head.skin_from_wrap @ mask) > 0.5
@@ -205,7 +196,7 @@ class Group:
         return len(TriangleTree(positions[: len(wrap.vertices)], wrap.triangles).self_crossings())
 
     def _moved(self, corrected: np.ndarray) -> tuple[float, float]:
-        size = np.linalg.norm(corrected[self.face].astype(np.float64), axis=1)
+        size = np.linalg.norm(corrected[self._in_face].astype(np.float64), axis=1)
         return float(size.mean()), float(np.percentile(size, 95.0))
 
     def _status(self, solution: Solution, inverted: np.ndarray, corrected: np.ndarray) -> str:
