@@ -9,7 +9,7 @@ import click
 from ..lhm.base.limits import PEOPLE as PEOPLE_BOUND
 from ..lhm.base.limits import SEED, WORKERS
 from .counts import counted
-from .progress import shown
+from .terminal import show_progress
 from .written_file import FOLDER, PNG
 
 AFolder = click.Path(path_type=Path, file_okay=False)
@@ -72,7 +72,7 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
 
     if out is not None:
         read_manifest(out)  # refuses what is no corpus, before a minute is spent
-    with shown() as progress:
+    with show_progress() as progress:
         plan = _plan(plan_file, preset, takes, count)
         people = people_of(identities, level=level, on_progress=progress)
         rates = None if out is None else Rates.of(Corpus(out, plan, people).status())
@@ -107,7 +107,7 @@ def plan_(plan_file, preset, takes, count, identities, level, as_json, out: Path
 )
 def generate(plan_file, preset, takes, count, identities, level, as_json, out, workers, scheduler) -> int:
     """Simulate a corpus; run again, it goes on where it was stopped. Exit status 1 if more than 5 % is rejected."""
-    with shown() as progress:
+    with show_progress() as progress:
         return _generate(
             out, _plan(plan_file, preset, takes, count), identities, level, workers, scheduler, as_json, progress
         )
@@ -123,7 +123,7 @@ def generate(plan_file, preset, takes, count, identities, level, as_json, out, w
 def resume(folder: Path, workers: int, scheduler: str | None, as_json: bool) -> int:
     """Make what is missing or damaged in a corpus, by the plan that lies in it."""
     plan, made_with = _known(folder)
-    with shown() as progress:
+    with show_progress() as progress:
         return _generate(
             folder, plan, made_with["identities"], made_with["level"], workers, scheduler, as_json, progress
         )
@@ -194,7 +194,7 @@ def verify(folder: Path) -> int:
     """
     from ..surrogate.corpus.folder import verify_folder
 
-    with shown() as progress:
+    with show_progress() as progress:
         people = verify_folder(folder, on_progress=progress)
     click.echo(f"{folder}: {people} shards are whole")
     return 0
@@ -211,7 +211,7 @@ def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
     from ..lhm.base.files.atomic import write_whole
 
     out = folder / "sample.png" if out is None else out
-    with shown() as progress:
+    with show_progress() as progress:
         write_whole(out, contact_sheet(folder, count, seed, progress))
     click.echo(out)
     return 0

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ..lhm.base.files.npz import write_arrays
-from .progress import shown
+from .terminal import show_progress
 from .written_file import NPZ
 
 
@@ -35,7 +35,7 @@ def import_files(form: str, folder: Path, out: Path | None) -> int:
 def _import_ict(folder: Path, out: Path) -> None:
     from ..lhm.identities import ict, ict_folder
 
-    with shown() as progress:
+    with show_progress() as progress:
         arrays = ict_folder.read_folder(folder, progress=progress)
         space = ict.space_of(arrays, folder)
         write_arrays(out, arrays)
@@ -47,7 +47,7 @@ def _import_ict(folder: Path, out: Path) -> None:
 def _import_bodyparts3d(folder: Path, out: Path) -> None:
     from ..lhm.anatomy import bodyparts, bodyparts_folder
 
-    with shown() as progress:
+    with show_progress() as progress:
         arrays = bodyparts_folder.read_folder(folder, progress=progress)
         bodyparts.anatomy_of(arrays, folder)
         write_arrays(out, arrays)

@@ -9,7 +9,7 @@ import click
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.limits import FACES, STUDIED_PAIRS, TRAINING_STEPS, WORKERS
 from .counts import counted
-from .progress import shown
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -65,7 +65,7 @@ def train(
     """
     from ..benchmarks.plots import learning_curve
 
-    with shown() as progress:
+    with show_progress() as progress:
         if network == "modal":
             config = {"steps": steps, "device": device, "precision": precision}
             read = {"partial": partial, "share": share}
@@ -178,7 +178,7 @@ def evaluate(
     from ..benchmarks.surrogates import compare, told_first
 
     out.mkdir(parents=True, exist_ok=True)
-    with shown() as progress:
+    with show_progress() as progress:
         scores, written = compare(
             corpus,
             out,
