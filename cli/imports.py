@@ -33,11 +33,11 @@ def import_files(form: str, folder: Path, out: Path | None) -> int:
 
 
 def _import_ict(folder: Path, out: Path) -> None:
-    from ..lhm.identities import ict, ict_folder
+    from ..lhm.identities import ict
 
     with show_progress() as progress:
-        arrays = ict_folder.read_folder(folder, progress=progress)
-        space = ict.space_of(arrays, folder)
+        arrays = ict.read_folder(folder, progress=progress)
+        space = ict.space_from_arrays(arrays, folder)
         write_arrays(out, arrays)
     vertices, expressions = len(arrays["vertices"]), len(arrays["expression_names"])
     click.echo(f"{vertices} vertices, {space.code_size} identity shapes, {expressions} expression shapes")
@@ -45,14 +45,14 @@ def _import_ict(folder: Path, out: Path) -> None:
 
 
 def _import_bodyparts3d(folder: Path, out: Path) -> None:
-    from ..lhm.anatomy import bodyparts, bodyparts_folder
+    from ..lhm.anatomy import bodyparts
 
     with show_progress() as progress:
-        arrays = bodyparts_folder.read_folder(folder, progress=progress)
-        bodyparts.anatomy_of(arrays, folder)
+        arrays = bodyparts.read_folder(folder, progress=progress)
+        bodyparts.anatomy_from_arrays(arrays, folder)
         write_arrays(out, arrays)
     click.echo(f"{len(arrays['part_name'])} parts of {len(arrays['faces'])} triangles")
-    _report(out, bodyparts_folder.left_out(arrays))
+    _report(out, bodyparts.missing_parts(arrays))
 
 
 def _report(out: Path, missing) -> None:

@@ -48,8 +48,8 @@ def landmarks_command(
         ids = landmark_ids(template.skin, template.parts)
         surface, points = template.skin, {name: template.skin.vertices[vertex] for name, vertex in ids.items()}
         if skin is not None:
-            scan = scans.read_head_scan(skin, template, scans.Said(unit, up, front), progress=progress)
-            surface, points = scan.skin, scans.found_landmarks(scan, template, progress=progress)
+            scan = scans.read_head_scan(skin, template, scans.Hints(unit, up, front), progress=progress)
+            surface, points = scan.skin, scans.suggest_landmarks(scan, template, progress=progress)
             there = scan.placement.inverse(np.array(list(points.values())))
             text = {name: [float(f"{c:.6g}") for c in point] for name, point in zip(points, there, strict=True)}
             write_whole(out, json.dumps(text, indent=1).encode())
@@ -65,9 +65,9 @@ def landmarks_command(
 
 
 def _picture(surface: Surface, points) -> bytes:
-    from ..benchmarks.head_pictures import FRONT, SIDE
-    from ..viewer.pictures import labelled
+    from ..animation.head_pictures import FRONT, SIDE
+    from ..animation.pictures import draw_labelled
 
     places = np.array(list(points.values()))
     framed = np.vstack([places.min(axis=0) - AROUND, places.max(axis=0) + AROUND])
-    return labelled(surface, points, [("from the front", FRONT), ("from the subject's left", SIDE)], framed=framed)
+    return draw_labelled(surface, points, [("from the front", FRONT), ("from the subject's left", SIDE)], framed=framed)

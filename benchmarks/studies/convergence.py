@@ -12,16 +12,16 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.refine import refined_head
+from ...lhm.remesh import refine_head
 from ...reference import Parameters, Scene, Solution, facial_scene, prepare, solve
 from ..differences import difference
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..richardson import limit_of_three, limit_of_two
 from .person import OfPerson
 
@@ -86,7 +86,7 @@ class Convergence(OfPerson):
     def measure(self, task: Task) -> Values:
         """The solves on every mesh, and the errors of the head's own."""
         of = self.person()
-        head, shape, split = of.head, of.shape(task.case), refined_head(of.head)
+        head, shape, split = of.head, of.shape(task.case), refine_head(of.head)
         solves, skins = [], {}
         for surface, count in MESHES:
             mesh, layers = (head, count) if surface == 0 else (split, 1)
@@ -151,7 +151,7 @@ class Convergence(OfPerson):
             axis.set(yscale="log", xlabel=what)
         axes[0].set_ylabel("RMS distance to the limit [mm]")
         axes[0].legend()
-        return {"Error against the size of the mesh.": svg(figure)}
+        return {"Error against the size of the mesh.": to_svg(figure)}
 
 
 def _energy(row: Row, surface: int, count: int) -> float:

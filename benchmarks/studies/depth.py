@@ -9,28 +9,28 @@ from pathlib import Path
 
 import numpy as np
 
+from ...animation.head_pictures import draw_depth_comparison, draw_depth_error
 from ...lhm import Surface, Template, fit_head, identities, load_template
 from ...lhm.base.errors import InputError
 from ...lhm.base.files.surface_file import MILLIMETRES
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats
-from ...lhm.regressor import (
-    DepthErrors,
-    DepthRegressor,
+from ...lhm.regressor.depths import SKULL_PLACES, DepthErrors, DepthRegressor
+from ...lhm.regressor.pairs import (
     MeasuredDepths,
-    default_regressor,
+    check_inside,
     inward_normals,
-    measured_depths,
-    moved_wrap,
+    measure_depths,
+    move_wrap,
+    read_skin,
+    read_skull,
 )
-from ...lhm.regressor.files import check_inside, read_skin, read_skull
+from ...lhm.regressor.prior import default_regressor
 from ...lhm.wraps.depth import LANDMARKS
 from ...lhm.wraps.landmarks import Mask
-from ..depth_pictures import depth_comparison, depth_error
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Table, Task, Values
-from ..published import SKULL_PLACES
 
 LEAST_MEASURED = 0.1
 """Of the face's vertices at least this share must see bone, or there is nothing to compare."""
@@ -209,9 +209,9 @@ class DepthCheck:
         Raises InputError for a skull that lies outside the skin or is met from less than a tenth of the face, and
         FitError for a skin that no head can be fitted to.
         """
-        wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
+        wrap = template.skin_wrap.with_vertices(move_wrap(template, skin.vertices))
         check_inside("skull", template, wrap, skull)
-        measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
+        measured = measure_depths(wrap.vertices, inward_normals(wrap), [skull])
         met = float(measured.met[template.regions["face"]].mean())
         if met < LEAST_MEASURED:
             raise InputError(
@@ -299,6 +299,6 @@ class DepthCheck:
         """PNG of measured and predicted depths, and of the size of their difference."""
         error = np.where(self.measured.met, np.abs(self.predicted - self.measured.depths), np.nan)
         return {
-            "depths [mm]": depth_comparison(self.skin_wrap, self.predicted, self.measured),
-            "size of the difference [mm]": depth_error(self.skin_wrap, error, "predicted to measured depth"),
+            "depths [mm]": draw_depth_comparison(self.skin_wrap, self.predicted, self.measured),
+            "size of the difference [mm]": draw_depth_error(self.skin_wrap, error, "predicted to measured depth"),
         }

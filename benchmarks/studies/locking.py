@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.remesh import remeshed
+from ...lhm.remesh import remesh
 from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Scene, solve
 from ...surrogate.ruler import measure
@@ -25,7 +26,6 @@ from ..differences import distances
 from ..harness.gates import above, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from .mixed import law_scene
 from .person import OfPerson, Person, person
 
@@ -131,7 +131,7 @@ class Locking(OfPerson):
         if distance.max() > PAIRED:
             raise SoftdecaError(f"the mean skin is not symmetric: {distance.max():.3g} mm off its mirror image")
         rows = []
-        for what, head in ((PRISMS, of.head), (FREE, remeshed(of.head, self.size))):
+        for what, head in ((PRISMS, of.head), (FREE, remesh(of.head, self.size))):
             shapes = [rest + moved, rest + moved[partner] * MIRROR]
             answers = [_linear(head, shape, 0.45) for shape in shapes]
             left, right = (answer["skin"] for answer in answers)
@@ -215,7 +215,7 @@ class Locking(OfPerson):
             axis.set_ylim(bottom=0.0)
             axis.invert_xaxis()
         axes[0].legend(fontsize=8)
-        return {"Distance of linear to quadratic tets by Poisson's ratio.": svg(figure)}
+        return {"Distance of linear to quadratic tets by Poisson's ratio.": to_svg(figure)}
 
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -245,7 +245,7 @@ class _Problem:
 
     def on_free_tets(self, size: float) -> list[dict]:
         """Compare free tets with split prisms, element by element."""
-        free = remeshed(self.head, size)
+        free = remesh(self.head, size)
         linear = _linear(free, self.shape, self.poisson)
         quadratic = _quadratic(free, self.shape, self.poisson, self.element, linear)
         pairs = (("P1", linear, self.linear), (self.element, quadratic, self.quadratic))

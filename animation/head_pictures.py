@@ -1,0 +1,198 @@
+"""Pictures of one layered head: its layers cut open, sections, fit to the skin, and where its worst tets are. PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..lhm import expressions, identities
+from ..lhm.base.errors import InputError
+from ..lhm.base.geometry.bvh import TriangleTree
+from ..lhm.base.geometry.tets import smallest_dihedrals
+from ..lhm.base.mesh import Floats, Surface
+from ..lhm.head import LayeredHead
+from ..lhm.regressor.pairs import MeasuredDepths
+from ..reference import Parameters, facial_scene, solve
+from .pictures import MUSCLE, SIDE, SOFT, VIEW, Panel, draw_cut_away, draw_strip, draw_values, draw_views
+from .plots import subplots, to_png
+
+FRONT = (0.0, 0.05, 1.0)
+VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
+HALF_TURN = np.array([-1.0, 1.0, -1.0])
+WORST = 300
+LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour
+
+
+def expression_deltas(head: LayeredHead, name: str, space_name: str | None = None) -> Floats:
+    """What each expression adds to a head's skin [mm], shape (52, n, 3): by its own rig, or an identity space's.
+
+    InputError, naming the head by `name`, if it has no rig, or is not of the space's topology.
+    """
+    if space_name is None and head.rig is not None:
+        return head.rig.deltas.astype(np.float64)
+    space = identities.from_text(space_name or "anny")
+    if not np.array_equal(head.skin.triangles, space.triangles):
+        more = "" if head.rig is not None else "; fit it anew, and it keeps expressions of its own"
+        raise InputError(f"{name}: its skin has not the triangles of {space.name!r}{more}")
+    return space.expressions
+
+
+def pose_head(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, Surface]:
+    """All wraps' vertices [mm], shape (3 n, 3), and the skin, in an expression of ARKit weights (52,).
+
+    The default parameters' projective dynamics.
+    """
+    used = np.flatnonzero(expressions.check_weights(weights))
+    shape = head.skin.vertices + np.tensordot(weights[used], deltas[used], axes=1)
+    solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
+    return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))
+
+
+def draw_head(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None) -> Mapping[str, bytes]:
+    """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
+    positions, skin = (head.vertices, head.skin) if pose is None else pose
+    return {
+        "skin": draw_views(
+            [(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin
+        ),
+        "layers": draw_cut_away(head, positions=positions),
+        "sections": draw_sections(head, positions, skin),
+        "fit": draw_fit(head),
+        "quality": draw_quality(head),
+    }
+
+
+def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
+    """The tissue [mm] in the mid-plane, and in the horizontal plane between the lips; the skin as a line."""
+    rest = head.skin_wrap.vertices
+    mouth = head.regions.get("lips", np.ones(len(rest), bool))
+    wrap = positions[: len(rest)]
+    middle = 0.5 * (wrap[:, 0].min() + wrap[:, 0].max())
+    height = float(np.median(wrap[mouth, 1]))
+    figure, axes = subplots(1, 2, figsize=(13, 7.2), width_ratios=(1, 1))
+    planes = (
+        (0, middle, (2, 1), "mid-plane", "z, forward [mm]", "y, up [mm]"),
+        (
+            1,
+            height,
+            (0, 2),
+            f"horizontal plane through the mouth, y = {height:.0f} mm",
+            "x, subject's left [mm]",
+            "z [mm]",
+        ),
+    )
+    for axis, (normal, place, shown, title, x_label, y_label) in zip(axes, planes, strict=True):
+        for tets, colour, label in ((head.soft.tets, SOFT, "soft tissue"), (head.muscle.tets, MUSCLE, "muscle")):
+            pieces = [piece[:, shown] for piece in _cut_tets(positions, tets, normal, place)]
+            axis.add_collection(_polygons(pieces, colour, label))
+        lines = [piece[:, shown] for piece in _cut_triangles(skin.vertices, skin.triangles, normal, place)]
+        axis.add_collection(_lines(lines))
+        axis.autoscale_view()
+        axis.set_aspect("equal")
+        axis.set_title(title, fontsize=11)
+        axis.set(xlabel=x_label, ylabel=y_label)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncol=3)
+    return to_png(figure)
+
+
+def _polygons(pieces: Sequence[Floats], colour: str, label: str):
+    from matplotlib.collections import PolyCollection
+
+    return PolyCollection(pieces, facecolor=colour, edgecolor="#55443a", linewidth=0.25, label=label)
+
+
+def _lines(lines: Sequence[Floats]):
+    from matplotlib.collections import LineCollection
+
+    return LineCollection(lines, color="#1f4e79", linewidth=0.9, label="skin")
+
+
+def _cut_tets(vertices: Floats, tets: np.ndarray, normal: int, place: float) -> list[Floats]:
+    """The polygons, shape (3 or 4, 3), in which a plane across an axis cuts tets."""
+    height = vertices[:, normal] - place
+    above = height[tets] > 0
+    found = []
+    for tet, up in zip(tets[above.any(1) & ~above.all(1)], above[above.any(1) & ~above.all(1)], strict=True):
+        pairs = [(i, j) for i in tet[up] for j in tet[~up]]
+        # Of two corners on either side the edges come as ac, ad, bc, bd: the polygon runs ac, ad, bd, bc.
+        pairs = [pairs[0], pairs[1], pairs[3], pairs[2]] if len(pairs) == 4 else pairs
+        found.append(np.array([_between(vertices, height, i, j) for i, j in pairs]))
+    return found
+
+
+def _cut_triangles(vertices: Floats, triangles: np.ndarray, normal: int, place: float) -> list[Floats]:
+    """The segments, shape (2, 3), in which a plane across an axis cuts triangles."""
+    height = vertices[:, normal] - place
+    above = height[triangles] > 0
+    mixed = above.any(1) & ~above.all(1)
+    return [
+        np.array([_between(vertices, height, i, j) for i in triangle[up] for j in triangle[~up]])
+        for triangle, up in zip(triangles[mixed], above[mixed], strict=True)
+    ]
+
+
+def _between(vertices: Floats, height: Floats, i: int, j: int) -> Floats:
+    share = height[i] / (height[i] - height[j])
+    return vertices[i] + share * (vertices[j] - vertices[i])
+
+
+def draw_fit(head: LayeredHead) -> bytes:
+    """The skin with its distance to the skin wrap, and the skin wrap with its distance to the skin, as colours [mm]."""
+    skin, wrap = head.skin, head.skin_wrap
+    there = TriangleTree(skin.vertices, skin.triangles).closest(wrap.vertices)[2]
+    back = TriangleTree(wrap.vertices, wrap.triangles).closest(skin.vertices)[2]
+    return draw_values(
+        [
+            ("skin: distance to its wrap", skin, back, FRONT),
+            ("the same from the subject's left", skin, back, SIDE),
+            ("skin wrap: distance to the skin", wrap, there, VIEW),
+        ],
+        title=f"distance [mm]; {LARGEST_GAP:g} and more alike",
+        limits=(0.0, LARGEST_GAP),
+    )
+
+
+def draw_quality(head: LayeredHead) -> bytes:
+    """Where the tets of the smallest dihedral angles are, on the faded skin wrap, by angle [degrees]."""
+    angles = smallest_dihedrals(head.vertices, head.tets)
+    worst = np.argsort(angles)[:WORST]
+    points = head.vertices[head.tets[worst]].mean(axis=1)
+    directions = (
+        (f"the worst {len(worst)} of {len(angles)} tets", FRONT),
+        ("from the subject's left", SIDE),
+        ("from the subject's right", (-1.0, 0.05, 0.15)),
+    )
+    return draw_values(
+        [(text, head.skin_wrap, None, view) for text, view in directions],
+        title="smallest dihedral angle [degrees]",
+        limits=(float(angles[worst[0]]), float(angles[worst[-1]])),
+        points=(points, angles[worst]),
+    )
+
+
+def draw_depth_error(skin_wrap: Surface, errors: Floats, caption: str) -> bytes:
+    """PNG of errors (n,) [mm] per vertex on the skin wrap, NaN is grey; colours end at the 99 % quantile."""
+    top = float(np.nanquantile(errors, 0.99))
+    return draw_strip([Panel(caption, skin_wrap, errors, top), Panel("from behind", _turned(skin_wrap), errors, top)])
+
+
+def draw_depth_comparison(skin_wrap: Surface, predicted: Floats, measured: MeasuredDepths) -> bytes:
+    """PNG of one head's measured depths, grey where no ray met bone, beside the predicted ones (n,) [mm]."""
+    met = np.where(measured.met, measured.depths, np.nan)
+    top, behind = float(np.nanquantile(met, 0.95)), _turned(skin_wrap)
+    return draw_strip(
+        [
+            Panel("measured depth", skin_wrap, met, top),
+            Panel("predicted depth", skin_wrap, predicted, top),
+            Panel("measured, from behind", behind, met, top),
+            Panel("predicted, from behind", behind, predicted, top),
+        ],
+    )
+
+
+def _turned(surface: Surface) -> Surface:
+    """The same by half a turn about its vertical axis: panels of a strip share their view."""
+    x = surface.vertices
+    centre = (x.max(axis=0) + x.min(axis=0)) / 2
+    return surface.with_vertices(centre + HALF_TURN * (x - centre))

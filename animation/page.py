@@ -1,0 +1,249 @@
+"""One self-contained page: a head in 3D with the 52 sliders, by blendshapes, a rig and solvers, with its layers.
+
+It opens from a local file and asks no network for anything. Positions travel as 16-bit numbers, one scale per target,
+all of them packed by gzip.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+
+from ..lhm import expressions
+from ..lhm.arkit import ARKIT
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.head import LayeredHead
+from ..reference import Parameters
+from ..reference.face.derivatives import differentiate_head
+from ..surrogate import BoundSurrogate
+from ..surrogate.modal.rig import Remainder
+from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
+from .pictures import INSIDE, light_share, parse_colour, to_linear_light
+
+FINEST = 1 / 32767
+"""Of the largest number of a row: what a 16-bit number tells apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Morph targets: neutral (n, 3) and targets (k, n, 3) [mm] whose weights are the 52, times `mixing` if given.
+
+    mixing (52 + m, k) takes also the m numbers that `remainder` adds to the 52.
+    """
+
+    name: str
+    neutral: Floats | Floats32
+    targets: Floats | Floats32
+    mixing: Floats | Floats32 | None = None
+    remainder: Remainder | None = None
+
+    @classmethod
+    def baked(cls, name: str, bound: BoundSurrogate) -> Rig:
+        """Of a bound surrogate."""
+        rig = bound.bake()
+        return cls(name, rig.neutral, rig.targets, rig.mixing, rig.remainder_of)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """An expression as weights (52,), and the skins [mm] (n, 3) that solvers have found for it, by name."""
+
+    name: str
+    weights: Floats
+    skins: Mapping[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A surface beneath the skin, outermost first, which is seen where the head is cut open.
+
+    positions (n, 3) and targets (52, n, 3) [mm]; colour is red, green, blue in [0, 1].
+    """
+
+    name: str
+    triangles: np.ndarray
+    positions: Floats
+    targets: Floats
+    colour: tuple[float, float, float]
+
+
+def render_page(
+    title: str,
+    words: str,
+    triangles: np.ndarray,
+    rigs: Sequence[Rig],
+    *,
+    poses: Sequence[Pose] = (),
+    layers: Sequence[Layer] = (),
+    top: float = 2.0,
+) -> str:
+    """The page as text; `words` stand beneath the title, `top` [mm] is where the colours of distances end.
+
+    The last rig is shown first. Raises InputError without a rig, and for skins that are not all of one size.
+    """
+    if not rigs:
+        raise InputError("viewer: there is no rig to show")
+    n = len(rigs[0].neutral)
+    packed = _Packed()
+    skins = [skin for pose in poses for skin in pose.skins.values()]
+    for shape in [rig.neutral.shape for rig in rigs] + [np.shape(skin) for skin in skins]:
+        if shape != (n, 3):
+            raise InputError(f"viewer: skins of shapes {(n, 3)} and {shape} cannot be compared")
+    skin = Surface(np.asarray(rigs[0].neutral, dtype=np.float64), np.asarray(triangles))
+    content = {
+        "expressions": list(ARKIT),
+        "triangles": packed.add("triangles", np.asarray(triangles, dtype=np.uint32)),
+        "top": top,
+        "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
+        "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
+        "lit": packed.add("lit", light_share(skin).astype(np.float32)),
+        "inside": to_linear_light(parse_colour(INSIDE)).tolist(),
+        "within": _within(packed, skin),
+        "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
+        "arrays": packed.table,
+    }
+    here = files(__package__)
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    return environment.from_string((here / "page.html").read_text("utf-8")).render(
+        title=title,
+        words=words,
+        # "</" would end the script that holds it.
+        content=json.dumps(content, allow_nan=False).replace("</", "<\\/"),
+        bytes=base64.b64encode(gzip.compress(packed.bytes, mtime=0)).decode(),
+        three=(here / "three.js").read_text("utf-8"),
+        app=(here / "app.js").read_text("utf-8"),
+    )
+
+
+def _rig(packed: _Packed, where: str, rig: Rig) -> dict[str, Any]:
+    def name(part: str) -> str:
+        return f"{where} {part}"
+
+    found: dict[str, Any] = {
+        "name": rig.name,
+        "neutral": packed.add(name("neutral"), np.asarray(rig.neutral, dtype=np.float32)),
+        "targets": packed.small(name("targets"), rig.targets),
+        "mixing": None if rig.mixing is None else packed.add(name("mixing"), rig.mixing.astype(np.float32)),
+        "network": None,
+    }
+    if rig.remainder is not None:
+        found["network"] = {
+            part.name: packed.add(name(part.name), getattr(rig.remainder, part.name).astype(np.float32))
+            for part in fields(rig.remainder)
+        }
+    return found
+
+
+def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> dict[str, Any]:
+    return {
+        "name": pose.name,
+        "weights": packed.add(f"pose {k}", np.asarray(pose.weights, dtype=np.float32)),
+        "skins": {name: packed.small(f"pose {k} {name}", (skin - neutral)[None]) for name, skin in pose.skins.items()},
+    }
+
+
+def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
+    """Eyes and teeth, where the skin's are known."""
+    found = find_eyes_and_teeth(skin)
+    if found is None:
+        return None
+    bodies = [
+        {
+            "points": packed.add(f"within {k}", body.points.astype(np.float32)),
+            "carriers": packed.add(f"within {k} carriers", body.carriers.astype(np.uint32)),
+            "fit": packed.add(f"within {k} fit", body.fit.astype(np.float32)),
+            "side": body.side,
+            "centre": np.broadcast_to(body.centre, 3).tolist(),
+        }
+        for k, body in enumerate(found.bodies)
+    ]
+    return {
+        "bodies": bodies,
+        "turn": TURN,
+        "back": BACK,
+        "triangles": packed.add("within triangles", found.triangles.astype(np.uint32)),
+        "colours": packed.add("within colours", to_linear_light(found.colours).astype(np.float32)),
+    }
+
+
+def _layer(packed: _Packed, k: int, layer: Layer) -> dict[str, Any]:
+    return {
+        "name": layer.name,
+        "colour": layer.colour,
+        "rig": _rig(packed, f"layer {k}", Rig(layer.name, layer.positions, layer.targets)),
+        "triangles": packed.add(f"layer {k} triangles", layer.triangles.astype(np.uint32)),
+    }
+
+
+class _Packed:
+    """Arrays one after another in one block of bytes, with a table of where each begins."""
+
+    def __init__(self) -> None:
+        self.bytes = bytearray()
+        self.table: dict[str, dict[str, Any]] = {}
+
+    def add(self, name: str, array: np.ndarray, scale: Sequence[float] = ()) -> str:
+        """An array as it is; `scale` of each of its rows, where it has one."""
+        self.bytes += bytes(-len(self.bytes) % 4)
+        entry = {"type": str(array.dtype), "offset": len(self.bytes), "length": int(array.size), "scale": list(scale)}
+        self.table[name] = entry
+        self.bytes += np.ascontiguousarray(array).tobytes()
+        return name
+
+    def small(self, name: str, rows: np.ndarray) -> str:
+        """Rows (k, n, 3) as 16-bit numbers, each row with its own scale."""
+        scale = np.maximum(np.abs(rows).max(axis=(1, 2)), 1e-9) * FINEST
+        numbers = np.rint(rows / scale[:, None, None]).astype(np.int16)
+        return self.add(name, numbers, scale.tolist())
+
+
+POSES = {
+    "jaw open": {"jawOpen": 0.8},
+    "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
+    "pucker": {"mouthPucker": 1.0},
+    "blink": {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+    "puffed cheeks": {"cheekPuff": 1.0},
+    "brows up": {"browInnerUp": 1.0, "browOuterUpLeft": 1.0, "browOuterUpRight": 1.0},
+}
+LINEARISED = "simulator, linearised"
+LAYERS = (("muscle", (0.66, 0.22, 0.2)), ("skull", (0.92, 0.89, 0.8)))
+
+
+def render_face_page(
+    title: str,
+    words: str,
+    head: LayeredHead,
+    parameters: Parameters,
+    shapes: Floats,
+    rigs: Sequence[Rig] = (),
+    poses: Sequence[Pose] = (),
+) -> str:
+    """The page of a head under p, with what the 52 weights add to its skin [mm], shape (52, skin vertices, 3).
+
+    Beside these blendshapes it has the linearised simulator (some seconds), and `rigs`. `poses` replace the usual ones.
+    Raises InputError for a face that does not settle, and what the simulator raises.
+    """
+    linear, n = differentiate_head(head, parameters), len(head.bone)
+    moved = linear.vertices_by_shapes(np.asarray(shapes, dtype=np.float64))
+    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
+    below = (slice(n * k, n * (k + 1)) for k in (1, 2))
+    return render_page(
+        title,
+        words,
+        head.skin.triangles,
+        [Rig("blendshapes", head.skin.vertices, shapes), simulated, *rigs],
+        poses=poses or [Pose(name, expressions.weights_of(named)) for name, named in POSES.items()],
+        layers=[
+            Layer(name, head.skin_wrap.triangles, linear.answer.positions[rows], moved[:, rows], colour)
+            for (name, colour), rows in zip(LAYERS, below, strict=True)
+        ],
+    )

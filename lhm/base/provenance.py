@@ -1,0 +1,102 @@
+"""Where and with what a figure was measured, and what a results file lacks of that."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+DIRTY = "-dirty"
+"""At the end of a commit: the code had changes that it does not hold."""
+_CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", "*.npz", "*.safetensors",
+         ":(exclude)docs", ":(exclude)tests", ":(exclude)tools", ":(exclude)benchmarks/results")  # fmt: skip
+"""What a figure can depend on; texts and results of other studies may change while one is measured."""
+_PACKAGES = ("softdeca", "numpy", "scipy", "numba", "cholespy", "scikit-fem", "torch", "anny", "fenics-dolfinx")
+
+
+def describe_machine() -> dict:
+    """Processor, cores, load, versions and commit, for a results file."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load": read_load(),
+        "system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "versions": {name: _version(name) for name in _PACKAGES},
+        "commit": read_commit(),
+        "dtype": "float64",
+        "threads": int(os.environ.get("OMP_NUM_THREADS", "0")) or "default",
+    }
+
+
+def read_load() -> float:
+    """Processes that ran, on average over the last minute."""
+    return round(os.getloadavg()[0], 2)
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@cache
+def read_commit() -> str:
+    """The commit of the code when this process first asked, with DIRTY after it where files were changed or new."""
+    if shutil.which("git") is None:
+        return "not known: git is not installed"
+    here = Path(__file__).resolve().parents[2]
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "--short=12", "HEAD") + (DIRTY if git("status", "--porcelain", "--", *_CODE) else "")
+    except subprocess.CalledProcessError:
+        return "not known: no git checkout"
+
+
+def list_commits(machine: Mapping[str, Any], rows: Iterable[Mapping[str, Any]] = ()) -> list[str]:
+    """Name the commit of a machine's description, and those of rows that an earlier run measured."""
+    earlier = {str(row["commit"]) for row in rows if row.get("commit")}
+    return list(dict.fromkeys([str(machine.get("commit", "")), *sorted(earlier)]))
+
+
+def is_dirty(commit: str) -> bool:
+    """Whether the code had changes that a commit does not hold, so that its figures cannot be made again."""
+    return commit.endswith(DIRTY)
+
+
+def list_missing(results: Any) -> list[str]:
+    """Name what a results file lacks for its figures to be made again, of its content as read from JSON.
+
+    It has to say machine, versions, the options (or plan) with its seeds, and a commit, which holds all code.
+    """
+    if not isinstance(results, Mapping):
+        return ["machine", "commit", "versions", "options"]
+    if results and all(isinstance(each, Mapping) and "study" in each for each in results.values()):
+        return sorted({missing for each in results.values() for missing in list_missing(each)})  # a report of studies
+    machine = results.get("machine") or {}
+    missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
+    commits = list_commits(machine, results.get("rows", ()))
+    missing += ["commit"] if any(not commit or " " in commit for commit in commits) else []
+    missing += ["clean tree"] if any(map(is_dirty, commits)) else []
+    missing += [] if machine.get("versions") else ["versions"]
+    return missing + ([] if "options" in results or "plan" in results else ["options"])
