@@ -27,16 +27,16 @@ def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
 
     Vectors of shape (3,) or, in the order of cells (k,), (k, 3).
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field in fields(material):
         value = getattr(material, field.name)
         if isinstance(value, np.ndarray):
-            found[field.name] = seam.cell_vectors(domain, cells, value)
+            values[field.name] = seam.cell_vectors(domain, cells, value)
         elif isinstance(value, (int, float, np.number)):
-            found[field.name] = seam.constant(domain, float(value))
+            values[field.name] = seam.constant(domain, float(value))
         else:
-            found[field.name] = value
-    return SimpleNamespace(**found)
+            values[field.name] = value
+    return SimpleNamespace(**values)
 
 
 def density(displacement, cells: Ints, material: Material, growth: Floats | float = 1.0, pressure=None):

@@ -54,13 +54,13 @@ def modes(s: Floats, p: Floats, h: Floats) -> Modes:
 @njit(cache=True)
 def _indefinite(block):
     """Which of symmetric blocks (m, 3, 3) are not positive definite, by their leading minors."""
-    found = np.empty(len(block), dtype=np.bool_)
+    indefinite = np.empty(len(block), dtype=np.bool_)
     for e in range(len(block)):
         a, b, c = block[e, 0, 0], block[e, 0, 1], block[e, 0, 2]
         d, f, g = block[e, 1, 1], block[e, 1, 2], block[e, 2, 2]
         det = a * (d * g - f * f) - b * (b * g - c * f) + c * (b * f - c * d)
-        found[e] = not (a > 0.0 and a * d - b * b > 0.0 and det > 0.0)
-    return found
+        indefinite[e] = not (a > 0.0 and a * d - b * b > 0.0 and det > 0.0)
+    return indefinite
 
 
 @njit(cache=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,14 +13,11 @@ from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import (
     Bending,
-    Gravity,
     Hyperelastic,
     Pressure,
     RigidBody,
     Strain,
     SurfaceStrain,
-    Target,
-    Traction,
     Volume,
 )
 from . import dolfinx_version as seam
@@ -30,8 +26,8 @@ from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
-from .numbering import CELL_SHARES, FACE_SHARES, Numbering
-from .pressure import FollowerPressure
+from .loads import FollowerPressure, Springs, dead_loads
+from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
 from .shared import Shared, anywhere
 from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at
@@ -39,18 +35,6 @@ from .surface_strain import Membrane
 
 Law = tuple[Ints, HasStretches]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spring:
-    """Springs of targets or of inertia at nodes that this process owns.
-
-    dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
-    """
-
-    dofs: Ints
-    positions: Floats
-    stiffness: Floats
 
 
 class Problem:
@@ -103,7 +87,7 @@ class Problem:
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         owned = numbering.nodes.owned
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
-        springs = [spring.dofs for spring in self._springs_of(scene)]
+        springs = [spring.dofs for spring in Springs.all_of(scene, numbering)]
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
@@ -148,7 +132,7 @@ class Problem:
             FollowerPressure.of(term, nodes, here)
             for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
         ]
-        self._springs = self._springs_of(scene)
+        self._springs = Springs.all_of(scene, order)
         solids = self._solids(scene)
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
@@ -179,17 +163,6 @@ class Problem:
             self.numbering.dofs_of(term.name, term.triangles)
             surfaces += Rings.of(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
         return surfaces
-
-    def _springs_of(self, scene: Scene) -> list[Spring]:
-        """Those of targets, and of inertia."""
-        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
-        stiffness, places = scene.inertia()
-        moving = np.flatnonzero(stiffness)
-        found = []
-        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
-            mine, dofs = self.numbering.own_dofs(name, vertices)
-            found.append(Spring(dofs, positions[mine], np.broadcast_to(values, len(vertices))[mine]))
-        return found
 
     def _law(self, solid: Solid) -> Law:
         term, points = solid.term, self._points(solid.cells)
@@ -281,9 +254,7 @@ class State:
         energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
         energy += sum(surface.energy(self._x) for surface in problem._surfaces)
         energy += sum(self.share * follower.energy(self._x) for follower in problem._followers)
-        for spring in problem._springs:
-            away = self._x[spring.dofs] - spring.positions
-            energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
+        energy += sum(spring.energy(self._x) for spring in problem._springs)
         return problem.comm.allreduce(energy)
 
     def gradient(self) -> Floats:
@@ -303,7 +274,7 @@ class State:
         for follower in problem._followers:
             follower.add_gradient(self._x, total, self.share)
         for spring in problem._springs:
-            total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
+            spring.add_gradient(self._x, total)
         return problem.numbering.nodes.summed(total)
 
     def strain(self) -> Floats:
@@ -371,8 +342,7 @@ class State:
         for slots, follower in zip(problem._pressed_slots, problem._followers, strict=True):
             stiffness.add(follower.nodes, slots, self.share * follower.tangent(self._x))
         for spring in problem._springs:
-            nodes = spring.dofs[:, None]
-            stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])
+            stiffness.add(spring.nodes, stiffness.slots(spring.nodes), spring.hessian())
         return stiffness.assembled()
 
     def _curvature(self) -> tuple[Floats, Floats]:
@@ -381,24 +351,3 @@ class State:
         if problem._stretched:
             return self._principal([*problem._laws, *problem._stretched])[1:]
         return self._p, self._h
-
-
-def dead_loads(scene: Scene, order: Numbering) -> Floats:
-    """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
-    forces = np.zeros(order.X.shape)
-    for term in scene.of(Gravity):
-        tets = scene.tets_of(term)
-        weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
-        cells = order.cell[tets]
-        nodes = order.cell_dofs[cells[cells >= 0]]
-        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
-        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
-    for term in scene.of(Traction):
-        if not term.triangles.size:
-            continue
-        here, nodes = order.faces(term.name, term.triangles)
-        a, b, c = (scene.vertices[term.triangles[here, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        shares = np.outer(area, FACE_SHARES[order.degree])
-        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
-    return order.nodes.summed(forces)

@@ -218,7 +218,7 @@ def energy(scene: Scene, solution: Solution) -> float:
     return solution.energy
 
 
-def _stretched(row: Row) -> Callable[[Scene], Floats]:
+def stretched_start(row: Row) -> Callable[[Scene], Floats]:
     """A start at the row's held stretch, its free stretch 1."""
     return lambda scene: scene.vertices * np.where(np.arange(3) < row.loaded, row.stretch, 1.0)
 
@@ -227,7 +227,7 @@ def free_stretch(row: Row, bounds: dict[str, float], source: str = SOURCE) -> Pr
     """The free stretch where the row's stretch is held."""
     quantity = stretch_along(2, row.free_stretch)
     name = f"{row.label}, stretch {row.stretch:g}: free stretch"
-    return Problem(name, source, lambda: held(row), quantity, row.free_stretch, bounds, _stretched(row))
+    return Problem(name, source, lambda: held(row), quantity, row.free_stretch, bounds, stretched_start(row))
 
 
 def under_load(
@@ -242,7 +242,7 @@ def under_load(
 def held_energy(row: Row, bounds: dict[str, float], density: float, source: str = SOURCE) -> Problem:
     """The energy where the row's stretch is held; its derivative by the stretch is the stress."""
     name = f"{row.label}, stretch {row.stretch:g}: energy"
-    return Problem(name, source, lambda: held(row), energy, density, bounds, _stretched(row))
+    return Problem(name, source, lambda: held(row), energy, density, bounds, stretched_start(row))
 
 
 def _problems() -> list[Problem]:
@@ -336,8 +336,8 @@ def position_error(row: Row, mesh: Mesh, attempt: Attempt) -> float:
     scene = held(row, mesh())
     exact = scene.vertices * [row.stretch, row.free_stretch, row.free_stretch]
     start = scene.vertices * [row.stretch, 1.0, 1.0]
-    found = attempt.solve(attempt.prepare(scene), start=start, tolerance=TOLERANCE).positions
-    return float(np.linalg.norm(found - exact, axis=1).max())
+    positions = attempt.solve(attempt.prepare(scene), start=start, tolerance=TOLERANCE).positions
+    return float(np.linalg.norm(positions - exact, axis=1).max())
 
 
 CASES = tuple(

@@ -178,7 +178,7 @@ def _bent(cells: int, bounds: tuple[float, float]) -> tuple[Problem, ...]:
     radius = float(np.sqrt(offset() - BLOCK_RADIUS))
     return tuple(
         Problem(
-            f"bent block, {law.law.name}, P2P1, {cells} cells: {what}",
+            f"bent block, {law.law.name}, P2P1, {cells} cells: {name}",
             FLEXURE_SOURCE,
             partial(bent_block, law, cells),
             quantity,
@@ -188,7 +188,7 @@ def _bent(cells: int, bounds: tuple[float, float]) -> tuple[Problem, ...]:
             tolerance=1e-9,
         )
         for law in BLOCK_LAWS
-        for (what, quantity, value), bound in zip(
+        for (name, quantity, value), bound in zip(
             (("energy", bending_energy, energy_per_depth()), ("inner radius", inner_radius, radius)),
             bounds,
             strict=True,

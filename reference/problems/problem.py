@@ -202,7 +202,7 @@ def run_hard(case: HardCase, solver: str, element: str = "P1") -> HardOutcome:
     if solver not in solvers:
         raise SceneError(f"hard case {case.name!r} is not for solver {solver!r}; it is for {', '.join(solvers)}")
     if (solver, element) not in case.ways:
-        names = ", ".join(known for s, known in case.ways if s == solver)
+        names = ", ".join(its_element for s, its_element in case.ways if s == solver)
         raise SceneError(f"hard case {case.name!r} is not for element {element!r}; it is for {names}")
     attempt = Attempt(solver, element)
     begin = time.perf_counter()

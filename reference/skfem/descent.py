@@ -52,10 +52,10 @@ class Descent:
         if not np.isfinite(self.energy.value(x)):
             self._tell(x, np.inf, np.inf)
             return x, Reason.NOT_FINITE, 0
-        made = 0
+        iterations = 0
         if is_tangled(self.scene, self.at, x):
             forces = max(forces, self._norm(x))
-            x, reason, made = self._minimise(
+            x, reason, iterations = self._minimise(
                 Energy(without_volume(self.scene), self.at),
                 x,
                 lambda first: UNTANGLED * first,
@@ -63,13 +63,13 @@ class Descent:
                 lambda x, value, norm: self._tell(x, self.energy.value(x), self._norm(x)),
             )
             if reason is Reason.INTERRUPTED:
-                return x, reason, made
+                return x, reason, iterations
 
         def threshold(first: float) -> float:
             return limits.threshold(self.scene, max(first, forces))
 
-        x, reason, more = self._minimise(self.energy, x, threshold, limit - made, self._tell)
-        return x, reason, made + more
+        x, reason, more = self._minimise(self.energy, x, threshold, limit - iterations, self._tell)
+        return x, reason, iterations + more
 
     def _minimise(
         self, energy: Energy, x: Floats, threshold, limit: int, on_step: OnStep

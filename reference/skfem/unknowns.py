@@ -118,8 +118,8 @@ class Unknowns:
             y = body.levers(x) / body.radius
             moves = np.concatenate([np.broadcast_to(np.eye(3), (len(y), 3, 3)), _skew(y).transpose(0, 2, 1)], axis=2)
             rows = np.repeat(body.dofs.ravel(), 6)
-            which = np.tile(np.arange(6), body.dofs.size)
-            columns.append(csc_matrix((moves.ravel(), (rows, which)), shape=(self._size, 6)))
+            unknown = np.tile(np.arange(6), body.dofs.size)
+            columns.append(csc_matrix((moves.ravel(), (rows, unknown)), shape=(self._size, 6)))
         return hstack(columns, format="csc")
 
 

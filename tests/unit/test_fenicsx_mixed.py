@@ -11,8 +11,8 @@ from softdeca.reference import Reason, Scene, SceneError, materials, solve, term
 from softdeca.reference.compiling import Spent
 from softdeca.reference.fenicsx.equilibrium import Equilibrium
 from softdeca.reference.fenicsx.load_path import Continuation
+from softdeca.reference.fenicsx.loads import FollowerPressure
 from softdeca.reference.fenicsx.numbering import Numbering
-from softdeca.reference.fenicsx.pressure import FollowerPressure
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.problems import bars, incompressible, meshes
