@@ -39,7 +39,7 @@ class Rings:
     stiffness: Floats
 
     @classmethod
-    def of(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
+    def from_term(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
         """The term's rings, one Rings per number of neighbours.
 
         vertices [mm], shape (n, 3), are the scene's; `order` (n,) numbers them for the solver, the `owned` ones first.

@@ -77,10 +77,10 @@ def elastic_part(F, growth: Floats | float, domain, cells: Ints):
     return F * ratio ** (-1 / 3), ratio
 
 
-WhenAsked = Callable[[], Callable[[Ints], Floats]]
+LazyEvaluator = Callable[[], Callable[[Ints], Floats]]
 
 
-def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
+def lazy_evaluator(expression, degree: int, domain) -> LazyEvaluator:
     """What gives the function of cells for an expression at a rule's points; the code may be large, and not needed."""
 
     @cache
@@ -90,10 +90,10 @@ def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
     return evaluator
 
 
-def stress_and_tangent(psi, F, degree: int, domain) -> tuple[WhenAsked, WhenAsked]:
+def stress_and_tangent(psi, F, degree: int, domain) -> tuple[LazyEvaluator, LazyEvaluator]:
     """P and dP/dF of a density, evaluated when asked."""
     P = ufl.diff(psi, F)
-    return evaluated_when_asked(P, degree, domain), evaluated_when_asked(ufl.diff(P, F), degree, domain)
+    return lazy_evaluator(P, degree, domain), lazy_evaluator(ufl.diff(P, F), degree, domain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +108,14 @@ class HyperelasticForms:
     energy: Any
     gradient: Any
     tangent: Any
-    _P: WhenAsked
-    _dP_dF: WhenAsked
+    _P: LazyEvaluator
+    _dP_dF: LazyEvaluator
     by_pressure: Any = None
     coupling: Any = None
     by_pressure_twice: Any = None
 
     @classmethod
-    def of(
+    def compile(
         cls,
         displacement,
         cells: Ints,

@@ -54,7 +54,7 @@ class FollowerPressure:
     derivatives: Floats
 
     @classmethod
-    def of(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
+    def from_term(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
         """The term on its triangles that are `here`, by default all, with nodes (m, 3) or (m, 6), corners first."""
         k = nodes.shape[1]
         points, weights = seam.quadrature_rule(PRESSURE_DEGREES[k], "triangle")
@@ -100,7 +100,7 @@ class Springs:
     stiffness: Floats
 
     @classmethod
-    def all_of(cls, scene: Scene, order: Numbering) -> list[Springs]:
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[Springs]:
         """Those of a scene's targets, and of its inertia."""
         springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
         stiffness, places = scene.inertia()

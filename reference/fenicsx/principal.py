@@ -28,7 +28,7 @@ class Modes:
     twist: Floats
     flip: Floats
 
-    def softened(self, kept: float) -> Modes:
+    def soften(self, kept: float) -> Modes:
         """The tangent with every negative eigenvalue multiplied by `kept`; at 0 the nearest semi-definite one."""
         block = np.array(self.block)
         indefinite = _indefinite(block)

@@ -87,7 +87,7 @@ class Problem:
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         owned = numbering.nodes.owned
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
-        springs = [spring.dofs for spring in Springs.all_of(scene, numbering)]
+        springs = [spring.dofs for spring in Springs.from_scene(scene, numbering)]
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
@@ -104,7 +104,7 @@ class Problem:
 
     def _solids(self, scene: Scene) -> list[Solid]:
         return [
-            Solid.of(scene, term, self.numbering)
+            Solid.from_term(scene, term, self.numbering)
             for term in scene.terms
             if isinstance(term, (Strain, Volume, Hyperelastic))
         ]
@@ -120,7 +120,7 @@ class Problem:
     def _forms(self, solid: Solid) -> HyperelasticForms:
         cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
         pressure = self.pressure if self.mixed else None
-        return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth, pressure)
+        return HyperelasticForms.compile(self._displacement, cells, material, self._degree, growth, pressure)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -129,10 +129,10 @@ class Problem:
         self.loads = dead_loads(scene, order)
         self._surfaces = self._surfaces_of(scene)
         self._followers = [
-            FollowerPressure.of(term, nodes, here)
+            FollowerPressure.from_term(term, nodes, here)
             for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
         ]
-        self._springs = Springs.all_of(scene, order)
+        self._springs = Springs.from_scene(scene, order)
         solids = self._solids(scene)
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
@@ -156,12 +156,12 @@ class Problem:
 
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
         surfaces: list[Membrane | Rings] = [
-            Membrane.of(term, scene.vertices, *faces)
+            Membrane.from_term(term, scene.vertices, *faces)
             for term, faces in zip(scene.of(SurfaceStrain), self._faces, strict=True)
         ]
         for term in scene.of(Bending):
             self.numbering.dofs_of(term.name, term.triangles)
-            surfaces += Rings.of(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
+            surfaces += Rings.from_term(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
         return surfaces
 
     def _law(self, solid: Solid) -> Law:
@@ -336,7 +336,7 @@ class State:
         if problem._laws or problem._stretched:
             U, s, V = self._svd()
             p, h = self._curvature()
-            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).softened(kept), stiffness)
+            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).soften(kept), stiffness)
         for slots, surface in zip(problem._slots, problem._surfaces, strict=True):
             stiffness.add(surface.nodes, slots, surface.hessian(self._x, kept))
         for slots, follower in zip(problem._pressed_slots, problem._followers, strict=True):

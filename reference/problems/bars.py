@@ -218,7 +218,7 @@ TURN = 2.0 * np.pi
 TWISTED_YOUNG, TWISTED_POISSON = 10.0, 0.49
 
 
-def twisted(X: Floats, turn: float = TURN) -> Floats:
+def twist(X: Floats, turn: float = TURN) -> Floats:
     """Sections of the bar along x turned about its middle line, the last by `turn` [rad]."""
     angle = turn * X[:, 0] / TWISTED_LENGTH
     y, z = X[:, 1] - 0.5, X[:, 2] - 0.5
@@ -231,25 +231,25 @@ def twisted_bar() -> Scene:
     mu, lmbda = lame(TWISTED_YOUNG, TWISTED_POISSON)
     X, tets = box(TWISTED_CELLS, (TWISTED_LENGTH, 1.0, 1.0))
     ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, TWISTED_LENGTH)])
-    return Scene(X, tets, (Strain(2 * mu), Volume(3 * lmbda), Fixed(ends, twisted(X)[ends])))
+    return Scene(X, tets, (Strain(2 * mu), Volume(3 * lmbda), Fixed(ends, twist(X)[ends])))
 
 
-def _solved(attempt: Attempt) -> tuple[Scene, Solution]:
+def _solve_twist(attempt: Attempt) -> tuple[Scene, Solution]:
     scene = twisted_bar()
-    return scene, attempt.solve(attempt.prepare(scene), start=twisted(scene.vertices))
+    return scene, attempt.solve(attempt.prepare(scene), start=twist(scene.vertices))
 
 
 def difference_to_newton(attempt: Attempt) -> float:
     """The largest distance from scikit-fem's minimiser of the same energy, relative to the largest displacement."""
-    scene, solution = _solved(attempt)
-    other = solve(scene, solver="skfem", start=twisted(scene.vertices), tolerance=1e-10).positions
+    scene, solution = _solve_twist(attempt)
+    other = solve(scene, solver="skfem", start=twist(scene.vertices), tolerance=1e-10).positions
     moved = np.linalg.norm(other - scene.vertices, axis=1).max()
     return float(np.linalg.norm(solution.positions - other, axis=1).max() / moved)
 
 
 def volume_error(attempt: Attempt) -> float:
     """How much the bar's volume changed, relative to it."""
-    scene, solution = _solved(attempt)
+    scene, solution = _solve_twist(attempt)
     return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
 
 

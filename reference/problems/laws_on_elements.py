@@ -130,7 +130,7 @@ def twist_error(law: str, attempt: Attempt) -> float:
     """How much the volume of a bar changed, relative to it, one end turned against the other by TURN."""
     X, tets = box(bars.TWISTED_CELLS, (bars.TWISTED_LENGTH, 1.0, 1.0))
     ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, bars.TWISTED_LENGTH)])
-    turned = bars.twisted(X, TURN)
+    turned = bars.twist(X, TURN)
     scene = Scene(X, tets, (*_energies(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
     solution = attempt.solve(attempt.prepare(scene), start=turned, tolerance=1e-8)
     return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)

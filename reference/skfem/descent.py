@@ -56,7 +56,7 @@ class Descent:
         if is_tangled(self.scene, self.at, x):
             forces = max(forces, self._norm(x))
             x, reason, iterations = self._minimise(
-                Energy(without_volume(self.scene), self.at),
+                Energy(replace_volume(self.scene), self.at),
                 x,
                 lambda first: UNTANGLED * first,
                 min(limit, MAX_UNTANGLING),
@@ -99,12 +99,12 @@ def is_tangled(scene: Scene, at: Discretisation, x: Floats) -> bool:
     return bool(scene.of(terms.Volume)) and bool((np.linalg.det(at.tets.deformation_gradients(x)) <= 0).any())
 
 
-def without_volume(scene: Scene) -> Scene:
+def replace_volume(scene: Scene) -> Scene:
     """The scene with Strain in Volume's place, and no limits of strain."""
-    return replace(scene, terms=tuple(_eased(term) for term in scene.terms))
+    return replace(scene, terms=tuple(_ease(term) for term in scene.terms))
 
 
-def _eased(term: terms.Term) -> terms.Term:
+def _ease(term: terms.Term) -> terms.Term:
     if isinstance(term, terms.Volume):
         return terms.Strain(VOLUME_SHARE * term.stiffness, tets=term.tets)
     return replace(term, limit=1.0) if isinstance(term, terms.Strain) else term

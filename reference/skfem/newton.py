@@ -111,7 +111,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
     if step is None:
         return Reason.LINEAR_SOLVER
     if near:
-        x = unknowns.moved(state.x, step)
+        x = unknowns.move(state.x, step)
         value = energy.value(x)
         full = _state(energy, unknowns, x, value) if np.isfinite(value) else None
         if full is not None and np.linalg.norm(full.gradient) <= 0.5 * np.linalg.norm(state.gradient):
@@ -119,7 +119,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
     slope = float(state.gradient @ step)
     length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(HALVINGS):
-        x = unknowns.moved(state.x, length * step)
+        x = unknowns.move(state.x, length * step)
         value = energy.value(x)
         if value < state.value and value <= state.value + ARMIJO * length * slope:
             return _state(energy, unknowns, x, value)

@@ -125,7 +125,7 @@ class ByInvariants:
         I1, I2, J = _invariants(F)
         _, gradient, hessian = self.law.by_invariants(I1, I2, J)
         by_F = _gradients(F)
-        tangent = _chained(by_F, hessian)
+        tangent = _chain(by_F, hessian)
         tangent += (2 * gradient[:, 0])[:, None, None, None, None] * IDENTITY
         tangent += np.einsum(
             "ika,jlb,mab->mijkl", LEVI_CIVITA, LEVI_CIVITA, gradient[:, 2, None, None] * F, optimize=True
@@ -139,7 +139,7 @@ class ByInvariants:
         return tangent
 
 
-def _chained(by_F: Floats, hessian: Floats) -> Floats:
+def _chain(by_F: Floats, hessian: Floats) -> Floats:
     """What a Hessian (m, k, k) by k quantities gives to the tangent, from their derivatives by F (m, k, 3, 3)."""
     flat = by_F.reshape(*by_F.shape[:2], 9)
     return (flat.transpose(0, 2, 1) @ (hessian @ flat)).reshape(-1, 3, 3, 3, 3)
@@ -185,7 +185,7 @@ class ByRotation:
         _, gradient, hessian = self._by_rotation(F, R)
         turning = projection_derivative(U, sigma, Vt, np.ones_like(sigma), np.zeros_like(F))
         by_d, by_t = (gradient[:, a, None, None, None, None] for a in range(2))
-        tangent = _chained(np.stack([2 * (F - R), R], axis=1), hessian)
+        tangent = _chain(np.stack([2 * (F - R), R], axis=1), hessian)
         tangent += 2 * by_d * IDENTITY
         tangent += (by_t - 2 * by_d) * turning
         return tangent
