@@ -10,11 +10,10 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ..compiling import Clock, Spent
-from ..recovered import Recovered
+from ..clock import Clock, Seconds
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import Limits, OnIteration, Recorder, Solution, first_positions, volume_ratio
+from ..solution import Limits, OnIteration, Recorder, Solution, Stresses, first_positions, volume_ratio
 from .descent import Descent, carry
 from .discretisation import DEGREES, Discretisation
 from .energy import TERMS, Energy
@@ -31,7 +30,7 @@ class Prepared:
 
     scene: Scene
     discretisation: Discretisation
-    spent: Spent
+    spent: Seconds
 
     @check_arguments
     def solve(
@@ -108,10 +107,10 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
     clock = Clock()
-    return Prepared(scene, Discretisation(scene, element), clock.spent())
+    return Prepared(scene, Discretisation(scene, element), clock.read())
 
 
-def recover(scene: Scene, element: str, x: Floats) -> Recovered:
+def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     """The stresses at scikit-fem's points and the reactions of positions by degree of freedom [mm], shape (size,)."""
     at = Discretisation(scene, element)
     F, P = Tets(scene, at).stress(x)
@@ -120,4 +119,4 @@ def recover(scene: Scene, element: str, x: Floats) -> Recovered:
     reactions = np.zeros(scene.vertices.shape)
     for end in at.ends.T:  # an edge's node gives half to each of its ends
         np.add.at(reactions, end, 0.5 * forces)
-    return Recovered.of_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)
+    return Stresses.from_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)
