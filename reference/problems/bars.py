@@ -136,7 +136,7 @@ def strain_and_volume_law(stretch: float) -> tuple[Floats, float]:
 
 
 def neo_hookean_law(stretch: float, poisson: float = POISSON) -> tuple[Floats, float]:
-    """The same of the neo-Hookean law: mu (s - 1/s) + lmbda ln J / s along each axis, which vanishes along the lateral ones."""
+    """The same of the neo-Hookean law: mu (s - 1/s) + lmbda ln J / s along each axis, 0 along the lateral ones."""
     mu, lmbda = lame(YOUNG, poisson)
 
     def stress(along: float, s: float, lateral: float) -> float:
