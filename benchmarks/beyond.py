@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ..reference import Parameters, settled
 from ..reference.face.linearised import DIRECT, linearised
 from ..reference.face.settling import FOR_TARGETS, carry_skin
 from ..surrogate import Surrogate
-from ..surrogate.evaluate import Score, score_of
+from ..surrogate.evaluate import Known, Score, score_of
 from .surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
 
 KIND = "p beyond what was seen, clamped"
@@ -25,12 +24,6 @@ CASES = (
     Parameters(strain_limit=1.2),
 )
 EXPRESSIONS = ({"jawOpen": 0.7}, {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8}, {"mouthPucker": 0.8, "jawOpen": 0.2})
-
-
-@dataclass
-class _Named:
-    name: str
-    simulates: bool = False
 
 
 def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_LEVEL) -> list[Score]:
@@ -59,6 +52,6 @@ def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_L
         progress(f"evaluate, {KIND}", (number + 1) / len(CASES))
     motion = np.stack(motions)
     return [
-        score_of(_Named(name, name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
+        score_of(Known(name, name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
         for name, rows in errors.items()
     ]

@@ -42,6 +42,16 @@ class Breakeven:
         """Faces bound, whatever their frames, which cost about the same."""
         return (self.corpus + self.training) / (self.linearised_face - self.own_face)
 
+    @property
+    def told(self) -> str:
+        """In words."""
+        return (
+            f"The corpus' training people took {self.corpus:.0f} s of a core, training {self.training:.0f} s. A frame "
+            f"of the simulator takes {1e3 * self.simulated_frame:.0f} ms, so the network has paid after "
+            f"{self.frames:,.0f} frames; linearising a face takes {self.linearised_face:.1f} s, so against that it has "
+            f"after {self.faces:,.0f} faces."
+        )
+
 
 def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
     """Of a network with its note and scores, and of the corpus' training people.

@@ -49,3 +49,14 @@ def defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:
         for rival in TRIVIAL
         if (NETWORK, kind) in shares and shares.get((rival, kind), float("inf")) <= shares[NETWORK, kind]
     ]
+
+
+def told_first(scores: Sequence[Score]) -> str:
+    """Say where the network loses to a trivial rival; empty where it does not."""
+    lost = defeats(scores)
+    if not lost:
+        return ""
+    said = "; ".join(
+        f"{kind}: network {100 * own:.1f} %, {rival} {100 * other:.1f} %" for kind, rival, own, other in lost
+    )
+    return f"The network loses to a rival without learning on: {said}.\n"

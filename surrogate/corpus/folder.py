@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.errors import InputError
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import check_manifest, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.velocities import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
-from .intact import REMEDY, check_person, read_intact
-from .manifest import MANIFEST, CorpusTemplate, read_manifest, read_template, write_template
+from .intact import check_person, read_intact
+from .manifest import MANIFEST, CorpusTemplate, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
 from .plan import IDENTITY, CorpusPlan, Split
 from .sequences import velocities_of
-from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
+from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
 from .simulate import GENERATOR, simulate_person
 
 SERIAL = Schedule()
@@ -91,8 +91,21 @@ class Corpus:
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
         self.manifest = simulated_of(plan, people) | {"format": FORMAT}
-        if check_manifest(self.folder / MANIFEST, "corpus", self.manifest):
-            read_manifest(self.folder)
+        if (self.folder / MANIFEST).exists():
+            self._check_plan(read_manifest(self.folder))
+            check_manifest(self.folder / MANIFEST, "corpus", self.manifest)
+
+    def _check_plan(self, kept: Manifest) -> None:
+        """Raise InputError, naming each field that differs, where the folder's corpus is of another plan."""
+        if kept.said["plan"] == self.plan.digest:
+            return
+        differing = [
+            f"{item.name} {quote(getattr(kept.counts, item.name))}, expected {quote(getattr(self.plan, item.name))}"
+            for item in fields(CorpusPlan)
+            if item.name != "takes" and getattr(kept.counts, item.name) != getattr(self.plan, item.name)
+        ]
+        what = "; ".join(differing) or "its recordings are others"
+        raise InputError(f"{self.folder}: holds a corpus of another plan ({what}); use another folder or remove it")
 
     @property
     def owner(self) -> str:
@@ -162,13 +175,8 @@ class Corpus:
 
     def shard(self, identity: int) -> Shard:
         """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
-        path = self.shard_path(identity)
-        shard = read_shard(path, self.owner)
-        try:
-            check_person(shard.groups.number, self.plan.parameter_numbers(identity))
-        except InputError as error:
-            raise InputError(f"shard {path}: {error}; {REMEDY}") from None
-        return shard
+        n = len(self.people.mean.vertices)
+        return read_intact(self.shard_path(identity), self.owner, self.plan, identity, n)
 
     def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
         """All people's shards of a split, or of both, one after another; InputError for one that cannot be used."""
@@ -177,10 +185,8 @@ class Corpus:
                 yield identity, self.shard(identity)
 
     def verify(self, *, on_progress: OnProgress = silent) -> None:
-        """Check every shard against its checksum; InputError names the first that is missing or damaged."""
-        for identity in range(self.plan.identities):
-            self.shard(identity)
-            on_progress("verify", (identity + 1) / self.plan.identities)
+        """Check every shard; InputError names the first that is missing or damaged: see `verify_folder`."""
+        verify_folder(self.folder, on_progress=on_progress)
 
     def status(self) -> CorpusStatus:
         """Count what is there: see `status_of`."""
@@ -253,7 +259,7 @@ def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = sile
     manifest, n = read_manifest(folder), len(read_template(folder).mean.vertices)
     people = manifest.counts.identities
     for identity in range(people):
-        read_intact(shard_path(manifest.folder, identity), manifest, identity, n)
+        read_intact(shard_path(manifest.folder, identity), manifest.owner, manifest.counts, identity, n)
         on_progress("verify", (identity + 1) / people)
     return people
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...lhm.base.checks import array_of_kind, in_range, indices_below, integers, real, shape
 from ...lhm.base.errors import InputError
-from .manifest import Manifest
+from .plan import CorpusPlan
 from .shard import ACCEPTED, TABLES, VERTICES, Shard, columns_of, read_shard
 
 REMEDY = "`softdeca corpus generate` makes it anew"
@@ -22,23 +22,23 @@ _intact: set[Key] = set()
 """The files that this process has checked."""
 
 
-def check_intact(path: Path, manifest: Manifest, identity: int, vertices: int) -> None:
+def check_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertices: int) -> None:
     """Check a person's shard once per process: see `read_intact`."""
-    key = _key(path, manifest.owner, identity, vertices)
+    key = _key(path, owner, identity, vertices)
     if key is None or key not in _intact:
-        read_intact(path, manifest, identity, vertices)
+        read_intact(path, owner, plan, identity, vertices)
 
 
-def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) -> Shard:
+def read_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertices: int) -> Shard:
     """Read a person's shard and check it: checksum, corpus, person, and shapes and indices for so many vertices.
 
     Raises InputError naming the file and the array.
     """
-    before = _key(path, manifest.owner, identity, vertices)
-    shard = read_shard(path, manifest.owner)
+    before = _key(path, owner, identity, vertices)
+    shard = read_shard(path, owner)
     try:
         _check_arrays(shard, vertices)
-        check_person(shard.groups.number, manifest.counts.parameter_numbers(identity))
+        check_person(shard.groups.number, plan.parameter_numbers(identity))
     except InputError as error:
         raise InputError(f"shard {path}: {error}; {REMEDY}") from None
     if before is not None:

@@ -24,29 +24,17 @@ from .manifest import read_manifest, read_template
 from .mixture import ParameterSet
 from .people import Person
 from .plan import SPLITS, Split
-from .shard import ACCEPTED, Place, places_of, read_arrays_of
+from .shard import ACCEPTED, TABLES, Place, columns_of, places_of, read_arrays_of
 
 if TYPE_CHECKING:
     import torch
 
 Row = dict[str, Any]
 OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "groups/number", "persons/code")
-SMALL: dict[str, tuple[str, ...]] = {
-    "groups": ("status",),
-    "statics": ("group", "weights", "status", "recording", "frame", "moved"),
-    "sequences": ("group", "weights", "status", "recording", "frame", "rotations"),
-    "responses": ("group", "exact"),
-    "parameter_responses": ("group", "name"),
-    "references": ("static", "law", "status"),
-}
-LARGE: dict[str, tuple[str, ...]] = {
-    "groups": ("settled",),
-    "statics": ("corrected",),
-    "sequences": ("before", "corrected"),
-    "responses": ("offset", "expressions"),
-    "parameter_responses": ("change",),
-    "references": ("corrected",),
-}
+READ = [table for table in TABLES if table != "persons"]
+SMALL = {table: [n for n, column in columns_of(TABLES[table]).items() if not column.large] for table in READ}
+LARGE = {table: [n for n, column in columns_of(TABLES[table]).items() if column.large] for table in READ}
+"""Columns of each table that readers keep in memory, and those that they read row by row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +94,8 @@ class Table:
 
     def _person(self, identity: int) -> _Person:
         path = shard_path(self.folder, identity)
-        check_intact(path, self._manifest, identity, len(self.template.mean.vertices))
+        n = len(self.template.mean.vertices)
+        check_intact(path, self._manifest.owner, self._manifest.counts, identity, n)
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         found = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())

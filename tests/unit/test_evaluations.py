@@ -15,9 +15,8 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
-from softdeca.surrogate.evaluate import evaluate, score_of
+from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_of
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
-from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
 from softdeca.surrogate.heads import Heads
 from softdeca.surrogate.modal.looseness import Looseness
 from softdeca.surrogate.modal.weights import TrainingNote
@@ -75,12 +74,12 @@ def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
 
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
     scores = evaluate_references(METHODS, corpus, None, HEADS)
-    assert {score.kind for score in scores} <= set(KINDS.values())
+    assert {score.kind for score in scores} <= set(AGAINST.values())
     found = {(score.method, score.kind): score for score in scores}
-    simulated = found["projective dynamics", KINDS["PD"]]
+    simulated = found["projective dynamics", AGAINST["PD"]]
     assert simulated.mean < 0.01 and simulated.frame_ms is None
-    assert simulated.mean <= found["linearised simulator", KINDS["PD"]].mean
-    assert found["bones carried", KINDS["PD"]].share == pytest.approx(1.0)
+    assert simulated.mean <= found["linearised simulator", AGAINST["PD"]].mean
+    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0)
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):

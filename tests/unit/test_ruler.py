@@ -7,8 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.surrogate_gates import BOUNDS, HYBRID, LINEARISED, NETWORK, TRIVIAL, defeats, surrogate_gates
-from softdeca.benchmarks.surrogates import told_first
+from softdeca.benchmarks.surrogate_gates import (
+    BOUNDS,
+    HYBRID,
+    LINEARISED,
+    NETWORK,
+    TRIVIAL,
+    defeats,
+    surrogate_gates,
+    told_first,
+)
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scaled_skull
