@@ -120,7 +120,7 @@ class Generation:
 
     def make(self, plan: "CorpusPlan", made_with: dict, progress: OnProgress) -> "CorpusStatus":
         """Simulate what is missing in `out`."""
-        from ..benchmarks.harness.machine import describe
+        from ..lhm.base.provenance import describe_machine
         from ..surrogate.corpus.card import write_card
         from ..surrogate.corpus.folder import Corpus
         from ..surrogate.corpus.people import people_of
@@ -131,7 +131,7 @@ class Generation:
         people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
         corpus = Corpus(self.out, plan, people, made_with)
         status = corpus.generate(on=on, on_progress=progress)
-        write_card(corpus, machine=describe())
+        write_card(corpus, machine=describe_machine())
         return status
 
 
@@ -252,11 +252,11 @@ def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
 
     FOLDER is a corpus, or the folder of a `softdeca study`.
     """
-    from ..benchmarks.contact_sheet import contact_sheet
+    from ..animation.contact_sheet import draw_contact_sheet
     from ..lhm.base.files.atomic import write_whole
 
     out = folder / "sample.png" if out is None else out
     with shown() as progress:
-        write_whole(out, contact_sheet(folder, count, seed, progress))
+        write_whole(out, draw_contact_sheet(folder, count, seed, progress))
     click.echo(out)
     return 0

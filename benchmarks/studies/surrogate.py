@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...animation.plots import plot_costs, subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.progress import silent
 from ...surrogate.corpus.manifest import OWNER, read_manifest, read_template
@@ -22,7 +23,6 @@ from ..beyond import beyond
 from ..breakeven import Breakeven, breakeven
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..plots import costs_figure, subplots, svg
 from ..surrogate_frames import frames_png
 from ..surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, surrogate_gates, told_first
 from ..surrogates import READY, SIMULATE, OnCorpus, learning, load_network, split_of
@@ -137,7 +137,7 @@ class SurrogateOnCorpus(Study):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Mean error against the cost before the first frame, and per frame; and over the number of people."""
         known = [s for s in _scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
-        pictures = {"Error against cost.": svg(costs_figure(known))} if known else {}
+        pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
         grown = sorted((row.values["trained_on"]["people"], row) for row in rows if row.case == CURVE)
         if grown:
             figure, axis = subplots(figsize=(6, 3.4))
@@ -149,7 +149,7 @@ class SurrogateOnCorpus(Study):
             axis.set_xticks(people, [str(count) for count in people])
             axis.minorticks_off()
             axis.legend()
-            pictures["Error over the number of people trained on."] = svg(figure)
+            pictures["Error over the number of people trained on."] = to_svg(figure)
         return pictures
 
     def _tested(self) -> OnCorpus:

@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.harness.machine import lacks
 from softdeca.benchmarks.surrogate_gates import NETWORK
 from softdeca.benchmarks.surrogates import READY
+from softdeca.lhm.base.provenance import list_missing
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
@@ -46,7 +46,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     ended = command(*asked, "--rivals", "--out", scores, "--json")
     assert ended.status == 0 and ended.errors == []
     kept = json.loads((scores / "results.json").read_text())
-    assert json.loads(ended.out) == kept and set(lacks(kept)) <= OF_THE_CHECKOUT
+    assert json.loads(ended.out) == kept and set(list_missing(kept)) <= OF_THE_CHECKOUT
     told = {row["method"]: row["values"] for row in kept["rows"]}
     methods = {name: values["rows"][0] for name, values in told.items()}
     assert set(READY) < set(methods) and len(methods) == 13 and methods["bones carried"]["share"] == pytest.approx(1.0)
