@@ -115,14 +115,14 @@ def simulate_pairs(
 
 
 def evaluate_generalisation(
-    methods: Sequence[Method], pairs: PairStore, costs: BindCosts | None = None, on_progress: OnProgress = silent
+    methods: Sequence[Method], store: PairStore, costs: BindCosts | None = None, on_progress: OnProgress = silent
 ) -> list[Score]:
-    """Score methods, which are fitted, on pairs by what is unseen (KINDS).
+    """Score methods, which are fitted, on a store's pairs by what is unseen (KINDS).
 
     Raises SoftdecaError where no frame of some combination is accepted.
     """
-    heads = Heads(pairs.people)
-    trials = (trial for combination in COMBINATIONS for trial in pairs.trials(combination, heads))
+    heads = Heads(store.people)
+    trials = (trial for combination in COMBINATIONS for trial in store.trials(combination, heads))
     table = measure_frames([*map(Static, methods)], trials, on_progress)
     parts = table.parts()
     scores = table.scores(parts, costs)
