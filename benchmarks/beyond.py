@@ -14,7 +14,7 @@ from ..reference import Parameters, settle
 from ..reference.face.derivatives import QUICK_ACCURACY, differentiate
 from ..reference.face.settle import TARGET_OPTIONS, carry_skin
 from ..surrogate import Surrogate
-from ..surrogate.evaluate import Known, Score, score_of
+from ..surrogate.evaluate import Known, Score, score_distances
 from .surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
 
 KIND = "p beyond what was seen, clamped"
@@ -52,6 +52,6 @@ def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_L
         progress(f"evaluate, {KIND}", (number + 1) / len(CASES))
     motion = np.stack(motions)
     return [
-        score_of(Known(name, name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
+        score_distances(Known(name, name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
         for name, rows in errors.items()
     ]

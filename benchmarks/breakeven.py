@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import shard_path, summed
+from ..surrogate.corpus.folder import shard_path, sum_seconds
 from ..surrogate.corpus.manifest import read_manifest
 from ..surrogate.corpus.shard import read_seconds
 from ..surrogate.evaluate import Score
@@ -61,7 +61,7 @@ def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | N
     counts = read_manifest(corpus).counts
     paths = (shard_path(corpus, identity) for identity in range(counts.trained))
     timed = [read_seconds(path) for path in paths if path.exists()]
-    spent = {phase: summed(timed).get(phase, 0.0) for phase in PAID}
+    spent = {phase: sum_seconds(timed).get(phase, 0.0) for phase in PAID}
     groups = len(timed) * counts.groups
     frames = groups * counts.frames
     if not frames or not spent["statics"]:

@@ -14,7 +14,7 @@ from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress
 from ..surrogate.corpus.reading import Faces
 from ..surrogate.corpus.references import FEM_LAWS
-from ..surrogate.evaluate import referenced
+from ..surrogate.evaluate import read_references
 from ..surrogate.heads import Heads
 from ..surrogate.rivals.linearised import Linearised
 from ..surrogate.rivals.modal import ModalMethod
@@ -35,7 +35,7 @@ class Worst:
     error: float
 
 
-def frames_png(tested: OnCorpus, progress: OnProgress) -> bytes:
+def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
     """Show the worst frame of each of the SHOWN worst faces, the worst first.
 
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
@@ -44,7 +44,7 @@ def frames_png(tested: OnCorpus, progress: OnProgress) -> bytes:
     network, settled = ModalMethod(tested.network.weights), Linearised(responses=False)
     solved = _solved(tested)
     rows = []
-    for number, worst in enumerate(worst_frames(faces, network, heads)):
+    for number, worst in enumerate(find_worst_frames(faces, network, heads)):
         face, frames = faces.face(worst.face), faces.frames(worst.face, np.array([worst.frame]))
         skin, weights_now = faces.skin(face.identity), frames.weights[0]
         blended = skin.vertices + np.tensordot(weights_now, face.shapes, axes=1)
@@ -73,7 +73,7 @@ def frames_png(tested: OnCorpus, progress: OnProgress) -> bytes:
     return tile_pictures(rows, 1)
 
 
-def worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
+def find_worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
     """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
     found = []
     for index in range(len(faces)):
@@ -91,7 +91,7 @@ def worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = S
 def _solved(tested: OnCorpus) -> Mapping[tuple[int, bytes], Floats32]:
     """FEniCSx' T - S on PD's energy, by face and weights; empty for a corpus without references."""
     try:
-        frames = list(referenced(tested.corpus, tested.split, tested.faces, partial=tested.partial))
+        frames = list(read_references(tested.corpus, tested.split, tested.faces, partial=tested.partial))
     except InputError:
         return {}
     return {(f.face, f.weights.tobytes()): f.fenicsx for f in frames if f.law == FEM_LAWS[0]}

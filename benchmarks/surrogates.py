@@ -12,8 +12,8 @@ import numpy as np
 from ..lhm.base.errors import InputError
 from ..lhm.base.progress import silent
 from ..surrogate import Surrogate
-from ..surrogate.corpus.folder import known_plan
-from ..surrogate.corpus.people import people_of
+from ..surrogate.corpus.folder import read_kept_plan
+from ..surrogate.corpus.people import people_from_text
 from ..surrogate.corpus.plan import Split
 from ..surrogate.corpus.reading import Faces
 from ..surrogate.generalisation import PairStore, simulate_pairs
@@ -27,7 +27,7 @@ from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.rivals.responses import LearnedResponses
 from ..surrogate.rivals.ridge import Ridge
 from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
-from ..surrogate.schedule import processors, schedule
+from ..surrogate.schedule import count_processors, make_schedule
 from .surrogate_gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED
 
 Maker = Callable[[ModalWeights, Heads], Method]
@@ -63,7 +63,7 @@ def learning() -> Mapping[str, Callable[[], Method]]:
     return {make().name: make for make in makers}
 
 
-def split_of(people: str) -> Split | None:
+def parse_people(people: str) -> Split | None:
     """Return the split that "test", or "all", names; InputError for another word."""
     if people not in ("test", "all"):
         raise InputError(f"people {people!r}: there are test, all")
@@ -149,9 +149,9 @@ def _costs(tested: OnCorpus) -> BindCosts | None:
 
 @lru_cache(maxsize=1)
 def _pairs(tested: OnCorpus, count: int) -> PairStore:
-    plan, made_with = known_plan(tested.corpus)
-    people = people_of(made_with["identities"], level=made_with["level"])
+    plan, made_with = read_kept_plan(tested.corpus)
+    people = people_from_text(made_with["identities"], level=made_with["level"])
     return simulate_pairs(
         tested.network.weights, plan, people, tested.corpus / "generalisation", count=count,
-        on=schedule(min(count, processors())),
+        on=make_schedule(min(count, count_processors())),
     )  # fmt: skip

@@ -66,7 +66,7 @@ class Generation:
 
     def plan(self, file: Path | None) -> "tuple[CorpusPlan, dict]":
         """The plan, and with what people are made: of the file or preset, or of the corpus that lies in `out`."""
-        from ..surrogate.corpus.folder import known_plan
+        from ..surrogate.corpus.folder import read_kept_plan
         from ..surrogate.corpus.manifest import MANIFEST, read_manifest
         from ..surrogate.corpus.plan import CorpusPlan, read_plan
 
@@ -84,7 +84,7 @@ class Generation:
             name: asked[name] or kept.get(name, usual) for name, usual in (("identities", "anny"), ("level", 2))
         }
         if file is None and not self.preset and (self.out / MANIFEST).exists():
-            plan, _ = known_plan(self.out)
+            plan, _ = read_kept_plan(self.out)
         else:
             plan = CorpusPlan.of({"preset": self.preset or "tiny"}) if file is None else read_plan(file)
         plan = plan if self.takes is None else replace(plan, takes=str(self.takes))
@@ -93,16 +93,16 @@ class Generation:
     def foretell(self, plan: "CorpusPlan", made_with: dict, progress: OnProgress) -> None:
         """Print what a plan comes to, by the rate of the corpus that lies in `out`, or of two people."""
         from ..surrogate.corpus.folder import Corpus
-        from ..surrogate.corpus.people import people_of
-        from ..surrogate.corpus.predict import Rates, predicted, probe
+        from ..surrogate.corpus.people import people_from_text
+        from ..surrogate.corpus.predict import Rates, measure_rates, predict_cost
 
-        people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
+        people = people_from_text(made_with["identities"], level=made_with["level"], on_progress=progress)
         rates = Rates.of(Corpus(self.out, plan, people).status())
         if rates is None:
             progress("measuring a rate", 0.0)
-            rates = probe(plan, people)
+            rates = measure_rates(plan, people)
             progress("measuring a rate", 1.0)
-        cost = predicted(plan, len(people.mean.vertices), rates)
+        cost = predict_cost(plan, len(people.mean.vertices), rates)
         if self.as_json:
             click.echo(json.dumps({"plan": plan.digest, "rates": asdict(rates), **asdict(cost)}, indent=1))
             return
@@ -123,12 +123,12 @@ class Generation:
         from ..lhm.base.provenance import describe_machine
         from ..surrogate.corpus.card import write_card
         from ..surrogate.corpus.folder import Corpus
-        from ..surrogate.corpus.people import people_of
-        from ..surrogate.schedule import check_answers, schedule
+        from ..surrogate.corpus.people import people_from_text
+        from ..surrogate.schedule import check_scheduler, make_schedule
 
-        on = schedule(self.workers, self.scheduler)
-        check_answers(on)
-        people = people_of(made_with["identities"], level=made_with["level"], on_progress=progress)
+        on = make_schedule(self.workers, self.scheduler)
+        check_scheduler(on)
+        people = people_from_text(made_with["identities"], level=made_with["level"], on_progress=progress)
         corpus = Corpus(self.out, plan, people, made_with)
         status = corpus.generate(on=on, on_progress=progress)
         write_card(corpus, machine=describe_machine())
@@ -217,11 +217,11 @@ def status(folder: Path, as_json: bool) -> int:
 
     FOLDER is a corpus, or the folder of a `softdeca study`, whose own corpus is meant then.
     """
-    from ..surrogate.corpus.folder import status_of
+    from ..surrogate.corpus.folder import read_status
     from ..surrogate.corpus.manifest import read_manifest
 
     manifest = read_manifest(folder)
-    counted_status = status_of(folder, manifest.counts, manifest.owner)
+    counted_status = read_status(folder, manifest.counts, manifest.owner)
     _tell(counted_status, folder, as_json)
     whole = counted_status.identities_done == counted_status.identities and not counted_status.damaged
     return 0 if whole else 1

@@ -81,7 +81,7 @@ def train(
 
 
 def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
-    from ..surrogate.corpus.people import people_of
+    from ..surrogate.corpus.people import people_from_text
     from ..surrogate.corpus.reading import Faces
     from ..surrogate.modal.looseness import Looseness
     from ..surrogate.modal.training import ModalTraining, train_modal
@@ -94,7 +94,7 @@ def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, o
     begun = None if start is None else ModalWeights.load(start)
     weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)
     if faces.space == "anny" and weights.looseness is None:
-        weights = replace(weights, looseness=Looseness.of(people_of("anny"), on_progress=progress))
+        weights = replace(weights, looseness=Looseness.of(people_from_text("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
 

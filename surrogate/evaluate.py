@@ -213,7 +213,9 @@ class Distances:
             cost = self._cost(number, costs, fits[number] if fits else None)
             for name, rows in groups.items():
                 faces = len(np.unique(self.columns["trial"][rows]))
-                score = score_of(contender, name, self.errors[number][rows], self.motion[rows], cost, faces=faces)
+                score = score_distances(
+                    contender, name, self.errors[number][rows], self.motion[rows], cost, faces=faces
+                )
                 if score.vertices:
                     scores.append(score)
                 elif name == ALL:
@@ -271,7 +273,7 @@ def measure_frames(
     return Distances(contenders, arrays, np.concatenate(motion), distances, binds, frames)
 
 
-def score_of(
+def score_distances(
     method: Named, kind: str, error: Floats, motion: Floats, cost: Cost | None = None, *, faces: int = 1
 ) -> Score:
     """Score distances to T against |T - carried(S)|; both [mm], shape (frames, n).
@@ -343,7 +345,7 @@ def evaluate(
 
 
 @dataclass(frozen=True, eq=False)
-class Referenced:
+class ReferenceFrame:
     """A frame with an answer of FEniCSx: weights (52,), and T - S (n, 3) [mm] `simulated` by PD and of FEniCSx' `law`.
 
     face: the number of its face in the corpus.
@@ -356,9 +358,9 @@ class Referenced:
     fenicsx: Floats32
 
 
-def referenced(
+def read_references(
     folder: str | PathLike[str], split: Split | None, faces: Faces, *, partial: bool = False
-) -> Iterator[Referenced]:
+) -> Iterator[ReferenceFrame]:
     """All frames of `faces` that FEniCSx solved, too, one after another; raises what `Table` raises."""
     table, statics = (Table(folder, name, split, partial=partial) for name in ("references", "statics"))
     face_of = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
@@ -371,7 +373,7 @@ def referenced(
         face = face_of.get((int(row["identity"]), int(static["group"])))
         if face is not None:
             simulated, truth = (one["corrected"].astype(np.float32) for one in (static, row))
-            yield Referenced(row["law"].decode(), face, static["weights"], simulated, truth)
+            yield ReferenceFrame(row["law"].decode(), face, static["weights"], simulated, truth)
 
 
 def evaluate_references(
@@ -389,8 +391,8 @@ def evaluate_references(
     raises.
     """
     faces = Faces(folder, split, partial=partial)
-    grouped: dict[tuple[str, int], list[Referenced]] = {}
-    for frame in referenced(folder, split, faces, partial=partial):
+    grouped: dict[tuple[str, int], list[ReferenceFrame]] = {}
+    for frame in read_references(folder, split, faces, partial=partial):
         grouped.setdefault((frame.law, frame.face), []).append(frame)
     missing = [law for law in FEM_LAWS if law not in {law for law, _ in grouped}]
     if missing:

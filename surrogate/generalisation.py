@@ -18,7 +18,7 @@ from ..lhm.base.errors import InputError, SoftdecaError
 from ..lhm.base.files.resumable import RowStore, lock_folder
 from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import Derivatives, Face
-from .corpus.folder import simulated_of
+from .corpus.folder import describe_simulation
 from .corpus.people import People, Person
 from .corpus.plan import IDENTITY, SPLITS, CorpusPlan, Split
 from .corpus.shard import ACCEPTED
@@ -27,7 +27,7 @@ from .evaluate import Score, Static, Trial, measure_frames
 from .heads import BindCosts, Heads
 from .modal.weights import ModalWeights
 from .rivals import Method
-from .schedule import Schedule, results_of
+from .schedule import Schedule, run_items
 
 COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, SPLITS, SPLITS))
 """From which split people, parameters and recordings are."""
@@ -35,13 +35,13 @@ ALIKE = 0.05
 """By how much the mean code of a plan's people may be off the one that weights were trained on, over its spread."""
 
 
-def kind_of(combination: Sequence[Split]) -> str:
+def name_unseen(combination: Sequence[Split]) -> str:
     """Name what of a combination is unseen."""
     aspects = zip(("people", "parameters", "recordings"), combination, strict=True)
     return f"unseen: {', '.join(name for name, split in aspects if split == 'test') or 'nothing'}"
 
 
-KINDS = tuple(map(kind_of, COMBINATIONS))
+KINDS = tuple(map(name_unseen, COMBINATIONS))
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Pair:
         return f"pair-{self.people['train']:05d}-{self.people['test']:05d}"
 
 
-def pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
+def choose_pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
     """Return the first `count` pairs; the k-th takes the (k mod groups)-th parameter set of both.
 
     InputError where training or test has fewer people.
@@ -105,11 +105,11 @@ def simulate_pairs(
     folder of something else.
     """
     check_learned(plan, people, weights)
-    wanted = pairs(plan, weights, count)
+    wanted = choose_pairs(plan, weights, count)
     with lock_folder(folder, "generalisation"):
-        store = PairStore(plan, people, RowStore(folder, "generalisation", simulated_of(plan, people)), wanted)
+        store = PairStore(plan, people, RowStore(folder, "generalisation", describe_simulation(plan, people)), wanted)
         pending = [pair for pair in wanted if not store.rows.is_whole(pair.name)]
-        for done, _ in enumerate(results_of(store.simulate, pending, on=on, name="generalisation")):
+        for done, _ in enumerate(run_items(store.simulate, pending, on=on, name="generalisation")):
             on_progress("generalisation: pairs of people simulated", (done + 1) / len(pending))
     return store
 
@@ -136,7 +136,7 @@ class PairStore:
     plan: CorpusPlan
     people: People
     rows: RowStore
-    pairs: Sequence[Pair]
+    choose_pairs: Sequence[Pair]
 
     def simulate(self, pair: Pair) -> None:
         """Simulate a pair into its file."""
@@ -178,9 +178,9 @@ class PairStore:
             known = Derivatives(offset, responses)
             face = Face(pair.people[whose], self._person(pair, whose), drawn, settled, known)
             count += len(weights)
-            yield Trial(face, weights, corrected.astype(np.float32), heads.carry(face), kind_of(combination))
+            yield Trial(face, weights, corrected.astype(np.float32), heads.carry(face), name_unseen(combination))
         if not count:
-            raise SoftdecaError(f"generalisation: of {kind_of(combination)} no frame was accepted")
+            raise SoftdecaError(f"generalisation: of {name_unseen(combination)} no frame was accepted")
 
     def _person(self, pair: Pair, whose: Split) -> Person:
         return self.people.person(self.plan.rng(IDENTITY, pair.people[whose]))

@@ -63,21 +63,21 @@ class Schedule:
             raise InputError(f"scheduler {self.address[:60]!r}: expected an address, as tcp://host:8786")
 
 
-def schedule(workers: int = 1, address: str | None = None) -> Schedule:
+def make_schedule(workers: int = 1, address: str | None = None) -> Schedule:
     """The cluster of a scheduler's address where one is given; else processes, or this one for one worker."""
     if address is not None:
         return Schedule("dask", workers, address)
     return Schedule("serial" if workers == 1 else "processes", workers)
 
 
-def check_answers(on: Schedule) -> None:
+def check_scheduler(on: Schedule) -> None:
     """Raise InputError now where the scheduler of a cluster does not answer, rather than after minutes of set-up."""
     if on.where == "dask":
         with _client(on, 1):
             pass
 
 
-def results_of(
+def run_items(
     work: Callable[[Item], Result], items: Sequence[Item], *, on: Schedule, name: str = "work"
 ) -> Iterator[Result]:
     """What `work` makes of each item, in the order in which it is done; on one thread each.
@@ -205,6 +205,6 @@ def _short(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:80]
 
 
-def processors() -> int:
+def count_processors() -> int:
     """How many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -18,7 +18,7 @@ from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import RowStore, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
-from ...surrogate.schedule import processors
+from ...surrogate.schedule import count_processors
 from .gates import at_most
 from .lanes import Job, Measured, measured
 from .study import Study, Task, Values
@@ -133,7 +133,7 @@ def run_together(
             except SoftdecaError as error:
                 found[number] = error
         jobs = {Job(run.study, task): number for number, run in runs.items() for task in run.left}
-        lanes = 1 if any(run.study.timed for run in runs.values()) else workers or processors()
+        lanes = 1 if any(run.study.timed for run in runs.values()) else workers or count_processors()
         count = sum(len(run.tasks) for run in runs.values())
         if runs:
             named = ", ".join(run.study.name for run in runs.values())

@@ -23,9 +23,9 @@ from ..beyond import beyond
 from ..breakeven import Breakeven, breakeven
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..surrogate_frames import frames_png
-from ..surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, surrogate_gates, told_first
-from ..surrogates import READY, SIMULATE, OnCorpus, learning, load_network, split_of
+from ..surrogate_frames import draw_worst_frames
+from ..surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
+from ..surrogates import READY, SIMULATE, OnCorpus, learning, load_network, parse_people
 
 SNP = "SNP"
 SEEN = 24
@@ -107,16 +107,16 @@ class SurrogateOnCorpus(Study):
                 | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
                 "breakeven": None if paid is None else asdict(paid),
                 "bind_costs": None if tested.costs is None else asdict(tested.costs),
-                WORST: frames_png(tested, silent),
+                WORST: draw_worst_frames(tested, silent),
             }
         note = (load_network(Path(task.method)) if task.case == CURVE else tested.network).weights.note
         people = len({identity for identity, _ in tested.faces.groups.tolist()})
         return {"rows": [asdict(score) for score in scores], "people": people, "trained_on": asdict(note), **values}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Bounds that no trivial rival meets; see `surrogate_gates`."""
+        """Bounds that no trivial rival meets; see `make_gates`."""
         scores = _scores(rows)
-        return surrogate_gates(scores) if any(score.method == NETWORK for score in scores) else []
+        return make_gates(scores) if any(score.method == NETWORK for score in scores) else []
 
     def words(self, rows: Sequence[Row]) -> str:
         """Where the network loses first, then share and cost of each, and when training has paid."""
@@ -128,7 +128,7 @@ class SurrogateOnCorpus(Study):
         ]
         people, note = rows[0].values["people"], rows[0].values["trained_on"]
         paid = [row.values["breakeven"] for row in rows if row.values.get("breakeven")]
-        return told_first(scores).replace("\n", " ") + (
+        return describe_defeats(scores).replace("\n", " ") + (
             f"{people} people that training has not seen ({note['frames']} static frames and the derivatives of "
             f"{note['faces']} faces of {note['people']} people). Share left of the motion that bones alone do not "
             f"explain: {'; '.join(said)}."
@@ -154,7 +154,7 @@ class SurrogateOnCorpus(Study):
 
     def _tested(self) -> OnCorpus:
         weights = Path(self.weights) if self.weights else None
-        return OnCorpus(Path(self.corpus), split_of(self.people), weights, self.partial)
+        return OnCorpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
 
     def _questions(self) -> dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]]:
         """Methods, and what scores one of them, by case."""

@@ -19,14 +19,14 @@ from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import check_manifest, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.sequence import Velocities
-from ..schedule import Schedule, results_of
+from ..schedule import Schedule, run_items
 from ..surface_hash import surface_hash
 from .intact import check_person, read_intact
 from .manifest import MANIFEST, CorpusTemplate, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
 from .plan import IDENTITY, CorpusPlan, Split
-from .sequences import velocities_of
+from .sequences import load_velocities
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
 from .simulate import GENERATOR, simulate_person
 
@@ -90,7 +90,7 @@ class Corpus:
     ):
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
-        self.manifest = simulated_of(plan, people) | {"format": FORMAT}
+        self.manifest = describe_simulation(plan, people) | {"format": FORMAT}
         if (self.folder / MANIFEST).exists():
             self._check_plan(read_manifest(self.folder))
             check_manifest(self.folder / MANIFEST, "corpus", self.manifest)
@@ -134,7 +134,7 @@ class Corpus:
             if self.plan.sequences and pending:
                 self._velocities(on_progress)
             rate = _Rate(self.plan, len(pending), on_progress)
-            for seconds in results_of(self.make, pending, on=on, name="corpus"):
+            for seconds in run_items(self.make, pending, on=on, name="corpus"):
                 rate.add(seconds)
         return self.status()
 
@@ -159,7 +159,7 @@ class Corpus:
 
     def _velocities(self, on_progress: OnProgress = silent) -> Velocities:
         if self._run is None:
-            self._run = velocities_of(self.folder, self.plan, self.people, on_progress=on_progress)
+            self._run = load_velocities(self.folder, self.plan, self.people, on_progress=on_progress)
         return self._run
 
     def __getstate__(self) -> dict[str, Any]:
@@ -189,8 +189,8 @@ class Corpus:
         verify_folder(self.folder, on_progress=on_progress)
 
     def status(self) -> CorpusStatus:
-        """Count what is there: see `status_of`."""
-        return status_of(self.folder, self.plan, self.owner)
+        """Count what is there: see `read_status`."""
+        return read_status(self.folder, self.plan, self.owner)
 
     def _write_manifest(self):
         content = self.manifest | {
@@ -206,14 +206,14 @@ class Corpus:
         write_whole(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
 
 
-def summed(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Add up people's seconds by phase; empty if those of one are not known."""
     if not all(timed):
         return {}
     return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
 
 
-def status_of(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
+def read_status(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
     """Count what is there, and list what was rejected or is damaged, in the folder of a corpus by its plan and name.
 
     Only small arrays are read, unchecked; see `verify_folder`.
@@ -247,7 +247,7 @@ def status_of(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
         asked["responses"] += len(arrays["responses/group"])
         accepted["responses"] += len(arrays["responses/group"])
     return CorpusStatus(
-        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
+        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, sum_seconds(timed), size
     )
 
 
@@ -269,13 +269,13 @@ def shard_path(folder: Path, identity: int) -> Path:
     return folder / f"person-{identity:05d}.h5"
 
 
-def simulated_of(plan: CorpusPlan, people: People) -> dict[str, Any]:
+def describe_simulation(plan: CorpusPlan, people: People) -> dict[str, Any]:
     """What frames are simulated of, by name: where it differs they are others."""
     template = f"{surface_hash(people.mean)}{people.digest}"
     return {"plan": plan.digest, "people": people.name, "template": template, "generator": GENERATOR}
 
 
-def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
+def read_kept_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
     """Return a corpus' plan, and how to make its people again, from its folder; InputError where that is not told."""
     manifest = read_manifest(folder)
     takes = manifest.said.get("takes", "")

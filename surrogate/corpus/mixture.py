@@ -78,17 +78,17 @@ def basis(points: Floats) -> Floats:
     return np.column_stack([np.ones(len(points)), np.cos(points @ vectors.T + phases)])
 
 
-def on_faces(mean: Surface) -> Floats:
+def basis_on_faces(mean: Surface) -> Floats:
     """`basis` on the faces of a space's mean skin: the mean of their corners, shape (faces, 1 + WAVES)."""
     return basis(mean.vertices)[mean.triangles].mean(axis=1)
 
 
-def on_wraps(head: LayeredHead, mean: Surface) -> Floats:
+def basis_on_wraps(head: LayeredHead, mean: Surface) -> Floats:
     """`basis` on the triangles of a head's wraps, carried there from the mean skin, shape (triangles, 1 + WAVES)."""
     return (head.wrap_from_skin @ basis(mean.vertices))[head.skin_wrap.triangles].mean(axis=1)
 
 
-def static_of(coefficients: Floats) -> Floats:
+def select_static(coefficients: Floats) -> Floats:
     """Return the rows of STATIC, shape (S, 1 + WAVES), of the coefficients of all parameters."""
     return coefficients[_STATIC_ROWS]
 
@@ -112,7 +112,7 @@ class ParameterSet:
     @property
     def static(self) -> Floats:
         """The coefficients of STATIC, shape (S, 1 + WAVES)."""
-        return static_of(self.coefficients)
+        return select_static(self.coefficients)
 
     @property
     def uniform(self) -> bool:
@@ -123,7 +123,7 @@ class ParameterSet:
         """The parameters of a head whose skin has the vertices of the space's `mean`."""
         values: dict[str, Any] = {name: self.level(name) for name in self.names}
         if not self.uniform:
-            waves = on_wraps(head, mean)
+            waves = basis_on_wraps(head, mean)
             for name in self.names:
                 row = self.coefficients[NAMES.index(name)].astype(np.float64)
                 if row[1:].any():
@@ -138,7 +138,7 @@ class ParameterSet:
 
     def on_faces(self, mean: Surface) -> Floats:
         """All parameters, mapped to [-1, 1], on the faces of the mean skin, shape (faces, P)."""
-        return np.clip(on_faces(mean) @ self.coefficients.T.astype(np.float64), -1.0, 1.0)
+        return np.clip(basis_on_faces(mean) @ self.coefficients.T.astype(np.float64), -1.0, 1.0)
 
 
 def draw(rng: np.random.Generator, kind: str, *, field: bool) -> ParameterSet:

@@ -82,7 +82,7 @@ class OfSpace:
         return self.fit(person.skin)  # type: ignore[operator]
 
 
-def people_of(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnProgress = silent) -> People:
+def people_from_text(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnProgress = silent) -> People:
     """The people of "anny", "ict:FILE", "flame:FILE" or "folder:DIR", with heads of the template at a level.
 
     "external:SPACE" are those of another space in the default's triangles, with shapes of their own: see `external`.

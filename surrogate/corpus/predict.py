@@ -11,7 +11,7 @@ from .folder import CorpusStatus
 from .mixture import NAMES
 from .people import People
 from .plan import LENGTH, CorpusPlan
-from .sequences import velocities_of
+from .sequences import load_velocities
 from .simulate import simulate_person
 
 VARIED = 9
@@ -67,11 +67,11 @@ class Prediction:
         return self.bytes / max(self.statics + LENGTH * self.sequences, 1)
 
 
-def probe(plan: CorpusPlan, people: People) -> Rates:
+def measure_rates(plan: CorpusPlan, people: People) -> Rates:
     """Rates measured on the plan's first two people, the first of them not counted: it loads what is kept."""
     small = replace(plan, **PROBED)  # type: ignore[arg-type]
     with TemporaryDirectory() as folder:
-        begun = velocities_of(Path(folder), small, people) if plan.sequences else None
+        begun = load_velocities(Path(folder), small, people) if plan.sequences else None
         simulate_person(small, people, 0, begun)
         seconds = simulate_person(small, people, 1, begun).seconds
     return Rates(
@@ -83,7 +83,7 @@ def probe(plan: CorpusPlan, people: People) -> Rates:
     )
 
 
-def predicted(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
+def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
     """What a plan over a skin of so many vertices comes to."""
     field = 2 * 3 * vertices  # float16
     groups = plan.identities * plan.groups

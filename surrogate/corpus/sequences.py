@@ -28,7 +28,7 @@ RUN_TOLERANCE = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Rolled:
+class SequenceAnswer:
     """A sequence, as `shard.Sequences` has it, without the first axis."""
 
     weights: Floats
@@ -43,7 +43,7 @@ class Rolled:
     crossings: np.ndarray
 
     @classmethod
-    def failed(cls, status: str, take: Take, first: int, n: int) -> Rolled:
+    def failed(cls, status: str, take: Take, first: int, n: int) -> SequenceAnswer:
         """A sequence that there is none of."""
         none = np.zeros(LENGTH)
         motion = np.zeros((LENGTH, n, 3), dtype=np.float16)
@@ -51,9 +51,9 @@ class Rolled:
         return cls(weights, turned, np.zeros((2, n, 3)), motion, status, none, none, none, none, none)
 
 
-def rolled(
+def simulate_sequence(
     plan: CorpusPlan, face: FaceSimulator, take: Take, first: int, velocities: Velocities, rng: np.random.Generator
-) -> Rolled:
+) -> SequenceAnswer:
     """Simulate the frames from `first` on, begun with a random one of the velocities; a failure is a status."""
     n = len(face.person.skin.vertices)
     weights, turned = _driven(take, first)
@@ -66,8 +66,8 @@ def rolled(
         frames = zip(weights, expressions, turned, strict=True)
         answers = [face.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
     except SoftdecaError as error:
-        return Rolled.failed(f"sequence: {error}", take, first, n)
-    return Rolled(
+        return SequenceAnswer.failed(f"sequence: {error}", take, first, n)
+    return SequenceAnswer(
         weights=weights,
         rotations=turned,
         before=np.stack([at_rest, at_rest - velocity / RATE]),
@@ -102,7 +102,7 @@ def _status(answers: list[Answer]) -> str:
     return f"frame {bad[0][0]}: {bad[0][1]}" if bad else ACCEPTED
 
 
-def velocities_of(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
+def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
     """The velocities of a run of `plan.run` frames of made-up conversation on the plan's first person, default p.
 
     Kept in the corpus' folder; made anew where the file is missing, damaged or of another plan.

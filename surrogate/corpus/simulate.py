@@ -20,7 +20,7 @@ from .mixture import ParameterSet
 from .people import People, Person
 from .plan import IDENTITY, VELOCITIES, CorpusPlan
 from .references import FEM_LAWS, references
-from .sequences import Rolled, rolled
+from .sequences import SequenceAnswer, simulate_sequence
 from .shard import ACCEPTED, TABLES, Shard, stack_rows
 from .simulator import Answer, FaceSimulator, settle_neutral
 
@@ -129,11 +129,11 @@ class _PersonRows:
         name, first = plan.sequence(self.identity, group)
         take = plan.take(name)
         if face is None:
-            sequence = Rolled.failed(status, take, first, len(self.person.skin.vertices))
+            sequence = SequenceAnswer.failed(status, take, first, len(self.person.skin.vertices))
         else:
             assert velocities is not None
             rng = plan.rng(VELOCITIES, 2, self.identity, group)
-            sequence = rolled(plan, face, take, first, velocities, rng)
+            sequence = simulate_sequence(plan, face, take, first, velocities, rng)
         self.rows["sequences"].append({"group": group, "recording": name, "frame": first} | vars(sequence))
 
     def _add_derivatives(self, group: int, face: FaceSimulator, by_weights: bool, by_parameters: bool) -> None:

@@ -15,7 +15,7 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
-from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_of
+from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_distances
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.heads import Heads
 from softdeca.surrogate.modal.looseness import Looseness
@@ -141,4 +141,4 @@ def test_no_frames_and_numbers_that_are_not_finite_are_no_score():
         (right[:0], right[:0], "no frame"),
     ):
         with pytest.raises(InputError, match=f"blendshapes.*all: {words}"):
-            score_of(Blendshapes(), "all", error, motion)
+            score_distances(Blendshapes(), "all", error, motion)

@@ -10,7 +10,13 @@ from softdeca.lhm.base.errors import InputError, SoftdecaError
 from softdeca.surrogate.corpus.mixture import NAMES, STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import IDENTITY, CorpusPlan
-from softdeca.surrogate.generalisation import KINDS, check_learned, evaluate_generalisation, pairs, simulate_pairs
+from softdeca.surrogate.generalisation import (
+    KINDS,
+    check_learned,
+    choose_pairs,
+    evaluate_generalisation,
+    simulate_pairs,
+)
 from softdeca.surrogate.rivals.blendshapes import Blendshapes
 from softdeca.surrogate.rivals.linearised import Linearised
 from softdeca.surrogate.schedule import Schedule
@@ -119,10 +125,10 @@ def test_faces_that_do_not_settle_are_left_out(tmp_path):
 
 
 def test_who_is_known_has_to_be_told():
-    assert [pair.people["train"] for pair in pairs(PLAN, learned(), 2)] == [1, 2]
+    assert [pair.people["train"] for pair in choose_pairs(PLAN, learned(), 2)] == [1, 2]
     for count in (0, 3):  # of test there are two
         with pytest.raises(InputError, match="expected 1 to 2 pairs"):
-            pairs(PLAN, learned(), count)
+            choose_pairs(PLAN, learned(), count)
     check_learned(PLAN, PEOPLE, learned())
     for other in (learned(first=23), SimpleNamespace(**vars(learned()) | {"code_mean": learned().code_mean + 1.0}),
                   SimpleNamespace(**vars(learned()) | {"code_mean": np.zeros(99)})):  # fmt: skip
