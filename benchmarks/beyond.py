@@ -26,12 +26,12 @@ CASES = (
 EXPRESSIONS = ({"jawOpen": 0.7}, {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8}, {"mouthPucker": 0.8, "jawOpen": 0.2})
 
 
-def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_LEVEL) -> list[Score]:
+def score_beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_LEVEL) -> list[Score]:
     """Score the network and its trivial rivals on CASES of the mean person, half a minute each; kind KIND."""
     space = identities.Anny()
     skin, code = space.mean, np.zeros(space.code_size)
     head = fit_head(load_template(space, level=level), skin)
-    rows = [expressions.weights_of(one) for one in EXPRESSIONS]
+    rows = [expressions.weights_of(expression) for expression in EXPRESSIONS]
     errors: dict[str, list[Floats]] = {}
     motions = []
     for number, parameters in enumerate(CASES):

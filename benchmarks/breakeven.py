@@ -44,7 +44,7 @@ class Breakeven:
 
     @property
     def told(self) -> str:
-        """In words."""
+        """The same in words."""
         return (
             f"The corpus' training people took {self.corpus:.0f} s of a core, training {self.training:.0f} s. A frame "
             f"of the simulator takes {1e3 * self.simulated_frame:.0f} ms, so the network has paid after "
@@ -53,8 +53,8 @@ class Breakeven:
         )
 
 
-def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
-    """Of a network with its note and scores, and of the corpus' training people.
+def compute_breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
+    """Compute it of a network's note and score, and of the corpus' training people.
 
     None if none of them has frames, or if the seconds of one are not known.
     """

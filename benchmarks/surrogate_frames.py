@@ -75,7 +75,7 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
 
 def find_worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
     """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
-    found = []
+    worst = []
     for index in range(len(faces)):
         face, frames = faces.face(index), faces.frames(index)
         if not len(frames.weights):
@@ -84,8 +84,8 @@ def find_worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: in
         errors = np.linalg.norm(bound(frames.weights) - truth, axis=2)
         motions = np.linalg.norm(truth - heads.carry(face), axis=2)
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
-        found.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
-    return sorted(found, key=lambda worst: -worst.error)[:count]
+        worst.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
+    return sorted(worst, key=lambda frame: -frame.error)[:count]
 
 
 def _solved(tested: OnCorpus) -> Mapping[tuple[int, bytes], Floats32]:

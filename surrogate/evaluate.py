@@ -1,4 +1,4 @@
-"""What methods leave of the simulator's frames: a table of frames x methods, and scores of its groups.
+"""Methods against the simulator: a table of frames x methods, and scores of its groups.
 
 A `Trial` has frames of one face with their truth; a `Contender` answers it. `measure_frames` makes the table, and
 `Distances.scores` groups it: by kind of p, strength of the expression, or the trials' own part.
@@ -187,12 +187,12 @@ class Distances:
     frames: Sequence[Sequence[float]]
 
     def parts(self) -> dict[str, np.ndarray]:
-        """Which frames each of the trials' parts has, in the order of the trials."""
+        """Mask the frames of each of the trials' parts, in the order of the trials."""
         names = dict.fromkeys(self.columns["part"].tolist())
         return {name: self.columns["part"] == name for name in names}
 
     def kinds(self) -> dict[str, np.ndarray]:
-        """Which frames each kind of p and strength of the expression has, after ALL."""
+        """Mask the frames of ALL, and of each kind of p and strength of the expression."""
         columns = self.columns
         rows = {ALL: np.ones(len(self.motion), dtype=bool)}
         rows |= {name: columns["kind"] == name for name in KINDS}
@@ -301,16 +301,16 @@ class Tests(Protocol):
     def __len__(self) -> int: ...
 
     def face(self, index: int) -> Face:
-        """One of them."""
+        """Read one of them."""
         ...
 
     def frames(self, index: int) -> Frames:
-        """Its frames, which may be none."""
+        """Read its frames, which may be none."""
         ...
 
 
 def static_trials(test: Tests, heads: Heads, chosen: Sequence[int] | None = None) -> Iterator[Trial]:
-    """The static frames of test faces, by default of all; InputError where a bone is scaled and nobody fits heads."""
+    """Read the static frames of test faces, by default of all; InputError for scaled bones where nobody fits heads."""
     for index in range(len(test)) if chosen is None else chosen:
         frames = test.frames(index)
         if len(frames.weights):
@@ -361,7 +361,7 @@ class ReferenceFrame:
 def read_references(
     folder: str | PathLike[str], split: Split | None, faces: Faces, *, partial: bool = False
 ) -> Iterator[ReferenceFrame]:
-    """All frames of `faces` that FEniCSx solved, too, one after another; raises what `Table` raises."""
+    """Read the frames of `faces` that FEniCSx solved, too, one after another; raises what `Table` raises."""
     table, statics = (Table(folder, name, split, partial=partial) for name in ("references", "statics"))
     face_of = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
     static_of = {key: index for index, key in enumerate(map(tuple, statics.rows.tolist()))}
@@ -372,7 +372,7 @@ def read_references(
         static = statics[index]
         face = face_of.get((int(row["identity"]), int(static["group"])))
         if face is not None:
-            simulated, truth = (one["corrected"].astype(np.float32) for one in (static, row))
+            simulated, truth = (source["corrected"].astype(np.float32) for source in (static, row))
             yield ReferenceFrame(row["law"].decode(), face, static["weights"], simulated, truth)
 
 

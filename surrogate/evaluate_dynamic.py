@@ -62,7 +62,7 @@ class InMotion:
         return Answers(swung - blended, None, [seconds + each for seconds in still.frame_seconds])
 
     def _swing(self, face: Face) -> Swing:
-        """The person's looseness, with the frequency and damping of p at the vertices."""
+        """Combine the person's looseness with p's frequency and damping at the vertices."""
         waves, values = basis(self.mean.vertices), []
         for name in OSCILLATION:
             row = face.parameters.coefficients[NAMES.index(name)].astype(np.float64)
@@ -78,7 +78,7 @@ class _Skins:
     skins: Floats32
 
     def frame(self, weights, blended=None, *, out=None) -> Floats32:
-        """The skin of frame number `weights`."""
+        """Return the skin of frame number `weights`."""
         return self.skins[weights].copy()
 
 
@@ -90,7 +90,7 @@ class PlaysSequences(Named, Protocol):
         ...
 
     def play(self, row: Row) -> Floats32:
-        """T - S [mm], shape (L, n, 3), of a sequence."""
+        """Return T - S [mm], shape (L, n, 3), of a sequence."""
         ...
 
 
@@ -120,7 +120,7 @@ class Played:
 
 
 def sequence_trials(table: Table, heads: Heads, faces: Faces | None = None) -> Iterator[Trial]:
-    """The sequences of a table; with `faces` those alone whose face is among them, with its derivatives."""
+    """Read the sequences of a table; with `faces`, only those of these faces, with derivatives."""
     number_of = None if faces is None else {key: k for k, key in enumerate(map(tuple, faces.groups.tolist()))}
     for k, key in enumerate(map(tuple, table.groups.tolist())):
         if faces is not None and number_of is not None:

@@ -146,7 +146,7 @@ class PairStore:
         self.rows.write(pair.name, arrays)
 
     def _simulate(self, pair: Pair, whose: Split, by: Split) -> dict[str, np.ndarray]:
-        """Arrays of one face; none where it has no head, or does not come to rest."""
+        """Simulate one face; no arrays where it has no head, or does not come to rest."""
         plan, person = self.plan, self._person(pair, whose)
         try:
             head = self.people.head(person)
@@ -166,7 +166,7 @@ class PairStore:
         return arrays
 
     def trials(self, combination: tuple[Split, Split, Split], heads: Heads) -> Iterator[Trial]:
-        """The frames of one combination; SoftdecaError where there are none."""
+        """Read the frames of one combination; SoftdecaError where there are none."""
         (whose, by, of), count = combination, 0
         for pair in self.pairs:
             arrays = self.rows.read(pair.name)

@@ -40,7 +40,7 @@ class Heads:
 
     @classmethod
     def of_corpus(cls, folder: str | PathLike[str], on_progress: OnProgress = silent) -> Heads:
-        """The heads of a corpus' people, as its folder says how to make them; without, where it does not."""
+        """Return the heads of a corpus' people; nobody fits them where its folder does not tell how."""
         try:
             made_with = read_kept_plan(folder)[1]
         except InputError as error:
@@ -66,12 +66,12 @@ class Heads:
         return self.people.head(face.person)
 
     def shapes(self, face: Face) -> Floats:
-        """What each shape adds to the skin of a face's person [mm], shape (52, n, 3): of a space, by the code."""
+        """Return what each shape adds to a person's skin [mm], shape (52, n, 3): in a space, by the code."""
         people = self.people
         return people.space.expression_deltas(face.code) if isinstance(people, OfSpace) else np.asarray(face.shapes)
 
     def parameters(self, face: Face, head: LayeredHead) -> Parameters:
-        """The parameters of a face on the wraps of its head, as the corpus simulated it."""
+        """Return the parameters of a face on the wraps of its head, as the corpus simulated it."""
         return face.parameters.parameters(head, self.people.mean)
 
     def carry(self, face: Face) -> Floats32:
@@ -100,7 +100,7 @@ class BindCosts:
     derivatives: float
 
     def seconds(self, takes: str) -> float:
-        """Seconds of what a method takes from the simulator (`protocol.Takes`), without the head."""
+        """Return the seconds that a method takes of the simulator (`protocol.Takes`), without the head."""
         return 0.0 if takes == "nothing" else float(getattr(self, takes))
 
 
@@ -124,7 +124,7 @@ def measure_binds(heads: Heads, faces: Sequence[Face], on_progress: OnProgress =
 
 
 def solve_neutral(head: LayeredHead, parameters: Parameters) -> Floats:
-    """The neutral skin [mm], settled and at rest among its targets, without a tangent."""
+    """Solve the neutral skin [mm], settled and at rest among its targets, without a tangent."""
     face = settle(head, parameters, **TARGET_OPTIONS)
     scene = face.scene(head.skin.vertices)
     answer = prepare(scene).solve(start=face.positions, absolute=QUICK_ACCURACY * spring_norm(scene))

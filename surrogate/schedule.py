@@ -64,7 +64,7 @@ class Schedule:
 
 
 def make_schedule(workers: int = 1, address: str | None = None) -> Schedule:
-    """The cluster of a scheduler's address where one is given; else processes, or this one for one worker."""
+    """Return the cluster of a scheduler's address where one is given; else processes, or this one for one worker."""
     if address is not None:
         return Schedule("dask", workers, address)
     return Schedule("serial" if workers == 1 else "processes", workers)
@@ -80,7 +80,7 @@ def check_scheduler(on: Schedule) -> None:
 def run_items(
     work: Callable[[Item], Result], items: Sequence[Item], *, on: Schedule, name: str = "work"
 ) -> Iterator[Result]:
-    """What `work` makes of each item, in the order in which it is done; on one thread each.
+    """Run `work` on each item, on one thread each; results come as they are done.
 
     `work` travels to each process once, by pickle. Raises what `work` raises; SoftdecaError naming `name` where an
     item's worker died RETRIES + 1 times; InputError where no scheduler answers, and MissingDependencyError without
@@ -162,7 +162,7 @@ def _client(on: Schedule, items: int) -> Iterator[Client]:
 
 @contextmanager
 def _processes(workers: int) -> Iterator[Client]:
-    """A cluster of this machine that ends at once with the context, whatever runs on it."""
+    """Start a cluster of this machine, which ends at once with the context, whatever runs on it."""
     from distributed import Client, LocalCluster
 
     with without_interrupts():
@@ -206,5 +206,5 @@ def _short(error: BaseException) -> str:
 
 
 def count_processors() -> int:
-    """How many processors this process may use."""
+    """Count the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -19,8 +19,8 @@ from ...surrogate.generalisation import evaluate_generalisation
 from ...surrogate.rivals.modal import ModalMethod
 from ...surrogate.ruler import MOVES
 from ..beyond import KIND as BEYOND
-from ..beyond import beyond
-from ..breakeven import Breakeven, breakeven
+from ..beyond import score_beyond
+from ..breakeven import Breakeven, compute_breakeven
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
 from ..surrogate_frames import draw_worst_frames
@@ -100,7 +100,11 @@ class SurrogateOnCorpus(Study):
         scores = self._questions()[task.case][1](task.method)
         tested, values = self._tested(), {}
         if task == Task(Path(self.corpus).name, NETWORK):
-            paid = None if tested.split is None else breakeven(tested.corpus, tested.network.weights.note, scores[0])
+            paid = (
+                None
+                if tested.split is None
+                else compute_breakeven(tested.corpus, tested.network.weights.note, scores[0])
+            )
             manifest = read_manifest(tested.corpus)
             values = {
                 "corpus": {name: manifest.said[name] for name in OWNER}
@@ -254,7 +258,7 @@ class SurrogateOnCorpus(Study):
 
 @lru_cache(maxsize=1)
 def _beyond(weights: Path | None) -> list[Score]:
-    return beyond(load_network(weights), silent)
+    return score_beyond(load_network(weights), silent)
 
 
 def _scores(rows: Sequence[Row]) -> list[Score]:

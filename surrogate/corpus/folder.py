@@ -50,7 +50,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class CorpusStatus:
-    """What a corpus holds: people done of all; counts of what was accepted, by table; what was rejected, of `asked`.
+    """Counts of a corpus: people done of all; rows asked for and accepted by table; rejections.
 
     `damaged`: shards that are there but cannot be used, by message; `seconds`: of one process, by phase, summed over
     people, and empty where those of one are not known; `bytes` of all shards.
@@ -68,7 +68,7 @@ class CorpusStatus:
 
     @property
     def rejected_share(self) -> float:
-        """Of static and sequence frames made."""
+        """The share of static and sequence frames made that is rejected."""
         asked = self.asked["statics"] + self.asked["sequences"]
         accepted = self.accepted["statics"] + self.accepted["sequences"]
         return 1.0 - accepted / asked if asked else 0.0
@@ -113,11 +113,11 @@ class Corpus:
         return "-".join(map(str, self.manifest.values()))
 
     def shard_path(self, identity: int) -> Path:
-        """Where a person's shard is, or will be."""
+        """Return the place of a person's shard."""
         return shard_path(self.folder, identity)
 
     def people_there(self) -> list[int]:
-        """The numbers of the people whose shards are there, usable or not."""
+        """List the numbers of people whose shards are there, usable or not."""
         return [k for k in range(self.plan.identities) if self.shard_path(k).exists()]
 
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
@@ -139,7 +139,7 @@ class Corpus:
         return self.status()
 
     def _order(self) -> list[int]:
-        """All people, those in test spread among the others, so that a part of a corpus is one to learn from, too."""
+        """Order all people, those in test spread among the others: a part of a corpus can be learned from, too."""
         count = {"train": self.plan.trained, "test": self.plan.tested}
         begins = {"train": 0, "test": count["train"]}
 
@@ -179,7 +179,7 @@ class Corpus:
         return read_intact(self.shard_path(identity), self.owner, self.plan, identity, n)
 
     def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
-        """All people's shards of a split, or of both, one after another; InputError for one that cannot be used."""
+        """Read the shards of a split, or of both, one after another; InputError for one that cannot be used."""
         for identity in range(self.plan.identities):
             if split in (None, self.plan.split(identity)):
                 yield identity, self.shard(identity)
@@ -265,12 +265,12 @@ def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = sile
 
 
 def shard_path(folder: Path, identity: int) -> Path:
-    """Where a person's shard lies in a corpus' folder."""
+    """Return the place of a person's shard in a corpus' folder."""
     return folder / f"person-{identity:05d}.h5"
 
 
 def describe_simulation(plan: CorpusPlan, people: People) -> dict[str, Any]:
-    """What frames are simulated of, by name: where it differs they are others."""
+    """Name what decides simulated frames: plan, people, template and generator."""
     template = f"{surface_hash(people.mean)}{people.digest}"
     return {"plan": plan.digest, "people": people.name, "template": template, "generator": GENERATOR}
 
@@ -290,7 +290,7 @@ def read_kept_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, A
 
 
 class _Rate:
-    """Says how many people are done, how fast, and how long the rest takes."""
+    """Progress of a generation: people done, frames per core-hour, time left."""
 
     def __init__(self, plan: CorpusPlan, pending: int, progress: OnProgress):
         self._plan, self._left, self._progress = plan, pending, progress

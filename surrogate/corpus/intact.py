@@ -46,19 +46,19 @@ def read_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertice
     return shard
 
 
-def check_person(said: np.ndarray, numbers: list[int]) -> None:
+def check_person(stored: np.ndarray, numbers: list[int]) -> None:
     """InputError unless a shard's groups/number are the parameter sets that the plan gives its person and no other."""
-    found = integers("groups/number", said, 0, 2**62, (None,)).tolist()
-    if found != numbers:
-        raise InputError(f"of another person, with parameter sets {found[:3]}, expected {numbers[:3]}")
+    kept = integers("groups/number", stored, 0, 2**62, (None,)).tolist()
+    if kept != numbers:
+        raise InputError(f"of another person, with parameter sets {kept[:3]}, expected {numbers[:3]}")
 
 
 def _key(path: Path, owner: str, identity: int, vertices: int) -> Key | None:
     try:
-        known = path.stat()
+        state = path.stat()
     except OSError:
         return None
-    return str(path.resolve()), owner, identity, vertices, known.st_ino, known.st_size, known.st_mtime_ns
+    return str(path.resolve()), owner, identity, vertices, state.st_ino, state.st_size, state.st_mtime_ns
 
 
 def _check_arrays(shard: Shard, vertices: int) -> None:
@@ -85,6 +85,6 @@ def _check_arrays(shard: Shard, vertices: int) -> None:
 
 
 def _rows(arrays: Mapping[str, np.ndarray]) -> int:
-    """The length of a table's first column."""
+    """Return the length of a table's first column."""
     first = next(iter(arrays.values()))
     return len(first) if np.ndim(first) else 0

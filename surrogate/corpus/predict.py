@@ -1,4 +1,4 @@
-"""What a plan will cost: bytes by counting, core-hours by a rate measured on a person or on what is done already."""
+"""The cost of a plan: bytes by counting, core-hours by a rate measured on a person or on people done already."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Rates:
 
     @classmethod
     def of(cls, status: CorpusStatus) -> Rates | None:
-        """From what a corpus has spent; None where nothing is done, or its seconds are not known."""
+        """Divide the seconds that a corpus has spent; None where nothing is done, or they are not known."""
         spent, asked = status.seconds, status.asked
         if not status.identities_done or not asked["groups"] or not spent:
             return None
@@ -63,12 +63,12 @@ class Prediction:
 
     @property
     def bytes_per_frame(self) -> float:
-        """Of all that belongs to a frame, static or of a sequence, but derivatives and references."""
+        """Bytes of the shards over all frames, static and of sequences."""
         return self.bytes / max(self.statics + LENGTH * self.sequences, 1)
 
 
 def measure_rates(plan: CorpusPlan, people: People) -> Rates:
-    """Rates measured on the plan's first two people, the first of them not counted: it loads what is kept."""
+    """Measure rates on the plan's second person; the first warms caches and does not count."""
     small = replace(plan, **PROBED)  # type: ignore[arg-type]
     with TemporaryDirectory() as folder:
         begun = load_velocities(Path(folder), small, people) if plan.sequences else None
@@ -84,7 +84,7 @@ def measure_rates(plan: CorpusPlan, people: People) -> Rates:
 
 
 def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
-    """What a plan over a skin of so many vertices comes to."""
+    """Predict counts, bytes and core-hours of a plan over a skin of so many vertices."""
     field = 2 * 3 * vertices  # float16
     groups = plan.identities * plan.groups
     sequences, statics = plan.identities * plan.sequences, plan.static_frames

@@ -44,7 +44,7 @@ class SequenceAnswer:
 
     @classmethod
     def failed(cls, status: str, take: Take, first: int, n: int) -> SequenceAnswer:
-        """A sequence that there is none of."""
+        """Make the row of a sequence that failed."""
         none = np.zeros(LENGTH)
         motion = np.zeros((LENGTH, n, 3), dtype=np.float16)
         weights, turned = _driven(take, first)
@@ -71,18 +71,18 @@ def simulate_sequence(
         weights=weights,
         rotations=turned,
         before=np.stack([at_rest, at_rest - velocity / RATE]),
-        corrected=np.stack([one.corrected for one in answers]),
+        corrected=np.stack([answer.corrected for answer in answers]),
         status=_status(answers),
-        iterations=np.array([one.iterations for one in answers]),
-        residual=np.array([one.residual for one in answers]),
-        smallest_volume_ratio=np.array([one.smallest_volume_ratio for one in answers]),
-        inverted=np.array([one.inverted for one in answers]),
-        crossings=np.array([one.crossings for one in answers]),
+        iterations=np.array([answer.iterations for answer in answers]),
+        residual=np.array([answer.residual for answer in answers]),
+        smallest_volume_ratio=np.array([answer.smallest_volume_ratio for answer in answers]),
+        inverted=np.array([answer.inverted for answer in answers]),
+        crossings=np.array([answer.crossings for answer in answers]),
     )
 
 
 def _velocity(head: LayeredHead, velocities: Velocities, rng: np.random.Generator) -> Floats:
-    """One of the plausible velocities [mm/s], shape (n, 3); none of a hundred is none."""
+    """Draw a plausible velocity [mm/s], shape (n, 3); zero where a hundred are not."""
     for _ in range(100):
         velocity = velocities.on(head, int(rng.integers(len(velocities))))
         if is_plausible(velocity, 1.0 / RATE):
@@ -91,19 +91,19 @@ def _velocity(head: LayeredHead, velocities: Velocities, rng: np.random.Generato
 
 
 def _driven(take: Take, first: int) -> tuple[Floats, Floats]:
-    """Weights and head rotations of a sequence's frames."""
+    """Return weights and head rotations of a sequence's frames."""
     part = take.part(slice(first, first + LENGTH))
     turned = np.tile(np.eye(3), (LENGTH, 1, 1)) if part.head is None else rotations(part.head)
     return part.weights.astype(np.float32), turned
 
 
 def _status(answers: list[Answer]) -> str:
-    bad = [(k, one.status) for k, one in enumerate(answers) if one.status != ACCEPTED]
+    bad = [(k, answer.status) for k, answer in enumerate(answers) if answer.status != ACCEPTED]
     return f"frame {bad[0][0]}: {bad[0][1]}" if bad else ACCEPTED
 
 
 def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
-    """The velocities of a run of `plan.run` frames of made-up conversation on the plan's first person, default p.
+    """Read, or run, `plan.run` frames of made-up conversation on the plan's first person, default p.
 
     Kept in the corpus' folder; made anew where the file is missing, damaged or of another plan.
     """

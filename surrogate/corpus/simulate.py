@@ -100,7 +100,7 @@ class _PersonRows:
     def _settle(
         self, group: int, number: int, parameters: ParameterSet
     ) -> tuple[str, np.ndarray, FaceSimulator | None]:
-        """The group's status, how far the skin moves [mm], (n, 3), and the face where more than that is asked for."""
+        """Return the group's status, how far the skin moves [mm], (n, 3), and the face where the plan asks for more."""
         still = np.zeros_like(self.person.skin.vertices)
         if self._head is None:
             return self._no_head, still, None
@@ -163,7 +163,7 @@ class _PersonRows:
 
 
 def _references_of(plan: CorpusPlan, identity: int, sets: list[ParameterSet]) -> list[int]:
-    """How many frames of each group FEniCSx solves, too: of people in test, in turns of groups that have both laws."""
+    """Count the frames of each group that FEniCSx solves, too: of people in test, in turns of groups with both laws."""
     wanted = plan.references if plan.split(identity) == "test" else 0
     plain = [g for g, drawn in enumerate(sets) if drawn.uniform and "strain_limit" not in drawn.names]
     order = [g for _ in range(plan.frames) for g in (plain or range(len(sets)))]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks import beyond as unseen
-from softdeca.benchmarks.breakeven import breakeven
+from softdeca.benchmarks.breakeven import compute_breakeven
 from softdeca.lhm import InputError
 from softdeca.lhm.base.progress import silent
 from softdeca.surrogate import Surrogate
@@ -85,14 +85,14 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
     score = evaluate([Linearised()], Faces(corpus, "test"), HEADS)[0]
-    found = breakeven(corpus, note, score)
+    found = compute_breakeven(corpus, note, score)
     assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0
     assert found.frames == pytest.approx(
         (found.corpus + 100.0) / (found.simulated_frame - 1e-3 * score.frame_ms), rel=1e-9
     )
     assert np.isfinite(found.faces)
     shutil.copy(corpus / "corpus.json", tmp_path)
-    assert breakeven(tmp_path, note, score) is None
+    assert compute_breakeven(tmp_path, note, score) is None
 
 
 def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
@@ -112,7 +112,7 @@ def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
 def test_clamped_parameters_are_scored_beside_simulation(monkeypatch):
     monkeypatch.setattr(unseen, "CASES", unseen.CASES[1:2])
     monkeypatch.setattr(unseen, "EXPRESSIONS", unseen.EXPRESSIONS[:1])
-    own, carried, settled, nothing = unseen.beyond(Surrogate.load(), silent, level=1)
+    own, carried, settled, nothing = unseen.score_beyond(Surrogate.load(), silent, level=1)
     assert own.kind == nothing.kind == unseen.KIND and own.frames == 1 and own.share < 1.0
     # Muscle alone differs, so neither bones nor a settled face explain anything.
     assert carried.share == nothing.share == pytest.approx(1.0) and settled.share == pytest.approx(1.0, abs=0.1)
