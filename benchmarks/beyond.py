@@ -52,6 +52,6 @@ def score_beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEF
         progress(f"evaluate, {KIND}", (number + 1) / len(CASES))
     motion = np.stack(motions)
     return [
-        score_distances(Known(name, name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
+        score_distances(Known(name, simulates=name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
         for name, rows in errors.items()
     ]

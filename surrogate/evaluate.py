@@ -7,6 +7,7 @@ A `Trial` has frames of one face with their truth; a `Contender` answers it. `me
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from os import PathLike
@@ -97,55 +98,32 @@ class Answers:
 class Named(Protocol):
     """What a score says of its method."""
 
-    @property
-    def name(self) -> str:
-        """In tables."""
-        ...
-
-    @property
-    def simulates(self) -> bool:
-        """Whether the simulator runs at bind or in each frame."""
-        ...
+    name: str
+    simulates: bool
 
 
-class Contender(Named, Protocol):
-    """Whoever answers trials."""
+class Contender(ABC):
+    """Whoever answers trials; `takes`: what a bind takes of the simulator."""
 
-    @property
-    def takes(self) -> Takes:
-        """What a bind takes of the simulator."""
-        ...
+    def __init__(self, name: str, *, simulates: bool = False, takes: Takes = "nothing"):
+        self.name, self.simulates, self.takes = name, simulates, takes
 
+    @abstractmethod
     def answer(self, trial: Trial) -> Answers:
         """Answer all frames of a trial."""
-        ...
 
 
-@dataclass(frozen=True, eq=False)
-class Static:
+class Static(Contender):
     """A method, fitted, that answers one frame at a time by its weights alone."""
 
-    method: Method
-
-    @property
-    def name(self) -> str:
-        """The method's."""
-        return self.method.name
-
-    @property
-    def simulates(self) -> bool:
-        """Whether the method does."""
-        return self.method.simulates
-
-    @property
-    def takes(self) -> Takes:
-        """What its bind takes of the simulator."""
-        return self.method.takes
+    def __init__(self, method: Method):
+        super().__init__(method.name, simulates=method.simulates, takes=method.takes)
+        self._method = method
 
     def answer(self, trial: Trial) -> Answers:
         """Bind the face, and make each frame as a user has it: with S by blendshapes."""
         begin = time.process_time()
-        bound = self.method.bind(trial.face)
+        bound = self._method.bind(trial.face)
         binding = time.process_time() - begin
         skin, shapes = trial.face.skin.astype(np.float32), np.asarray(trial.face.shapes, dtype=np.float32)
         corrected, seconds = [], []
@@ -158,13 +136,8 @@ class Static:
         return Answers(np.stack(corrected), binding, seconds)
 
 
-@dataclass(frozen=True)
-class Known:
+class Known(Contender):
     """A method whose answers the trials have."""
-
-    name: str
-    simulates: bool = False
-    takes: Takes = "nothing"
 
     def answer(self, trial: Trial) -> Answers:
         """Hand out the trial's own answer of this name."""
@@ -405,5 +378,5 @@ def evaluate_references(
             known = {SIMULATOR: np.stack([frame.simulated for frame in frames])}
             yield Trial(face, weights, truth, heads.carry(face), AGAINST[law], known=known)
 
-    table = measure_frames([Known(SIMULATOR, True), *map(Static, methods)], trials(), on_progress)
+    table = measure_frames([Known(SIMULATOR, simulates=True), *map(Static, methods)], trials(), on_progress)
     return table.scores(table.parts())

@@ -20,36 +20,24 @@ from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE, Split
 from .corpus.reading import Faces, Row, Table
 from .dynamics import OSCILLATION, DynamicRig, Swing
-from .evaluate import Answers, Named, Score, Static, Trial, measure_frames
+from .evaluate import Answers, Contender, Named, Score, Static, Trial, measure_frames
 from .heads import Heads
 from .modal.looseness import Looseness
-from .rivals import Method, Takes
+from .rivals import Method
 
 DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
 
 
-@dataclass(frozen=True, eq=False)
-class InMotion:
+class InMotion(Contender):
     """Eq. 21 over a method's static answers, begun as the simulation was, of people over a `mean` skin."""
 
-    static: Static
-    looseness: Looseness
-    mean: Surface
-    takes: Takes = "nothing"
-
-    @property
-    def name(self) -> str:
-        """The method's."""
-        return self.static.name
-
-    @property
-    def simulates(self) -> bool:
-        """Whether the method does."""
-        return self.static.simulates
+    def __init__(self, static: Static, looseness: Looseness, mean: Surface):
+        super().__init__(static.name, simulates=static.simulates)
+        self._static, self._looseness, self._mean = static, looseness, mean
 
     def answer(self, trial: Trial) -> Answers:
         """Begin at the method's own static answer with the simulation's velocity; the head turns as in the sequence."""
-        row, still = trial.sequence, self.static.answer(trial)
+        row, still = trial.sequence, self._static.answer(trial)
         assert row is not None
         blended = (trial.face.skin + np.tensordot(trial.weights, trial.face.shapes, axes=1)).astype(np.float32)
         moving = DynamicRig(_Skins(blended + still.corrected), self._swing(trial.face), 1.0 / RATE)
@@ -63,11 +51,11 @@ class InMotion:
 
     def _swing(self, face: Face) -> Swing:
         """Combine the person's looseness with p's frequency and damping at the vertices."""
-        waves, values = basis(self.mean.vertices), []
+        waves, values = basis(self._mean.vertices), []
         for name in OSCILLATION:
             row = face.parameters.coefficients[NAMES.index(name)].astype(np.float64)
             values.append(np.asarray(Parameters.info(name).denormalise(np.clip(waves @ row, -1.0, 1.0))))
-        loose, pivot = self.looseness.at(face.code)
+        loose, pivot = self._looseness.at(face.code)
         return Swing(loose, values[0], values[1], pivot)
 
 
@@ -94,28 +82,18 @@ class PlaysSequences(Named, Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Played:
+class Player(Contender):
     """A method that plays whole sequences, fitted."""
 
-    method: PlaysSequences
-    takes: Takes = "nothing"
-
-    @property
-    def name(self) -> str:
-        """The method's."""
-        return self.method.name
-
-    @property
-    def simulates(self) -> bool:
-        """Whether the method does."""
-        return self.method.simulates
+    def __init__(self, method: PlaysSequences):
+        super().__init__(method.name, simulates=method.simulates)
+        self._method = method
 
     def answer(self, trial: Trial) -> Answers:
         """Play the trial's sequence."""
         assert trial.sequence is not None
         begin = time.process_time()
-        corrected = self.method.play(trial.sequence)
+        corrected = self._method.play(trial.sequence)
         return Answers(corrected, None, [(time.process_time() - begin) / len(corrected)] * len(corrected))
 
 
@@ -174,6 +152,6 @@ def evaluate_sequences(
     method.fit(Table(folder, "sequences", "train", partial=partial))
     fitted = time.process_time() - begin
     table = Table(folder, "sequences", "test", partial=partial)
-    distances = measure_frames([Played(method)], sequence_trials(table, heads), on_progress)
+    distances = measure_frames([Player(method)], sequence_trials(table, heads), on_progress)
     (score,) = distances.scores(distances.parts(), fits=[fitted])
     return score
