@@ -113,6 +113,7 @@ ELSEWHERE = {
     "softdeca corpus generate --preset small --takes takes/ --out corpus --dry-run": CORPUS,
     "softdeca corpus generate --preset small --out corpus": CORPUS,
     "softdeca corpus generate --preset small --takes takes/ --out corpus --workers 2": CORPUS,
+    "softdeca corpus generate --out corpus --workers 2": CORPUS,
     "softdeca corpus status corpus": CORPUS,
     "softdeca corpus verify corpus": CORPUS,
     "softdeca corpus sample corpus --count 12": CORPUS,
