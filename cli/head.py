@@ -12,7 +12,7 @@ from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, ident
 from ..lhm.base.errors import FitError, InputError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.check import Figure
-from ..lhm.head_file import export_vtk, load_head, read_parts, save_head
+from ..lhm.head_file import export_vtk, load_head, naming_damage, read_parts, save_head
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor.depths import DepthRegressor
