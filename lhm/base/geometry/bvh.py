@@ -70,38 +70,8 @@ def _box_distance2(box, p):
 
 
 @njit(cache=True)
-def _closest(points, corners, order, start, stop, left, box):
-    n = len(points)
-    which, weights, distance = np.empty(n, np.int64), np.empty((n, 3)), np.empty(n)
-    stack = np.empty(128, np.int64)
-    for i in range(n):
-        p, best, size = points[i], np.inf, 1
-        stack[0] = 0
-        while size > 0:
-            size -= 1
-            node = stack[size]
-            if _box_distance2(box[node], p) >= best:
-                continue
-            if left[node] < 0:
-                for k in range(start[node], stop[node]):
-                    t = order[k]
-                    u, v, w, d2 = closest_on_triangle(p, corners[t])
-                    if d2 < best:
-                        best, which[i] = d2, t
-                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
-            else:
-                a, b = left[node], left[node] + 1
-                if _box_distance2(box[a], p) < _box_distance2(box[b], p):
-                    a, b = b, a
-                stack[size], stack[size + 1] = a, b
-                size += 2
-        distance[i] = np.sqrt(best)
-    return which, weights, distance
-
-
-@njit(cache=True)
-def _closest_facing(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
-    """Search as `_closest` among triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
+def _closest(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
+    """Find the closest triangle whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
 
     Where no cost, that is distance² with what turning counts, is less than `most`, there is none.
     """
@@ -217,7 +187,9 @@ class TriangleTree:
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
         """Return triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each point."""
-        return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
+        any_direction = np.zeros((1, 3))
+        normals, faces = (np.broadcast_to(any_direction, (len(a), 3)) for a in (points, self.triangles))
+        return _closest(np.ascontiguousarray(points), normals, -1.0, 0.0, np.inf, self.corners, faces, *self._nodes)
 
     def closest_facing(
         self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0, reach: float = np.inf
@@ -232,9 +204,7 @@ class TriangleTree:
         """
         arrays = (np.ascontiguousarray(a) for a in (points, normals))
         most = reach * reach + turned * turned * (2.0 - 2.0 * cosine)
-        return _closest_facing(
-            *arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes
-        )
+        return _closest(*arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes)
 
     def self_crossings(self, *, most: int = ALL) -> Ints:
         """Return pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
