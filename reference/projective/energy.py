@@ -15,6 +15,7 @@ from ..scene import Scene
 from ..solution import Stresses
 from ..terms import Inertia, Target
 from .bending import Rings
+from .sparsity import Part
 from .tets import TetBlocks, shape_gradients
 from .triangles import Triangles
 
@@ -31,6 +32,11 @@ class Energy:
     bending: Rings | None
     targets: tuple[tuple[Ints, Floats, Floats], ...]
     loads: Floats
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Those that the scene names."""
+        return tuple(part for part in (self.tets, self.triangles, self.bending) if part is not None)
 
     @classmethod
     def from_scene(cls, scene: Scene, threads: int = 1) -> Energy:
@@ -61,12 +67,8 @@ class Energy:
         """Energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
         gradient = -self.loads
         energy = -float(np.vdot(self.loads, u))
-        if self.tets is not None:
-            energy += self.tets.add_to(u, gradient)
-        if self.triangles is not None:
-            energy += self.triangles.add_to(u, gradient)
-        if self.bending is not None:
-            energy += self.bending.add_to(u, gradient)
+        for part in self.parts:
+            energy += part.add_to(u, gradient)
         for vertices, displacements, stiffness in self.targets:
             away = u[vertices] - displacements
             gradient[vertices] += stiffness * away
@@ -86,12 +88,7 @@ class Energy:
         for vertices, _, stiffness in self.targets:
             anchored[vertices] += stiffness.ravel()
         entries = [(np.arange(n), np.arange(n), anchored)]
-        if self.tets is not None:
-            entries.append(self.tets.stiffness_entries(scene, volume_share))
-        if self.triangles is not None:
-            entries.append(self.triangles.stiffness_entries())
-        if self.bending is not None:
-            entries.append(self.bending.stiffness_entries(n))
+        entries += [part.matrix_entries(scene, volume_share) for part in self.parts]
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from scipy.sparse import csc_matrix
 
 from ...lhm.base.errors import SceneError
@@ -14,12 +15,10 @@ from ...lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definit
 from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..terms import Bending, Contact, Strain, SurfaceStrain, Target, Volume
-from .bending import Rings, add_bending_bound, add_bending_tangent
+from .bending import Rings
 from .coordinates import Coordinates, Place
 from .energy import Energy
-from .sparsity import Sparsity, body_rows, elements_of
-from .tets import add_tet_tangent
-from .triangles import add_triangle_tangent
+from .sparsity import Sparsity, elements_of
 
 EXACT = -1.0
 """Of `least`: no eigenvalue is raised."""
@@ -37,28 +36,13 @@ def hessian(
     where the scene is held.
     """
     blocks = np.zeros((len(sparsity.pairs), 3, 3))
-    tets, triangles, rings = energy.tets, energy.triangles, energy.bending
-    if tets is not None:
-        layout = (
-            tets.parameters.reshape(len(tets.parameters), -1),
-            tets.corners.reshape(len(tets.corners), -1),
-            tets.has_volume,
-            len(tets.tets),
-        )
-        add_tet_tangent(*layout, sparsity.tets, least, place.u, blocks)
-    if triangles is not None:
-        parts = (triangles.corners, triangles.inverse, triangles.weights, triangles.scale, triangles.edges)
-        add_triangle_tangent(*parts, sparsity.triangles, least, place.u, blocks)
-    if rings is not None and least < 0.0:
-        shape = (rings.centres, rings.starts, rings.ring, rings.cotangents, rings.edges, rings.sought, rings.laplacians)
-        add_bending_tangent(*shape, rings.least, rings.weights, sparsity.rings, sparsity.first, place.u, blocks)
-    elif rings is not None:
-        add_bending_bound(rings.starts, rings.cotangents, rings.weights, sparsity.rings, sparsity.first, blocks)
+    for part, slots in zip(energy.parts, sparsity.slots, strict=True):
+        part.add_tangent(slots, least, place.u, blocks)
     for vertices, _, stiffness in energy.targets:
         for r in range(3):
             blocks[sparsity.diagonal[vertices], r, r] += stiffness.ravel()
     gradient = energy.evaluate(place.u)[1] if coordinates.bodies else np.zeros_like(place.u)
-    return sparsity.matrix(blocks, body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
+    return sparsity.matrix(blocks, _body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +85,8 @@ class Tangent:
         if scene.of(Contact):
             raise SceneError("a tangent knows no Contact: take the scene without it")
         pattern = like.pattern if isinstance(like, Tangent) else like
-        if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy, coordinates)):
-            pattern = Pattern(Sparsity.from_scene(scene, energy, coordinates), None)
+        if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy.parts, coordinates)):
+            pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates), None)
         sparsity, before = pattern.sparsity, pattern.analysis
         if least < 0.0:
             matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
@@ -195,3 +179,58 @@ class Tangent:
         for body, rotation, motion in zip(self.coordinates.bodies, self.place.rotations, motions, strict=True):
             moved[body.vertices] = motion[:3] + np.cross(motion[3:], body.arms @ rotation.T)
         return moved
+
+
+def _body_rows(
+    sparsity: Sparsity, blocks: Floats, coordinates: Coordinates, place: Place, gradient: Floats, *, least: float
+) -> Floats:
+    """The bodies' rows of the Hessian, shape (6 bodies, size), at a place with this gradient [mN], shape (n, 3).
+
+    What a turn adds by the forces alone is raised to zero where it is negative, unless `least` is.
+    """
+    n, free, count = len(place.u), len(coordinates.index), len(coordinates.bodies)
+    rows = np.zeros((6 * count, coordinates.size))
+    if not count:
+        return rows
+    owner, motion = np.full(n, -1), np.zeros((n, 3, 6))
+    for b, body in enumerate(coordinates.bodies):
+        owner[body.vertices] = b
+        motion[body.vertices, :, :3] = np.eye(3)
+        arms = body.arms @ place.rotations[b].T
+        motion[body.vertices, :, 3:] = np.cross(np.eye(3), arms[:, None, :]).transpose(0, 2, 1)
+    over = np.zeros((6 * count, 3 * n))
+    _add_carried(sparsity.pairs, blocks, owner, motion, over)
+    rows[:, :free] = over[:, coordinates.index]
+    for b, body in enumerate(coordinates.bodies):
+        own = motion[body.vertices].reshape(-1, 6)
+        columns = (3 * body.vertices[:, None] + np.arange(3)).ravel()
+        block = slice(free + 6 * b, free + 6 * b + 6)
+        rows[:, block] = over[:, columns] @ own
+        # The second derivative of a turned arm a along the force g: (θ·a)(θ·g) - (a·g) |θ|².
+        arms = body.arms @ place.rotations[b].T
+        moment = arms.T @ gradient[body.vertices]
+        curved = 0.5 * (moment + moment.T) - np.trace(moment) * np.eye(3)
+        if least >= 0.0:
+            values, vectors = np.linalg.eigh(curved)
+            curved = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        rows[6 * b + 3 : 6 * b + 6, free + 6 * b + 3 : free + 6 * b + 6] += curved / body.radius
+    return rows
+
+
+@njit(cache=True)
+def _add_carried(pairs, blocks, owner, motion, over):
+    """Add motionᵀ K to the rows of the bodies for all blocks that touch one."""
+    for k in range(len(pairs)):
+        high, low = pairs[k]
+        b = owner[high]
+        if b >= 0:
+            for m in range(6):
+                for c in range(3):
+                    for r in range(3):
+                        over[6 * b + m, 3 * low + c] += motion[high, r, m] * blocks[k, r, c]
+        b = owner[low]
+        if b >= 0 and high != low:
+            for m in range(6):
+                for c in range(3):
+                    for r in range(3):
+                        over[6 * b + m, 3 * high + c] += motion[low, r, m] * blocks[k, c, r]

@@ -1,9 +1,8 @@
-"""SurfaceStrain: the in-plane strain of triangles, with growth (SoftDECA Eq. 11).
+"""SurfaceStrain: the in-plane strain of triangles, with growth (SoftDECA Eq. 11): energy, gradient, matrix, Hessian.
 
-The exact Hessian of SurfaceStrain, triangle after triangle, in the frame of F's singular values s0 >= s1 >= 0.
-
-E = w/2 Σ (s_i - r)². Stretches have the eigenvalue w; the pair in the plane the flip w and the twist
-w (1 - 2 r/(s0 + s1)); out of the plane there is w (1 - r/s_i) for each, negative where the skin is compressed.
+In the frame of F's singular values s0 >= s1 >= 0, E = w/2 Σ (s_i - r)². Stretches have the eigenvalue w; the pair in
+the plane the flip w and the twist w (1 - 2 r/(s0 + s1)); out of the plane there is w (1 - r/s_i) for each, negative
+where the skin is compressed.
 """
 
 from __future__ import annotations
@@ -18,11 +17,13 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
 from .projections import COMPILED
-from .tets import add_block
+from .sparsity import add_block
 
 # Squared floor of s0 s1. A flat triangle has no one polar decomposition; with the floor its energy is smooth, and
 # that of a triangle of sound shape is the same to rounding.
 FLOOR = 1e-18
+PAIRS = np.array([[a, b] for a in range(3) for b in range(a, 3)])
+"""The pairs of a triangle's corners, one block of the Hessian each."""
 
 
 @njit(**COMPILED)
@@ -116,15 +117,24 @@ class Triangles:
         """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
         return _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
 
-    def stiffness_entries(self) -> tuple[Ints, Ints, Floats]:
+    def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
         """Rows, columns and values of Σ w A G Gᵀ, the triangles' share of the PD matrix [mN/mm]."""
         gradients = np.concatenate([-self.inverse.sum(axis=1, keepdims=True), self.inverse], axis=1)
         local = np.einsum("e,eai,ebi->eab", self.weights, gradients, gradients)
         return np.repeat(self.corners, 3, axis=1).ravel(), np.tile(self.corners, (1, 3)).ravel(), local.ravel()
 
+    def elements(self, scene: Scene) -> tuple[Ints, ...]:
+        """The corners (k, 3)."""
+        return (self.corners,)
 
-PAIRS = np.array([[a, b] for a in range(3) for b in range(a, 3)])
-"""The pairs of a triangle's corners, one block of the Hessian each."""
+    def pairs(self, scene: Scene) -> Ints:
+        """The pairs of corners (k, 2), six per triangle."""
+        return self.corners[:, PAIRS].reshape(-1, 2)
+
+    def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
+        """Add the Hessian; see `Part`."""
+        shape = (self.corners, self.inverse, self.weights, self.scale, self.edges)
+        _add_triangle_tangent(*shape, slots.reshape(-1, len(PAIRS)), least, u, blocks)
 
 
 @njit(**COMPILED)
@@ -164,7 +174,7 @@ def _frame(f, U, V):
 
 
 @njit(**COMPILED)
-def add_triangle_tangent(corners, inverse, weight, scale, edges, slots, least, u, blocks):
+def _add_triangle_tangent(corners, inverse, weight, scale, edges, slots, least, u, blocks):
     """Add the triangles' Hessian [mN/mm] at displacement u [mm], shape (n, 3), to blocks (pairs, 3, 3), in place.
 
     slots (triangles, 6) are the blocks of `PAIRS`; `least` is the share of the weight below which no eigenvalue is
