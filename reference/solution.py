@@ -81,7 +81,7 @@ class Stresses:
 
     @classmethod
     def from_points(cls, P: Floats, F: Floats, volume: Floats, reactions: Floats) -> Stresses:
-        """Means over the tets of P [kPa] and F at q points each, shape (m, q, 3, 3), of volumes [mm³], shape (m, q).
+        """Average P [kPa] and F over each tet's q points, shape (m, q, 3, 3), of volumes [mm³], shape (m, q).
 
         P over the volume at rest, Cauchy's stress P Fᵀ / J over the deformed one.
         """
@@ -180,18 +180,18 @@ class Recorder:
         return stop
 
     def history(self) -> History:
-        """What was recorded so far."""
+        """Return the record so far."""
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
         return History(rows[:, 0], rows[:, 1], rows[:, 2])
 
     def times(self, preparation: Seconds) -> Times:
-        """What the solve has taken so far, and its preparation."""
+        """Return the times of the solve so far, and of its preparation."""
         solve = self._clock.read()
         return Times(preparation.work, solve.work, preparation.compilation + solve.compilation)
 
 
 def volume_ratio(scene: Scene, positions: Floats) -> Floats:
-    """J = det F per tet, shape (m,)."""
+    """Return J = det F per tet, shape (m,)."""
     return tet_volumes(positions, scene.tets) / scene.volumes
 
 
@@ -215,12 +215,12 @@ class Limits:
             raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
 
     def threshold(self, scene: Scene, first: float) -> float:
-        """The gradient norm [mN] at which to stop, from the first one; not below what rounding leaves."""
+        """Return the gradient norm [mN] at which to stop, from the first one; not below rounding."""
         return max(self.tolerance * first if self.absolute is None else self.absolute, scene.rounding())
 
 
 def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
-    """Where a solve begins [mm], shape (n, 3): at its start, after a solution, or at rest; SceneError for another."""
+    """Return where a solve begins [mm], shape (n, 3): a start, a solution's end, or rest; SceneError for another."""
     if start is None and warm is not None:
         start = warm.positions
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)

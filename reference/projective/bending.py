@@ -116,7 +116,7 @@ class Rings:
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Rings | None:
-        """The rings of a scene, or None if no vertex bends."""
+        """Find the rings of a scene, or None if no vertex bends."""
         found = [_rings(scene, term) for term in scene.of(Bending) if len(term.triangles)]
         if not sum(len(centres) for centres, *_ in found):
             return None
@@ -146,7 +146,7 @@ class Rings:
         )
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of Σ k/A l lᵀ, l the Laplacian's rows [mN/mm]: two rings wide."""
+        """Return rows, columns and values of Σ k/A l lᵀ, l the Laplacian's rows [mN/mm]: two rings wide."""
         rows = np.repeat(np.arange(len(self.centres)), np.diff(self.starts))
         sums = np.add.reduceat(self.cotangents, self.starts[:-1])
         laplacian = csr_matrix(
@@ -160,11 +160,11 @@ class Rings:
         return share.row, share.col, share.data
 
     def elements(self, scene: Scene) -> tuple[Ints, ...]:
-        """Centres, where rings begin, and far ends."""
+        """Return centres, where rings begin, and far ends."""
         return self.centres, self.starts, self.ring
 
     def pairs(self, scene: Scene) -> Ints:
-        """The pairs (k, 2) of each ring's vertices, the centre the first, each with itself and those after it."""
+        """Return the pairs (k, 2) of each ring's vertices, centre first, each with itself and those after it."""
         pairs = []
         for i, centre in enumerate(self.centres):
             vertices = np.concatenate([[centre], self.ring[self.starts[i] : self.starts[i + 1]]])
@@ -184,7 +184,7 @@ class Rings:
 
 
 def _rings(scene: Scene, term: Bending) -> tuple[Ints, Ints, Ints, Floats, Floats, Floats]:
-    """Centres, sizes of rings, far ends, cotangent weights, rest edges and k/A of one term."""
+    """Return centres, sizes of rings, far ends, cotangent weights, rest edges and k/A of one term."""
     rest, n = scene.vertices if term.rest is None else term.rest, len(scene.vertices)
     triangles = term.triangles
     corners = rest[triangles]

@@ -35,7 +35,7 @@ class Energy:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """Those that the scene names."""
+        """The parts that the scene names."""
         return tuple(part for part in (self.tets, self.triangles, self.bending) if part is not None)
 
     @classmethod
@@ -46,7 +46,7 @@ class Energy:
         ).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Energy:
-        """The energy of a scene of the same terms with other targets, motion, loads, limits, growth and volumes."""
+        """Take another scene's numbers of the same terms: targets, motion, loads, limits, growth and volumes."""
         targets = tuple(
             (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
             for term in scene.of(Target)
@@ -60,11 +60,11 @@ class Energy:
         return Energy(tets, triangles, self.bending, targets, scene.loads())
 
     def untangling(self, volume_share: float = 1.0) -> Energy:
-        """An energy that leads out of inverted tets, all weight on Strain, which the matrix of this share bounds."""
+        """Return an energy that leads out of inverted tets: all weight on Strain, bounded by this share's matrix."""
         return self if self.tets is None else replace(self, tets=self.tets.untangling(volume_share))
 
     def evaluate(self, u: Floats) -> tuple[float, Floats]:
-        """Energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
+        """Return energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
         gradient = -self.loads
         energy = -float(np.vdot(self.loads, u))
         for part in self.parts:
@@ -76,7 +76,7 @@ class Energy:
         return energy, gradient
 
     def matrix(self, scene: Scene, *, volume_share: float = 1.0) -> tuple[csr_matrix, np.ndarray]:
-        """The PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
+        """Return the PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
 
         With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
         one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian,
@@ -94,7 +94,7 @@ class Energy:
 
 
 def recover(scene: Scene, positions: Floats) -> Stresses:
-    """Of positions [mm], shape (n, 3)."""
+    """Recover stresses and reactions at positions [mm], shape (n, 3)."""
     energy, u = Energy.from_scene(scene), positions - scene.vertices
     reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1], 0.0)
     every = np.arange(len(scene.tets))

@@ -196,7 +196,7 @@ class ProjectivePrepared:
         linear_solver: LinearSolver | None = None,
         like: Tangent | Pattern | None = None,
     ) -> Tangent:
-        """The exact Hessian at a scene's solution, factored: for responses, and as a metric of scenes near by.
+        """Factor the exact Hessian at a scene's solution: for derivatives, and as a metric of scenes near by.
 
         Where it is not positive definite, which no minimum without a flat direction is, each element's
         eigenvalues are raised to 0, and `Tangent.is_exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
@@ -261,7 +261,7 @@ def prepare(
 
 
 def time_local_step(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
-    """Median processor time [s] of one energy and gradient of all tets (the fused local step), slightly deformed."""
+    """Time one energy and gradient of all tets, slightly deformed: median processor time [s] of the local step."""
     tets = prepared.energy.tets
     if tets is None:
         raise SceneError("the scene has no Strain or Volume term to time")

@@ -24,7 +24,7 @@ class Part(Protocol):
     """The elements of one kind of energy, such as `TetBlocks`: all that a solver asks of an energy term."""
 
     def for_scene(self, scene: Scene) -> Part:
-        """The same elements with the numbers of another scene of the same terms."""
+        """Return the same elements with the numbers of another scene of the same terms."""
         ...
 
     def add_to(self, u: Floats, gradient: Floats) -> float:
@@ -32,15 +32,15 @@ class Part(Protocol):
         ...
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of the part's share of the PD matrix [mN/mm]; see `Energy.matrix`."""
+        """Return rows, columns and values of the part's share of the PD matrix [mN/mm]; see `Energy.matrix`."""
         ...
 
     def elements(self, scene: Scene) -> tuple[Ints, ...]:
-        """All that says which vertices the elements join."""
+        """Return all that says which vertices the elements join."""
         ...
 
     def pairs(self, scene: Scene) -> Ints:
-        """The pairs of vertices (k, 2) of all elements' blocks of the Hessian, in the order that `add_tangent` has."""
+        """Return the pairs of vertices (k, 2) of all elements' blocks of the Hessian, in `add_tangent`'s order."""
         ...
 
     def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
@@ -85,14 +85,14 @@ class Sparsity:
         return len(self.elements) == len(elements) and all(map(np.array_equal, self.elements, elements))
 
     def matrix(self, blocks: Floats, bodies: Floats) -> csc_matrix:
-        """The matrix (size, size) [mN/mm] of blocks (pairs, 3, 3) and bodies' rows (6 bodies, size)."""
+        """Assemble the matrix (size, size) [mN/mm] of blocks (pairs, 3, 3) and bodies' rows (6 bodies, size)."""
         flat = np.concatenate([blocks.ravel(), bodies.ravel()])
         size = len(self.indptr) - 1
         return csc_matrix((flat[self.source], self.indices, self.indptr), shape=(size, size))
 
 
 def elements_of(scene: Scene, parts: Sequence[Part], coordinates: Coordinates) -> tuple[Ints, ...]:
-    """All that the pattern follows from: who joins whom, and which components are unknowns."""
+    """Return all that the pattern follows from: who joins whom, and which components are unknowns."""
     elements = (array for part in parts for array in part.elements(scene))
     return (*elements, coordinates.index, *(body.vertices for body in coordinates.bodies))
 
@@ -106,7 +106,7 @@ def add_block(blocks, slot, block, transposed):
 
 
 def _entries(pairs: Ints, n: int, coordinates: Coordinates) -> tuple[Ints, Ints, Ints]:
-    """CSC's indices and indptr, and where each entry comes from."""
+    """Find CSC's indices and indptr, and where each entry comes from."""
     size, free = coordinates.size, len(coordinates.index)
     unknown = np.full(3 * n, -1)
     unknown[coordinates.index] = np.arange(free)
@@ -132,7 +132,7 @@ def _entries(pairs: Ints, n: int, coordinates: Coordinates) -> tuple[Ints, Ints,
 
 
 def _near_bodies(pairs: Ints, n: int, coordinates: Coordinates) -> np.ndarray:
-    """Which unknowns each body is joined to, shape (bodies, size); its own six are."""
+    """Mask the unknowns that each body is joined to, shape (bodies, size); its own six are."""
     free, count = len(coordinates.index), len(coordinates.bodies)
     owner = np.full(n, -1)
     near = np.zeros((count, coordinates.size), dtype=bool)

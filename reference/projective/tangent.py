@@ -1,4 +1,4 @@
-"""The Hessian of a scene's energy over its unknowns, factored: for responses, and as a metric of descents."""
+"""The Hessian of a scene's energy over its unknowns, factored: for derivatives, and as a metric of descents."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SHIFT = 1e-7
 def hessian(
     scene: Scene, energy: Energy, coordinates: Coordinates, sparsity: Sparsity, place: Place, *, least: float
 ) -> csc_matrix:
-    """The Hessian [mN/mm], shape (size, size), over the unknowns at a place: exact, or with eigenvalues raised.
+    """Assemble the Hessian [mN/mm], shape (size, size), at a place: exact, or with eigenvalues raised.
 
     With `least` EXACT it is the derivative of `Coordinates.pull` of the gradient. Else each element's share has no
     eigenvalue below `least` times its Strain weight, Bending's rotations are held, and the sum is positive definite
@@ -103,15 +103,15 @@ class Tangent:
 
     @property
     def pattern(self) -> Pattern:
-        """What serves again when its numbers, a quarter of a gigabyte for a head, are let go."""
+        """The part that serves again when the numbers, a quarter of a gigabyte for a head, are let go."""
         return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.CholmodFactor) else None)
 
     def solve(self, right: Floats) -> Floats:
-        """The inverse Hessian times gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
+        """Apply the inverse Hessian to gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
         return self.factor(right.reshape(len(right), -1)).reshape(right.shape)
 
     def vertices_by_targets(self, moved: Floats) -> Floats:
-        """How vertices move, shape (k, n, 3), where the first Target's positions move by `moved`, (k, targets, 3)."""
+        """Move vertices, shape (k, n, 3), to first order, as the first Target moves by `moved` (k, targets, 3)."""
         if not self.scene.of(Target):
             raise SceneError("the scene has no Target that could move")
         target = self.scene.of(Target)[0]
@@ -126,7 +126,7 @@ class Tangent:
         return np.stack([self._moved(step) for step in self.solve(right).T])
 
     def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
-        """How vertices move, shape (k, n, 3), where the scene changes; by implicit differentiation.
+        """Move vertices, shape (k, n, 3), to first order as the scene changes; by implicit differentiation.
 
         Each change is a difference quotient: scenes near by, each with its weight [1/unit of the change], such as
         ((ahead, 1/(2h)), (behind, -1/(2h))). They may differ in all numbers, also in what is Fixed and in bodies' rest,
@@ -147,7 +147,7 @@ class Tangent:
         return np.stack([carried + self._moved(step) for carried, step in zip(base, steps.T, strict=True)])
 
     def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
-        """Gradient [mN] over the unknowns in another scene, and the displacement [mm], where the unknowns stay."""
+        """Return gradient [mN] over the unknowns and displacement [mm] in another scene, where the unknowns stay."""
         coordinates = Coordinates.from_scene(scene)
         mine = (self.scene.vertices, self.scene.tets, self.coordinates.index)
         same = all(map(np.array_equal, mine, (scene.vertices, scene.tets, coordinates.index)))
@@ -162,7 +162,7 @@ class Tangent:
         return coordinates.pull(gradient, Place(u, self.place.rotations)), u
 
     def _energy_of(self, scene: Scene) -> Energy:
-        """The energy of another scene: with numbers of its own on the same elements, where the terms are the same."""
+        """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
         kinds = (Strain, Volume, SurfaceStrain, Bending)
         mine, its = ([term for kind in kinds for term in which.of(kind)] for which in (self.scene, scene))
         same = [type(term) for term in mine] == [type(term) for term in its]
@@ -172,7 +172,7 @@ class Tangent:
         return energy if energy.bending is None else replace(energy, bending=Rings.from_scene(scene))
 
     def _moved(self, step: Floats) -> Floats:
-        """The displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
+        """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
         moved = np.zeros_like(self.place.u)
         moved.reshape(-1)[self.coordinates.index] = step[: len(self.coordinates.index)]
         motions = step[len(self.coordinates.index) :].reshape(-1, 6)
@@ -184,9 +184,9 @@ class Tangent:
 def _body_rows(
     sparsity: Sparsity, blocks: Floats, coordinates: Coordinates, place: Place, gradient: Floats, *, least: float
 ) -> Floats:
-    """The bodies' rows of the Hessian, shape (6 bodies, size), at a place with this gradient [mN], shape (n, 3).
+    """Assemble the bodies' rows of the Hessian, (6 bodies, size), at a place with this gradient [mN], shape (n, 3).
 
-    What a turn adds by the forces alone is raised to zero where it is negative, unless `least` is.
+    The share that a turn adds by the forces alone is raised to zero where it is negative, unless `least` is.
     """
     n, free, count = len(place.u), len(coordinates.index), len(coordinates.bodies)
     rows = np.zeros((6 * count, coordinates.size))

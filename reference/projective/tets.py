@@ -94,7 +94,7 @@ SMALLEST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class TetBlocks:
-    """Parameters and corners in the layout of `lanes`, and which rows each Strain and Volume of the scene has."""
+    """Parameters and corners in the layout of `projections`, and which rows each Strain and Volume of the scene has."""
 
     corners: np.ndarray
     parameters: Floats
@@ -105,7 +105,7 @@ class TetBlocks:
 
     @classmethod
     def from_scene(cls, scene: Scene, threads: int = 1) -> TetBlocks | None:
-        """The blocks of a scene, or None if it has no tet with a stiffness."""
+        """Build the blocks of a scene, or None if it has no tet with a stiffness."""
         tets, entries = _pair_up(scene)
         if not len(tets):
             return None
@@ -124,7 +124,7 @@ class TetBlocks:
         return cls(corners, parameters, none, tuple(rows for _, rows in entries), tets, threads).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> TetBlocks:
-        """The same blocks with the numbers, one or one per tet, of another scene of the same terms."""
+        """Return the same blocks with the numbers, one or one per tet, of another scene of the same terms."""
         parameters = self.parameters.copy()
         for term, rows in zip(scene.of(Strain) + scene.of(Volume), self.rows_of, strict=True):
             stiffness = term.stiffness * scene.volumes[self.tets[rows]]
@@ -141,7 +141,7 @@ class TetBlocks:
         return replace(self, parameters=parameters, has_volume=has_volume)
 
     def separate(self) -> TetBlocks:
-        """The same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
+        """Return the same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
         corners = np.zeros_like(self.corners)
         every = np.arange(len(self.tets))
         for corner in range(4):
@@ -149,7 +149,7 @@ class TetBlocks:
         return replace(self, corners=corners, threads=1)
 
     def untangling(self, volume_share: float) -> TetBlocks:
-        """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out.
+        """Move a share of Volume's weight to Strain with limit 1, and leave the rest out.
 
         A Strain of wide limit is left with the share that the matrix has of it.
         """
@@ -183,7 +183,7 @@ class TetBlocks:
         return total
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]; see `Energy.matrix`."""
+        """Return rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]: see `Part`."""
         strain, volume = (self.parameters[:, row // LANES].ravel()[: len(self.tets)] for row in (STRAIN, VOLUME))
         shares = _share(self.parameters, volume_share).ravel()[: len(self.tets)]
         _, gradients = shape_gradients(scene, self.tets)
@@ -192,11 +192,11 @@ class TetBlocks:
         return np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, (1, 4)).ravel(), local.ravel()
 
     def elements(self, scene: Scene) -> tuple[Ints, ...]:
-        """The corners (k, 4) of all rows."""
+        """Return the corners (k, 4) of all rows."""
         return (scene.tets[self.tets],)
 
     def pairs(self, scene: Scene) -> Ints:
-        """The pairs of corners (k, 2), ten per row."""
+        """Return the pairs of corners (k, 2), ten per row."""
         return scene.tets[self.tets][:, PAIRS].reshape(-1, 2)
 
     def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
@@ -212,7 +212,7 @@ def _workers(threads: int) -> ThreadPoolExecutor:
 
 
 def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
-    """Dm_inv [1/mm] of the given tets, shape (k, 3, 3), and the gradients G of their shape functions, (k, 4, 3)."""
+    """Return Dm_inv [1/mm] of tets, shape (k, 3, 3), and the gradients G of their shape functions, (k, 4, 3)."""
     corners = scene.vertices[scene.tets[tets]]
     a, b, c = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
     inverse = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)  # far faster than linalg.inv
@@ -221,7 +221,7 @@ def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
 
 
 def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Strain | Volume, Ints]]]:
-    """One row per tet, or as many as it has Strain or Volume terms: the rows' tets, and each term's rows.
+    """Make one row per tet, or one per Strain or Volume term of it: the rows' tets, and each term's rows.
 
     The k-th Strain and the k-th Volume of a tet share a row, for they share F and its decomposition.
     """
@@ -243,7 +243,7 @@ def _spread(values, row: int, rows: Ints, blocks: np.ndarray):
 
 
 def _share(parameters: Floats, volume_share: float) -> Floats:
-    """The share of each row's Strain that the matrix has, shape (blocks, LANES): small, or all, where it rarely acts.
+    """Return the share of each row's Strain that the matrix has, (blocks, LANES): all, or little where it rarely acts.
 
     On eight shapes of two heads L-BFGS took 532, 457, 434 and 460 iterations with shares of 0.3, 0.15, 0.08 and 0.04.
     """
@@ -264,7 +264,7 @@ def gather(w, parameters, corners, u):
 
 @njit(**COMPILED)
 def deformation_gradient(w):
-    """F = I + Du Dm_inv: from displacements, for differences of positions far from the origin lose digits."""
+    """Compute F = I + Du Dm_inv: from displacements, for differences of positions far from the origin lose digits."""
     for k in range(LANES):
         g00, g01, g02 = w[G00 + k], w[G01 + k], w[G02 + k]
         g10, g11, g12 = w[G10 + k], w[G11 + k], w[G12 + k]
@@ -314,7 +314,7 @@ def _add_strain(w):
 
 @njit(**COMPILED)
 def _forces(w):
-    """P = U diag(D) Vᵀ and the nodal derivatives P Dm_invᵀ, written to F: row r, column j belongs to vertex j."""
+    """Write P = U diag(D) Vᵀ and the nodal derivatives P Dm_invᵀ to F: row r, column j belongs to vertex j."""
     for k in range(LANES):
         d0, d1, d2 = w[D0 + k], w[D1 + k], w[D2 + k]
         v00, v01, v02 = w[V00 + k] * d0, w[V01 + k] * d1, w[V02 + k] * d2
@@ -358,7 +358,7 @@ def _scatter(w, corners, gradient):
 def add_tets(parameters, corners, has_volume, u, gradient):
     """Add the tets' gradient [mN] at displacement u [mm], both (n, 3), in place; return their energy [µJ].
 
-    parameters (blocks, PARAMETERS * LANES) and corners (blocks, 4 * LANES) are laid out as `lanes` says; has_volume
+    parameters (blocks, PARAMETERS * LANES) and corners (blocks, 4 * LANES) have the layout of `projections`; has_volume
     (blocks,) tells where the volume projection is needed at all. Guards, which hardly ever act, cost a test of F.
     """
     w = np.zeros(ROWS * LANES)
@@ -381,13 +381,13 @@ def add_tets(parameters, corners, has_volume, u, gradient):
 
 @njit(inline="always", **COMPILED)
 def _away(value):
-    """A divisor kept away from zero."""
+    """Keep a divisor away from zero."""
     return value if abs(value) > SMALLEST else (SMALLEST if value >= 0.0 else -SMALLEST)
 
 
 @njit(inline="always", **COMPILED)
 def _strain_pair(a, b, ca, cb, inside_a, inside_b):
-    """Twist and flip of unit Strain for stretches a >= b with distances ca, cb from their bounds."""
+    """Return twist and flip of unit Strain for stretches a >= b with distances ca, cb from their bounds."""
     if a - b > 1e-8:
         flip = (ca - cb) / (a - b)
     else:
@@ -486,7 +486,7 @@ def _raise(h, twist, flip, least):
 
 @njit(**COMPILED)
 def _pair_block(h, alpha, beta, ga, gb, U, block, work):
-    """U M Uᵀ with M the Hessian between two corners whose shape gradients are ga, gb in the frame of V."""
+    """Compute U M Uᵀ with M the Hessian between two corners whose shape gradients are ga, gb in the frame of V."""
     for i in range(3):
         for k in range(3):
             if i == k:

@@ -21,4 +21,4 @@ def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     reactions = np.zeros(scene.vertices.shape)
     for end in at.ends.T:  # an edge's node gives half to each of its ends
         np.add.at(reactions, end, 0.5 * forces)
-    return Stresses.of_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)
+    return Stresses.from_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)
