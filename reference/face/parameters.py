@@ -294,7 +294,7 @@ def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     path = Path(path)
     named = read_toml(path)
     try:
-        values = {
+        values: dict[str, Any] = {
             Parameters.info(name).name: _read_array(path.parent / value, name) if isinstance(value, str) else value
             for name, value in named.items()
         }

@@ -23,10 +23,6 @@ from .projections import COMPILED
 class Part(Protocol):
     """The elements of one kind of energy, such as `TetBlocks`: all that a solver asks of an energy term."""
 
-    def for_scene(self, scene: Scene) -> Part:
-        """Return the same elements with the numbers of another scene of the same terms."""
-        ...
-
     def add_to(self, u: Floats, gradient: Floats) -> float:
         """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
         ...
@@ -146,8 +142,8 @@ def _near_bodies(pairs: Ints, n: int, coordinates: Coordinates) -> np.ndarray:
         for c in np.unique(owner[beside & (owner >= 0)]):
             near[b, free + 6 * c : free + 6 * c + 6] = True
         near[b, free + 6 * b : free + 6 * b + 6] = True
-    other = np.zeros_like(near)
+    mirrored = np.zeros_like(near)
     for b in range(count):
         for c in range(count):
-            other[b, free + 6 * c : free + 6 * c + 6] = near[c, free + 6 * b]
-    return near | other
+            mirrored[b, free + 6 * c : free + 6 * c + 6] = near[c, free + 6 * b]
+    return near | mirrored
