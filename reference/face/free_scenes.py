@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import cheeks
+from ...lhm.flesh import cheek_share
 from ...lhm.head import FREE, MANDIBLE, LayeredHead
-from ...lhm.wraps.harmonic import harmonic
+from ...lhm.wraps.columns import fill_harmonically
 from .. import terms
 from ..scene import Scene
 from .bones import condyles, scale_skull
@@ -79,7 +79,7 @@ def push_cheek_scene(
         raise SceneError(f"radius: expected 0 to {BROADEST:g} mm, got {radius:g}")
     x, triangles = head.skin_wrap.vertices, head.skin_wrap.triangles
     if centre is None:
-        share = cheeks(head) * (x[:, 0] > 0.0)  # of the left cheek
+        share = cheek_share(head) * (x[:, 0] > 0.0)  # of the left cheek
         centre = x[np.argmin(np.linalg.norm(x - share @ x / share.sum(), axis=1))]
     about = np.asarray(centre, dtype=np.float64)
     if about.shape != (3,) or not np.isfinite(about).all():
@@ -113,7 +113,7 @@ def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) ->
     moved = skull - head.skull_wrap.vertices
     bone = head.bone != FREE
     carried = head.skin_wrap.vertices + (
-        harmonic(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
+        fill_harmonically(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
     )
     none = np.zeros(len(bone), dtype=bool)
     lining = np.any([head.regions.get(name, none) for name in LINING], axis=0) & ~head.regions.get("lips", none)
