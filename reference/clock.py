@@ -45,7 +45,7 @@ event.register("numba:compiler_lock", _compilers)
 
 @contextmanager
 def count_compilation() -> Iterator[None]:
-    """What another compiler than numba's does within counts as compilation."""
+    """Count as compilation what another compiler than numba's does within."""
     _compilers.on_start(None)
     try:
         yield
@@ -60,7 +60,7 @@ class Clock:
         self._begin, self._compiled = time.perf_counter(), _compilers.seconds
 
     def read(self) -> Seconds:
-        """What has passed since."""
+        """Read what has passed since."""
         compilation = _compilers.seconds - self._compiled
         return Seconds(time.perf_counter() - self._begin - compilation, compilation)
 

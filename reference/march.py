@@ -141,7 +141,7 @@ class Motion:
     on_step: OnStep | None = field(default=None, repr=False)
 
     def scene_at(self, step: int) -> Scene:
-        """The scene at the end of a step, from 1, or at the start, 0: the given one where values are per step."""
+        """Return the scene at the end of a step, from 1, or at the start, 0: the given one if values are per step."""
         scene = self.scene if self.scenes is None else self.scenes(step * self.time_step)
         if (targets := self._at(self.targets, step)) is not None:
             scene = scene.with_targets(targets)
@@ -150,7 +150,7 @@ class Motion:
         return scene
 
     def acceleration_at(self, step: int) -> Floats:
-        """The frame's acceleration [mm/s²], shape (3,); of values per step, that at the start is the first step's."""
+        """Return the frame's acceleration [mm/s²], shape (3,); values per step start with the first step's."""
         value = self._at(self.acceleration, step if callable(self.acceleration) else max(step, 1))
         vector = np.zeros(3) if value is None else np.asarray(value, dtype=np.float64)
         if vector.shape != (3,) or not np.isfinite(vector).all():
@@ -210,7 +210,7 @@ def march(
     if solver not in SOLVERS:
         raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
     rule = scheme if isinstance(scheme, Scheme) else Scheme.from_name(scheme, spectral_radius=spectral_radius)
-    motion = _checked(
+    motion = _check(
         scene, time_step, steps, rule, density, skin, skin_density, mass, damping,
         targets, fixed, scenes, acceleration, positions, velocities, keep, tolerance, on_step,
     )  # fmt: skip
@@ -224,7 +224,7 @@ def march(
     return import_module(f".{solver}.prepared", __package__).carry_out(motion, **options)
 
 
-def _checked(
+def _check(
     scene, time_step, steps, rule, density, skin, skin_density, mass, damping, targets, fixed, scenes, acceleration,
     positions, velocities, keep, tolerance, on_step,
 ) -> Motion:  # fmt: skip
@@ -248,8 +248,8 @@ def _checked(
         raise SceneError(f"skin: expected triangles of shape (k, 3), got {triangles.shape} of {triangles.dtype}")
     if triangles.size and not (triangles.min() >= 0 and triangles.max() < len(scene.vertices)):
         raise SceneError(f"skin: a vertex is outside 0..{len(scene.vertices) - 1}")
-    volume = _amounts("density", density, len(scene.tets))
-    area = _amounts("skin_density", skin_density, len(triangles))
+    volume = _check_amounts("density", density, len(scene.tets))
+    area = _check_amounts("skin_density", skin_density, len(triangles))
     if not (volume.any() or area.any()):
         raise SceneError("march: nothing has mass; give density, or skin and skin_density")
     rayleigh = np.asarray(damping, dtype=np.float64)
@@ -275,13 +275,14 @@ def _checked(
     return Motion(
         scene, rule, float(step), int(steps), volume, triangles.astype(np.int64), area, mass,
         (float(rayleigh[0]), float(rayleigh[1])), targets, fixed, scenes, acceleration,
-        _points("positions", positions, scene.vertices), _points("velocities", velocities, 0.0 * scene.vertices),
+        _check_points("positions", positions, scene.vertices),
+        _check_points("velocities", velocities, 0.0 * scene.vertices),
         vertices, tolerance, on_step,
     )  # fmt: skip
 
 
-def _amounts(name: str, values, count: int) -> Floats:
-    """One number of at least 0 per element, shape (count,)."""
+def _check_amounts(name: str, values, count: int) -> Floats:
+    """Return one number of at least 0 per element, shape (count,)."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape not in ((), (count,)):
         raise SceneError(f"{name}: expected one number or shape ({count},), got shape {array.shape}")
@@ -290,7 +291,7 @@ def _amounts(name: str, values, count: int) -> Floats:
     return np.broadcast_to(array, (count,))
 
 
-def _points(name: str, values, default: Floats) -> Floats:
+def _check_points(name: str, values, default: Floats) -> Floats:
     points = np.array(default) if values is None else np.array(values, dtype=np.float64)
     if points.shape != default.shape or not np.isfinite(points).all():
         raise SceneError(f"{name}: expected finite values of shape {default.shape}, got shape {points.shape}")

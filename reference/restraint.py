@@ -43,7 +43,7 @@ def has_free_motion(scene: Scene) -> bool:
 
 
 def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
-    """Per part its vertices (v,), its rigid motions (v, 3, 6), and the combinations (6, r) that nothing holds."""
+    """Yield each part's vertices (v,), rigid motions (v, 3, 6), and combinations (6, r) that nothing holds."""
     held = scene.dirichlet()[0]
     held[scene.inertia()[0] > 0] = True
     for term in scene.of(Target):
@@ -54,7 +54,7 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
 
 
 def _parts(scene: Scene) -> list[Ints]:
-    """The vertices that energies and bodies join to parts; what processes have in parts counts as one."""
+    """Gather the vertices that energies and bodies join to parts; a scene that ranks share counts as one."""
     solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
     groups = [scene.tets[scene.tets_of(term)] for term in solids]
     groups += [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Bending))]
@@ -72,7 +72,7 @@ def _parts(scene: Scene) -> list[Ints]:
 
 
 def _motions(scene: Scene, X: Floats) -> Floats:
-    """Displacements of three translations and three rotations, of length about 1 each, shape (v, 3, 6)."""
+    """Return displacements of three translations and three rotations, of length about 1 each, shape (v, 3, 6)."""
     *total, count = scene.together(np.array([[*X.sum(axis=0), len(X)]])).sum(axis=0)
     centred = X - np.array(total) / count
     centred = centred / max(np.sqrt(scene.together(np.array([[np.sum(centred**2)]])).sum() / count), 1e-300)
@@ -84,14 +84,14 @@ def _motions(scene: Scene, X: Floats) -> Floats:
 
 
 def _null_space(scene: Scene, rows: Floats) -> Floats:
-    """Orthonormal combinations of motions on which rows (k, 6) vanish, shape (6, r)."""
+    """Find orthonormal combinations of motions on which rows (k, 6) vanish, shape (6, r)."""
     triangle = np.asarray(np.linalg.qr(np.concatenate([rows, np.zeros((6, 6))]), mode="r"))
     _, s, Vt = np.linalg.svd(scene.together(triangle), full_matrices=False)
     return Vt[s <= FREE * max(s[0], 1e-300)].T
 
 
 def _names(free: Floats) -> list[str]:
-    """Translations among the motions (6, r), then the axes of what else is left."""
+    """Name translations among the motions (6, r), then the axes of what else is left."""
     _, s, Vt = np.linalg.svd(free[3:], full_matrices=True)
     turning = int((s > 1e-6).sum())
     translations = free[:3] @ Vt[turning:].T
@@ -102,7 +102,7 @@ def _names(free: Floats) -> list[str]:
 
 
 def _axes(directions: Floats) -> list[str]:
-    """Names of a basis of the span of directions (3, k): x, y, z where they lie in it."""
+    """Name a basis of the span of directions (3, k): x, y, z where they lie in it."""
     if not directions.shape[1]:
         return []
     basis = np.linalg.svd(directions, full_matrices=False)[0]

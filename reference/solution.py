@@ -1,9 +1,4 @@
-"""What a solver returns: positions, why it stopped, and how it got there.
-
-Stresses and reactions of an answer: what each solver works out anew from where its nodes ended, when asked.
-
-A solution on its scene's tets, as a file for ParaView and other viewers.
-"""
+"""What a solver returns: positions, why it stopped, how it got there, stresses when asked, and a file of them."""
 
 from __future__ import annotations
 
@@ -25,6 +20,8 @@ from ..lhm.base.files.atomic import replaced
 from ..lhm.base.mesh import Floats, tet_volumes
 from .clock import Clock, Seconds
 from .scene import Scene
+
+SUFFIXES = (".vtu", ".vtk")
 
 
 class Reason(str, Enum):
@@ -72,6 +69,33 @@ class Times:
     preparation: float
     solve: float
     compilation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stresses:
+    """Stresses [kPa] of the tets, shape (m, 3, 3), and reactions [mN], shape (n, 3); see `Solution`."""
+
+    first_piola: Floats
+    cauchy: Floats
+    reactions: Floats
+
+    @classmethod
+    def from_points(cls, P: Floats, F: Floats, volume: Floats, reactions: Floats) -> Stresses:
+        """Average P [kPa] and F over each tet's q points, shape (m, q, 3, 3), of volumes [mm³], shape (m, q).
+
+        P over the volume at rest, Cauchy's stress P Fᵀ / J over the deformed one.
+        """
+        deformed = np.einsum("mq,mq->m", volume, np.linalg.det(F))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cauchy = np.einsum("mq,mqij,mqkj->mik", volume, P, F) / deformed[:, None, None]
+        mean = np.einsum("mq,mqij->mij", volume, P) / volume.sum(axis=1)[:, None, None]
+        return cls(mean, cauchy, reactions)
+
+
+def von_mises(cauchy: Floats) -> Floats:
+    """√(3/2) ‖dev σ‖ [kPa], shape (m,), of stresses (m, 3, 3)."""
+    mean = np.trace(cauchy, axis1=1, axis2=2)[:, None, None] / 3.0
+    return np.sqrt(1.5) * np.linalg.norm(cauchy - mean * np.eye(3), axis=(1, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +180,18 @@ class Recorder:
         return stop
 
     def history(self) -> History:
-        """What was recorded so far."""
+        """Return the record so far."""
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
         return History(rows[:, 0], rows[:, 1], rows[:, 2])
 
     def times(self, preparation: Seconds) -> Times:
-        """What the solve has taken so far, and its preparation."""
+        """Return the times of the solve so far, and of its preparation."""
         solve = self._clock.read()
         return Times(preparation.work, solve.work, preparation.compilation + solve.compilation)
 
 
 def volume_ratio(scene: Scene, positions: Floats) -> Floats:
-    """J = det F per tet, shape (m,)."""
+    """Return J = det F per tet, shape (m,)."""
     return tet_volumes(positions, scene.tets) / scene.volumes
 
 
@@ -191,12 +215,12 @@ class Limits:
             raise SceneError(f"max_iterations must be at least 0, got {self.iterations}")
 
     def threshold(self, scene: Scene, first: float) -> float:
-        """The gradient norm [mN] at which to stop, from the first one; not below what rounding leaves."""
+        """Return the gradient norm [mN] at which to stop, from the first one; not below rounding."""
         return max(self.tolerance * first if self.absolute is None else self.absolute, scene.rounding())
 
 
 def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -> Floats:
-    """Where a solve begins [mm], shape (n, 3): at its start, after a solution, or at rest; SceneError for another."""
+    """Return where a solve begins [mm], shape (n, 3): a start, a solution's end, or rest; SceneError for another."""
     if start is None and warm is not None:
         start = warm.positions
     positions = np.array(scene.vertices if start is None else start, dtype=np.float64)
@@ -208,39 +232,9 @@ def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -
     return positions
 
 
-@dataclass(frozen=True, eq=False)
-class Stresses:
-    """Stresses [kPa] of the tets, shape (m, 3, 3), and reactions [mN], shape (n, 3); see `Solution`."""
-
-    first_piola: Floats
-    cauchy: Floats
-    reactions: Floats
-
-    @classmethod
-    def from_points(cls, P: Floats, F: Floats, volume: Floats, reactions: Floats) -> Stresses:
-        """Means over the tets of P [kPa] and F at q points each, shape (m, q, 3, 3), of volumes [mm³], shape (m, q).
-
-        P over the volume at rest, Cauchy's stress P Fᵀ / J over the deformed one.
-        """
-        deformed = np.einsum("mq,mq->m", volume, np.linalg.det(F))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            cauchy = np.einsum("mq,mqij,mqkj->mik", volume, P, F) / deformed[:, None, None]
-        mean = np.einsum("mq,mqij->mij", volume, P) / volume.sum(axis=1)[:, None, None]
-        return cls(mean, cauchy, reactions)
-
-
-def von_mises(cauchy: Floats) -> Floats:
-    """√(3/2) ‖dev σ‖ [kPa], shape (m,), of stresses (m, 3, 3)."""
-    mean = np.trace(cauchy, axis1=1, axis2=2)[:, None, None] / 3.0
-    return np.sqrt(1.5) * np.linalg.norm(cauchy - mean * np.eye(3), axis=(1, 2))
-
-
-SUFFIXES = (".vtu", ".vtk")
-
-
 @check_arguments
 def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
-    """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with what the solution found, whole or not at all.
+    """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with its solution, whole or not at all.
 
     Per vertex `displacement` and `reaction`, per tet `J`, `von_mises`, `cauchy` and `first_piola` (nine components,
     row by row). Raises InputError for another suffix, a solution of another scene, and a place that cannot be written.

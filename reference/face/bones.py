@@ -27,7 +27,7 @@ CONDYLE = 0.05
 
 
 def scale_bone(head: LayeredHead, parameters: Parameters, bone: int, points: Floats) -> Floats:
-    """Points [mm], shape (k, 3), of a bone, scaled by p: a cranium about its middle, a mandible about its condyles."""
+    """Scale points [mm], shape (k, 3), of a bone by p: a cranium about its middle, a mandible about its condyles."""
     scale = parameters.scale("cranium" if bone == CRANIUM else "mandible")
     wrap = head.skull_wrap.vertices[head.bone == bone]
     if not len(wrap) or np.all(scale == 1.0):
@@ -37,14 +37,14 @@ def scale_bone(head: LayeredHead, parameters: Parameters, bone: int, points: Flo
 
 
 def condyles(mandible: Floats) -> Floats:
-    """The middle of a mandible's highest part behind its own middle [mm], about which it turns."""
+    """Find the middle of a mandible's highest part behind its own middle [mm], about which it turns."""
     behind = mandible[mandible[:, 2] <= np.median(mandible[:, 2])]
     highest = behind[np.argsort(behind[:, 1])[-max(3, int(CONDYLE * len(mandible))) :]]
     return highest.mean(axis=0)
 
 
 def scale_skull(head: LayeredHead, parameters: Parameters) -> Floats:
-    """The skull wrap [mm], shape (n, 3), with cranium and mandible scaled by p; free vertices stay."""
+    """Scale cranium and mandible of the skull wrap [mm], shape (n, 3), by p; free vertices stay."""
     skull = np.array(head.skull_wrap.vertices)
     for bone in (CRANIUM, MANDIBLE):
         skull[head.bone == bone] = scale_bone(head, parameters, bone, skull[head.bone == bone])
@@ -52,7 +52,7 @@ def scale_skull(head: LayeredHead, parameters: Parameters) -> Floats:
 
 
 def jaw_motion(head: LayeredHead, neutral: Floats, wrap_targets: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) [mm] of the skin wrap over the mandible from neutral to an expression."""
+    """Fit the rotation (3, 3) and translation (3,) [mm] by which an expression moves the skin over the mandible."""
     jaw = np.flatnonzero(head.bone == MANDIBLE)
     if jaw.size < 3:
         return np.eye(3), np.zeros(3)
@@ -62,7 +62,7 @@ def jaw_motion(head: LayeredHead, neutral: Floats, wrap_targets: Floats) -> tupl
 def carry_wraps(
     head: LayeredHead, parameters: Parameters, neutral: Floats, wrap_targets: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Skin, muscle and skull wrap [mm], each of shape (n, 3), carried along by an expression without physics.
+    """Carry skin, muscle and skull wrap [mm], each of shape (n, 3), along with an expression, without physics.
 
     The skin wrap is at its targets, the scaled mandible moved as the skin over it from `neutral`, the skin wrap under p
     alone; skull-wrap vertices that are no bone go with the skin, and the muscle wrap lies between as it does at rest.
@@ -81,7 +81,7 @@ def carry_wraps(
 def rigid_bones(
     head: LayeredHead, parameters: Parameters, first: int, elsewhere: Collection[int] = ()
 ) -> list[terms.Term]:
-    """A cranium that is held, and a mandible that is free but rigid, less the bones that are `elsewhere`.
+    """Make a cranium that is held, and a mandible that is free but rigid, less the bones that are `elsewhere`.
 
     first: index of the skull wrap's first vertex.
     """
@@ -92,13 +92,13 @@ def rigid_bones(
 
 
 def prescribed_bones(head: LayeredHead, skull: Floats, first: int, elsewhere: Collection[int] = ()) -> list[terms.Term]:
-    """Cranium and mandible Fixed where the skull wrap `skull` (n, 3) [mm] has them; see `rigid_bones`."""
+    """Fix cranium and mandible where the skull wrap `skull` (n, 3) [mm] has them; see `rigid_bones`."""
     bone = np.flatnonzero(np.isin(head.bone, [b for b in (CRANIUM, MANDIBLE) if b not in elsewhere]))
     return [terms.Fixed(first + bone, skull[bone])] if bone.size else []
 
 
 def soft_bones(head: LayeredHead, parameters: Parameters, stack: Floats, first: int) -> list[terms.Term]:
-    """The paper's bones: stiff surfaces that keep their curvature, and springs on the cranium behind the face.
+    """Make the paper's bones: stiff surfaces that keep their curvature, and springs on the cranium behind the face.
 
     stack: the scene's vertices at rest [mm]; first: index of the skull wrap's first.
     """

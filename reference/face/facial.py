@@ -65,7 +65,7 @@ def facial_scene(
     attached: Sequence[Attachment] = (),
     rule: StrainRule = "clamp",
 ) -> Scene:
-    """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
+    """Build the energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
 
     Vertices are the head's, the skin wrap's first, then the points of `attached`. Only what p and these choices ask
     for is built. `neutral` [mm], of the targets' shape, is the skin at rest, by default the head's: where what lines
@@ -86,12 +86,12 @@ def facial_scene(
     wrap_targets, rest = head.wrap_targets(targets), head.wrap_targets(neutral)
     stack = Stack.from_head(head, layers, without)
     start = carry_wraps(head, parameters, rest, wrap_targets)
-    inside = _mask(head, region)
-    tissue = _tissue(head, parameters, stack, inside, rule)
+    inside = _region_mask(head, region)
+    tissue = _make_tissue(head, parameters, stack, inside, rule)
     vertices, bodies = _attach(head, parameters, attached, (rest, wrap_targets), stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
-        parts += _skin(head, parameters, inside)
+        parts += _make_skin(head, parameters, inside)
     springs = Springs.from_head(head, parameters)
     drawn_to = springs.positions(wrap_targets, rest)
     parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness))
@@ -102,13 +102,16 @@ def facial_scene(
         parts += rigid_bones(head, parameters, first, elsewhere)
     else:
         parts += prescribed_bones(head, start[2], first, elsewhere)
-    idle = _idle(head, stack, inside)
-    if idle.size:
-        parts.append(terms.Fixed(idle, stack.interpolate(*start)[idle]))
+    if not inside.all():
+        outside = np.tile(~inside, len(stack.vertices) // len(inside))
+        outside[first:] &= head.bone == FREE  # bones are held by terms of their own
+        idle = np.flatnonzero(outside)
+        if idle.size:
+            parts.append(terms.Fixed(idle, stack.interpolate(*start)[idle]))
     if np.any(parameters.added_gravity):
         parts.append(terms.Gravity(parameters.added_gravity, TISSUE_DENSITY))
     if contact:
-        parts.append(terms.Contact(_touching(head, contact), thickness=GAP))
+        parts.append(terms.Contact(_contact_triangles(head, contact), thickness=GAP))
     return Scene(vertices, np.vstack(tissue.tets), (*parts, *bodies))
 
 
@@ -120,30 +123,31 @@ class _Tissue:
     terms: list[terms.Term] = field(default_factory=list)
 
     def add(self, tets: Ints, kept: np.ndarray, strain, limit, volume, target, rule: StrainRule = "clamp"):
-        """Strain and Volume on those tets (k, 4) that are `kept` (k,); the values are one, or one per tet."""
+        """Put Strain and Volume on those tets (k, 4) that are `kept` (k,).
+
+        Values are one for all, or one per tet of the first of several equal layers.
+        """
         first = sum(map(len, self.tets))
         ids = first + np.arange(np.count_nonzero(kept))
-        strain, limit, volume, target = (v[kept] if np.ndim(v) else v for v in (strain, limit, volume, target))
+
+        def spread(value):
+            return np.tile(value, len(tets) // len(value))[kept] if np.ndim(value) else value
+
+        strain, limit, volume, target = map(spread, (strain, limit, volume, target))
         self.tets.append(tets[kept])
         self.terms += [terms.Strain(strain, limit, tets=ids, rule=rule), terms.Volume(volume, target, tets=ids)]
 
 
-def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, rule: StrainRule) -> _Tissue:
-    """Soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`."""
+def _make_tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, rule: StrainRule) -> _Tissue:
+    """Make soft tissue and muscle (Eq. 10 and 12) at the vertices `inside`, and guard soft tissue's thin tets."""
     wrap = head.skin_wrap
-    kept = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
-    counts = stack.counts or (1, 1)
+    layer = np.repeat(inside[wrap.triangles].any(axis=1), TETS_PER_PRISM)
     if stack.counts is None:
         _check_uniform(p, inside)
 
-    def add(tets: Ints, layers: int, stiffness, limit, volume, target, rule: StrainRule = "clamp"):
-        def at(value):
-            return np.tile(value, layers) if np.ndim(value) else value
-
-        of = np.ones(len(tets), dtype=bool) if stack.counts is None else np.tile(kept, layers)
-        if stack.sound is not None:
-            of &= stack.sound
-        tissue.add(tets, of, at(stiffness), at(limit), at(volume), at(target), rule)
+    def kept(tets: Ints) -> np.ndarray:
+        mask = np.ones(len(tets), dtype=bool) if stack.counts is None else np.tile(layer, len(tets) // len(layer))
+        return mask if stack.sound is None else mask & stack.sound
 
     def value(name: str):
         return spread_to_tets(name, getattr(p, name), wrap)
@@ -151,18 +155,18 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
     tissue = _Tissue()
     strain = value("soft_stiffness")
     volume = value("volume_ratio") * strain
-    add(stack.soft, counts[0], strain, value("strain_limit"), volume, value("soft_volume"), rule)
+    tissue.add(stack.soft, kept(stack.soft), strain, value("strain_limit"), volume, value("soft_volume"), rule)
+    soft: terms.Strain = tissue.terms[0]  # type: ignore[assignment]
     if stack.muscle is not None:
         strain, volume = value("muscle_strain_ratio") * strain, value("muscle_volume_ratio") * volume
-        add(stack.muscle, counts[1], strain, 1.0, volume, value("muscle_volume"))
-    own = next(term.stiffness for term in tissue.terms if isinstance(term, terms.Strain))
-    if (guarding := guard(stack.vertices, tissue.tets[0], own)) is not None:
+        tissue.add(stack.muscle, kept(stack.muscle), strain, 1.0, volume, value("muscle_volume"))
+    if (guarding := guard(stack.vertices, tissue.tets[0], soft.stiffness)) is not None:
         tissue.terms.append(guarding)
     return tissue
 
 
 def _check_uniform(p: Parameters, inside: np.ndarray) -> None:
-    """SceneError for what is told per triangle of the wraps where no tet belongs to one."""
+    """Raise SceneError for values per triangle of the wraps where no tet belongs to one."""
     if not inside.all():
         raise SceneError("region: a head whose tets are a volume mesh is simulated as a whole")
     for name in OF_TETS:
@@ -172,8 +176,8 @@ def _check_uniform(p: Parameters, inside: np.ndarray) -> None:
             )
 
 
-def _skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Term]:
-    """The skin's membrane (Eq. 11) at the vertices `inside`, and its bending where p has one."""
+def _make_skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Term]:
+    """Make the skin's membrane (Eq. 11) at the vertices `inside`, and its bending where p has one."""
     wrap = head.skin_wrap
     kept = inside[wrap.triangles].any(axis=1)
 
@@ -195,12 +199,12 @@ def _attach(
     tissue: _Tissue,
     bones: Bones,
 ) -> tuple[Floats, list[terms.Term]]:
-    """All vertices, and what holds the attached points; their connecting tets go to `tissue`.
+    """Return all vertices, and what holds the attached points; their connecting tets go to `tissue`.
 
     motion: the skin wrap [mm], each (n, 3), at rest under p and where the expression takes it.
     """
     vertices, n = stack.vertices, len(head.bone)
-    bodies = []
+    bodies: list[terms.Term] = []
     for thing in attached:
         _, tets = connecting_tets(thing.points, head.skull_wrap)
         tets = np.where(tets < n, tets + stack.first_of_skull, tets - n + len(vertices))
@@ -209,35 +213,19 @@ def _attach(
         strain = p.connector_ratio * float(np.mean(p.soft_stiffness))
         volume = strain * float(np.mean(p.volume_ratio))
         tissue.add(tets, np.ones(len(tets), dtype=bool), strain, 1.0, volume, 1.0)
-        bodies.append(_body(head, p, thing, ids, motion, bones))
+        rest = scale_bone(head, p, thing.bone, thing.points)
+        if thing.bone == FREE or (thing.bone == MANDIBLE and bones == "rigid"):
+            bodies.append(terms.RigidBody(ids, None if thing.bone == FREE else rest))
+        elif thing.bone == MANDIBLE:
+            rotation, translation = jaw_motion(head, *motion)
+            bodies.append(terms.Fixed(ids, rest @ rotation.T + translation))
+        else:
+            bodies.append(terms.Fixed(ids, rest))
     return vertices, bodies
 
 
-def _body(
-    head: LayeredHead, p: Parameters, thing: Attachment, ids: Ints, motion: tuple[Floats, Floats], bones: Bones
-) -> terms.Term:
-    if thing.bone == FREE:
-        return terms.RigidBody(ids)
-    rest = scale_bone(head, p, thing.bone, thing.points)
-    if thing.bone == CRANIUM:
-        return terms.Fixed(ids, rest)
-    if bones == "rigid":
-        return terms.RigidBody(ids, rest)
-    rotation, translation = jaw_motion(head, *motion)
-    return terms.Fixed(ids, rest @ rotation.T + translation)
-
-
-def _idle(head: LayeredHead, stack: Stack, inside: np.ndarray) -> Ints:
-    """Stacked vertices outside the region that no bone holds."""
-    if inside.all():
-        return np.empty(0, dtype=np.int64)
-    out = np.tile(~inside, len(stack.vertices) // len(inside))
-    out[stack.first_of_skull :] &= head.bone == FREE
-    return np.flatnonzero(out)
-
-
-def _mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:
-    """A region as a mask over the wraps' vertices, shape (n,); None is the whole head."""
+def _region_mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:
+    """Return a region as a mask over the wraps' vertices, shape (n,); None is the whole head."""
     if region is None:
         return np.ones(len(head.bone), dtype=bool)
     if isinstance(region, str):
@@ -250,9 +238,9 @@ def _mask(head: LayeredHead, region: str | np.ndarray | None) -> np.ndarray:
     return mask
 
 
-def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
-    """The skin wrap's triangles within the union of some regions and WIDER edges around it, shape (k, 3)."""
-    touching = np.any([_mask(head, name) for name in names], axis=0)
+def _contact_triangles(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
+    """Return the skin wrap's triangles within the union of some regions and WIDER edges around it, shape (k, 3)."""
+    touching = np.any([_region_mask(head, name) for name in names], axis=0)
     triangles = head.skin_wrap.triangles
     for _ in range(WIDER):
         touching[triangles[touching[triangles].any(axis=1)]] = True
@@ -260,7 +248,7 @@ def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
 
 
 def check_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
-    """Targets [mm] of the skin's shape, finite and near it; SceneError for others, by `name`."""
+    """Return targets [mm] of the skin's shape, finite and near it; SceneError for others, by `name`."""
     try:
         targets = np.asarray(targets, dtype=np.float64)
     except (TypeError, ValueError):

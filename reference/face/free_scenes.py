@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats
 from ...lhm.flesh import cheek_share
 from ...lhm.head import FREE, MANDIBLE, LayeredHead
 from ...lhm.wraps.columns import fill_harmonically
@@ -77,14 +77,19 @@ def push_cheek_scene(
         raise SceneError(f"pressure: expected 0 to {HARDEST:g} kPa, got {pressure:g}")
     if not 0.0 <= radius <= BROADEST:
         raise SceneError(f"radius: expected 0 to {BROADEST:g} mm, got {radius:g}")
-    about = _left_cheek(head) if centre is None else np.asarray(centre, dtype=np.float64)
+    x, triangles = head.skin_wrap.vertices, head.skin_wrap.triangles
+    if centre is None:
+        share = cheek_share(head) * (x[:, 0] > 0.0)  # of the left cheek
+        centre = x[np.argmin(np.linalg.norm(x - share @ x / share.sum(), axis=1))]
+    about = np.asarray(centre, dtype=np.float64)
     if about.shape != (3,) or not np.isfinite(about).all():
         raise SceneError(f"centre: expected three finite numbers, got {centre!r}")
-    patch = _patch(head, about, radius)
+    near = np.linalg.norm(x - about, axis=1) <= radius
+    patch = triangles[near[triangles].all(axis=1)]
     if not len(patch):
         raise SceneError(f"radius {radius:g} mm: no triangle of the skin wrap lies so near {np.round(about, 1)}")
-    x = head.skin_wrap.vertices[patch]
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
+    a, b, c = (x[patch[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a).sum(axis=0)
     push = terms.Traction(patch, -pressure * normal / np.linalg.norm(normal))
     scene = _scene_of_bones(head, parameters, scale_skull(head, parameters))
     return replace(scene, terms=(*scene.terms, push))
@@ -110,7 +115,8 @@ def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) ->
     carried = head.skin_wrap.vertices + (
         fill_harmonically(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
     )
-    lining = _lining(head)
+    none = np.zeros(len(bone), dtype=bool)
+    lining = np.any([head.regions.get(name, none) for name in LINING], axis=0) & ~head.regions.get("lips", none)
 
     def changed(term: terms.Term) -> terms.Term:
         if isinstance(term, terms.Fixed):
@@ -120,26 +126,3 @@ def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) ->
         return term
 
     return replace(scene, terms=tuple(changed(term) for term in scene.terms))
-
-
-def _lining(head: LayeredHead) -> np.ndarray:
-    """Mask the skin wrap's vertices (n,) that line mouth and eyes; none on a head without these regions."""
-    none = np.zeros(len(head.bone), dtype=bool)
-    inside = np.any([head.regions.get(name, none) for name in LINING], axis=0)
-    return inside & ~head.regions.get("lips", none)
-
-
-def _left_cheek(head: LayeredHead) -> Floats:
-    """Return the skin wrap's vertex [mm], shape (3,), that is nearest to the middle of the left cheek."""
-    x = head.skin_wrap.vertices
-    share = cheek_share(head) * (x[:, 0] > 0.0)
-    middle = share @ x / share.sum()
-    nearest: Floats = x[np.argmin(np.linalg.norm(x - middle, axis=1))]
-    return nearest
-
-
-def _patch(head: LayeredHead, centre: Floats, radius: float) -> Ints:
-    """Return the skin wrap's triangles (k, 3) whose corners are all within `radius` [mm] of a point."""
-    near = np.linalg.norm(head.skin_wrap.vertices - centre, axis=1) <= radius
-    triangles = head.skin_wrap.triangles
-    return triangles[near[triangles].all(axis=1)]

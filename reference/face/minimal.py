@@ -77,7 +77,7 @@ def find_smallest(
 def smallest_scene(
     scene: Scene, *, within: float = WITHIN, solver: str = "projective", tolerance: float = TOLERANCE
 ) -> Smallest:
-    """The scene with as few of its terms as keep every vertex within so many mm of where all of them put it.
+    """Leave in a scene as few of its terms as keep every vertex within so many mm of where all of them put it.
 
     Terms are named by their kind, and by their number where there are several. Raises as `smallest`, and SoftdecaError
     where the whole scene is not solved.
@@ -139,7 +139,7 @@ class FacialModel:
 
 
 def lower_face(head: LayeredHead) -> np.ndarray:
-    """The face below the lids, a mask (n,) of the wraps' vertices."""
+    """Mask the face below the lids, shape (n,), of the wraps' vertices."""
     height = head.skin_wrap.vertices[:, 1]
     return head.regions["face"] & (height < height[head.regions["lids"]].min())
 
@@ -164,7 +164,7 @@ FACIAL_PIECES: Mapping[str, Callable[[FacialModel], FacialModel]] = {
 
 
 def smallest_facial_scene(model: FacialModel, *, within: float = WITHIN) -> Smallest:
-    """The facial scene with as few of `FACIAL_PIECES` as keep its skin within so many mm of the whole one's.
+    """Leave in a facial scene as few of `FACIAL_PIECES` as keep its skin within so many mm of the whole one's.
 
     Regions are left out on heads that have them. Raises as `smallest`.
     """

@@ -49,7 +49,7 @@ def activation(head: LayeredHead, parameters: Parameters) -> Floats:
 
 
 def skin_activation(head: LayeredHead, parameters: Parameters) -> Floats | None:
-    """The same at each vertex of the skin, shape (skin vertices, 1), or None where there is no palsy.
+    """`activation` at each vertex of the skin, shape (skin vertices, 1), or None where there is no palsy.
 
     Detail that an expression has finer than the wrap, such as a closed lid's, is of the skin in that share only.
     """
@@ -75,7 +75,7 @@ class Springs:
     @classmethod
     @lru_cache(maxsize=1)  # every frame of a face asks for the same, a third of a palsied scene's price
     def from_head(cls, head: LayeredHead, parameters: Parameters) -> Springs:
-        """Per area, less what is paralysed, but where eyes are lined: there springs stay, and draw elsewhere."""
+        """Make them per area, less what is paralysed; where eyes are lined springs stay, and draw elsewhere."""
         wrap = head.skin_wrap
         whole = spread_to_vertices("target_stiffness", parameters.target_stiffness, wrap) * wrap.vertex_areas
         if not has_palsy(parameters):
@@ -86,9 +86,9 @@ class Springs:
         return cls(whole * (share + passive), active[:, None])
 
     def positions(self, wrap_targets: Floats, neutral: Floats) -> Floats:
-        """What the springs draw to [mm], shape (n, 3), for an expression of the skin wrap and its neutral place."""
+        """Return where the springs draw to [mm], shape (n, 3), by the skin wrap's expression and neutral place."""
         return wrap_targets if self.active is None else neutral + self.active * (wrap_targets - neutral)
 
     def move(self, displacements: Floats) -> Floats:
-        """How `positions` move [mm] where the expression does, both of shape (..., n, 3)."""
+        """Move `positions` [mm] where the expression does, both of shape (..., n, 3)."""
         return displacements if self.active is None else self.active * displacements

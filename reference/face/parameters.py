@@ -1,14 +1,11 @@
 """The simulation parameters p of SoftDECA (3.3.3) as named fields with default, range, unit and source.
 
-The paper's own list and ranges are not public; these are reconstructed, and each says from what.
+The paper's own list and ranges are not public; these are reconstructed, and each says from what. Some may vary over
+the face, on the triangles of a head's wraps or on its tets (3.5, Eq. 20). A TOML file names some of them:
 
-Parameters that vary over the face, on the tets, triangles and vertices of a head's wraps (SoftDECA 3.5, Eq. 20).
-
-Parameters p from a TOML file: names with numbers, or with the .npy file of a parameter that varies over the face.
-
-soft_stiffness = 4.0
-gravity = 1.5
-skin_stiffness = "cheek.npy"     # one value per triangle of the wraps; beside this file
+    soft_stiffness = 4.0
+    gravity = 1.5
+    skin_stiffness = "cheek.npy"     # one value per triangle of the wraps; beside this file
 """
 
 from __future__ import annotations
@@ -30,6 +27,7 @@ STANDARD_GRAVITY = 9810.0
 """[mm/s²]"""
 TISSUE_DENSITY = 1.04e-6
 """Soft tissue [kg/mm³] (ArtiSynth's face model)."""
+TETS_PER_PRISM = 3
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,8 @@ class ParameterInfo:
         """What `normalise` maps to these values; beyond [-1, 1] it is cut to the range."""
         scale, back = (np.log, np.exp) if self.log else (np.asarray, np.asarray)
         low, high = scale(self.low), scale(self.high)
-        found = back(low + 0.5 * (np.asarray(values, dtype=np.float64) + 1.0) * (high - low))
-        return np.clip(found, self.low, self.high)
+        values = back(low + 0.5 * (np.asarray(values, dtype=np.float64) + 1.0) * (high - low))
+        return np.clip(values, self.low, self.high)
 
     def sample(self, rng: np.random.Generator) -> float:
         """A random value, uniform over the range (over its logarithm where `log` holds)."""
@@ -179,7 +177,7 @@ class Parameters:
 
     def __post_init__(self):
         for info in self.infos():
-            object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
+            object.__setattr__(self, info.name, _check_value(info, getattr(self, info.name)))
         if not np.any(self.gravity_vector):
             raise InputError("parameters gravity_x, gravity_y, gravity_z: all zero; a direction is needed")
 
@@ -230,8 +228,8 @@ class Parameters:
         return np.array(values)
 
 
-def _checked(info: ParameterInfo, value: Any) -> float | Floats:
-    """A parameter's value, a float or a read-only array (k,), within its range."""
+def _check_value(info: ParameterInfo, value: Any) -> float | Floats:
+    """Return a parameter's value, a float or a read-only array (k,), within its range."""
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float, np.number, np.ndarray)):
         raise InputError(f"parameter {info.name}: expected a number, got {quote(value)}")
     try:
@@ -245,9 +243,9 @@ def _checked(info: ParameterInfo, value: Any) -> float | Floats:
     bad = np.flatnonzero(~((array >= info.low) & (array <= info.high)))
     if bad.size:
         where = f" (number {bad[0]})" if array.ndim else ""
-        found = array.ravel()[bad[0]]
+        value = array.ravel()[bad[0]]
         raise InputError(
-            f"parameter {info.name} = {found:g}{where} is outside [{info.low:g}, {info.high:g}] {info.unit}"
+            f"parameter {info.name} = {value:g}{where} is outside [{info.low:g}, {info.high:g}] {info.unit}"
         )
     if array.ndim == 0:
         return float(array)
@@ -255,18 +253,15 @@ def _checked(info: ParameterInfo, value: Any) -> float | Floats:
     return array
 
 
-TETS_PER_PRISM = 3
-
-
 def spread_to_triangles(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
-    """A parameter per triangle of the wrap; one number stays one. SceneError for another count."""
+    """Spread a parameter to each triangle of the wrap; one number stays one. SceneError for another count."""
     if np.ndim(value) and len(value) != len(wrap.triangles):  # type: ignore[arg-type]
         raise SceneError(f"parameter {name}: {len(value)} values for {len(wrap.triangles)} triangles")  # type: ignore[arg-type]
     return value
 
 
 def spread_to_tets(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
-    """A parameter per tet of one layer of prisms, from one number, one per triangle, or one per tet of the layer."""
+    """Spread a parameter to each tet of a layer of prisms, from one number, one per triangle, or one per tet."""
     if not np.ndim(value):
         return value
     triangles, count = len(wrap.triangles), len(value)  # type: ignore[arg-type]
@@ -280,7 +275,7 @@ def spread_to_tets(name: str, value: float | Floats, wrap: Surface) -> float | F
 
 
 def spread_to_vertices(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
-    """A parameter per vertex: the mean over the triangles around, weighted by their area."""
+    """Spread a parameter to each vertex: the mean over the triangles around, weighted by their area."""
     if not np.ndim(value):
         return value
     weight = np.repeat(wrap.areas, 3)
@@ -291,7 +286,7 @@ def spread_to_vertices(name: str, value: float | Floats, wrap: Surface) -> float
 
 @check_arguments
 def read_parameters(path: str | os.PathLike[str]) -> Parameters:
-    """The parameters in a TOML file; what it does not name keeps its default.
+    """Read the parameters in a TOML file; what it does not name keeps its default.
 
     Raises InputError, one line that names the file and the parameter, for a file that is missing or no TOML, an unknown
     name, and a value that is no number or out of range.
@@ -299,18 +294,16 @@ def read_parameters(path: str | os.PathLike[str]) -> Parameters:
     path = Path(path)
     named = read_toml(path)
     try:
-        values = {Parameters.info(name).name: _value(path, name, value) for name, value in named.items()}
+        values: dict[str, Any] = {
+            Parameters.info(name).name: _read_array(path.parent / value, name) if isinstance(value, str) else value
+            for name, value in named.items()
+        }
         return Parameters(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _value(path: Path, name: str, value):
-    """A number as it is (Parameters checks it), or the array in the file that a text names."""
-    return _array(path.parent / value, name) if isinstance(value, str) else value
-
-
-def _array(path: Path, name: str) -> Floats:
+def _read_array(path: Path, name: str) -> Floats:
     if path.suffix != ".npy" or not os.path.isfile(path):  # False, too, for a name that is too long
         raise InputError(f"parameter {name}: {quote(str(path), 200)}: expected a number, or an .npy file that is there")
     try:

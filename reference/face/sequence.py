@@ -1,10 +1,9 @@
 """Frames of one head one after another: prepared once, each started from the last, with inertia where asked for.
 
-Initial velocities for short dynamic sequences: taken from one long run, carried onto other identities.
-
-The paper starts its sequences of 16 with velocities from a run of 2,048 frames with fixed dynamics. They are kept in
-each skin vertex' own frame of the neutral face and in head sizes per second, so that a cheek that swings outward swings
-outward on every head whose skin has the same triangles.
+Short dynamic sequences begin with velocities from one long run, carried onto other identities: the paper starts its
+sequences of 16 with velocities from a run of 2,048 frames with fixed dynamics. They are kept in each skin vertex' own
+frame of the neutral face and in head sizes per second, so that a cheek that swings outward swings outward on every head
+whose skin has the same triangles.
 """
 
 from __future__ import annotations
@@ -97,7 +96,7 @@ class Sequence:
     @classmethod
     @check_arguments
     def from_face(cls, neutral: SettledFace, **options: Any) -> Sequence:
-        """Frames of a face settled under its p: expressions stay those of the head without p.
+        """Begin frames of a face settled under its p: expressions stay those of the head without p.
 
         `options` are a sequence's, `choices` among them over those of `neutral`; the first frame starts from its tets.
         """
@@ -117,7 +116,7 @@ class Sequence:
         moving = np.zeros_like(self.head.skin.vertices) if velocity is None else np.asarray(velocity, dtype=np.float64)
         if moving.shape != self.head.skin.vertices.shape or not np.isfinite(moving).all():
             raise SceneError(f"velocity: expected finite values of the skin's shape {self.head.skin.vertices.shape}")
-        solution, scene = self._solved(targets, dynamic=False)
+        solution, scene = self._solve(targets, dynamic=False)
         wrap = solution.positions[: len(self.head.bone)]
         before = wrap - self.time_step * (self.head.wrap_from_skin @ moving)
         self.state = State(solution.positions, _target(scene).positions, before, turns=turned)
@@ -125,8 +124,9 @@ class Sequence:
 
     @check_arguments
     def frame(self, targets: Floats, *, base: Floats | None = None) -> Solution:
-        """The next frame, towards an expression [mm], shape (skin vertices, 3); the first begins at rest in its own.
+        """Simulate the next frame, towards an expression [mm], shape (skin vertices, 3).
 
+        The first begins at rest in its own expression.
         `base`: the head's rotation in the room, shape (3, 3), or None as in the last frame (at first, not turned);
         one that goes on from frame to frame is `begin` with what it was before. Statics do not depend on it.
         Raises what `facial_scene` and the solver raise, and InputError for a base that is no rotation; then, and where
@@ -135,7 +135,7 @@ class Sequence:
         turned = None if base is None else check_rotation("base", base)
         if self.recurrence is not None and self.state is None:
             self.begin(targets, base=turned)
-        solution, scene = self._solved(targets, dynamic=self.recurrence is not None, base=turned)
+        solution, scene = self._solve(targets, dynamic=self.recurrence is not None, base=turned)
         n = len(self.head.bone)
         if not np.isfinite(solution.positions).all():
             return solution
@@ -154,21 +154,21 @@ class Sequence:
         """The skin [mm], shape (skin vertices, 3), of a frame's expression and solution."""
         return self._neutral.skin_after(targets, solution.positions)
 
-    def _solved(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
+    def _solve(self, targets: Floats, *, dynamic: bool, base: Floats | None = None) -> tuple[Solution, Scene]:
         scene = self._neutral.scene(targets, **self._choices)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
-        asked = self._tolerance * float(np.linalg.norm(springs))
+        absolute = self._tolerance * float(np.linalg.norm(springs))
         if dynamic and self.recurrence is not None and self.state is not None:
             scene = self._with_inertia(scene, self.recurrence, self.state, base)
         if dynamic not in self._prepared:
             self._prepared[dynamic] = prepare(scene, solver=self._solver, **self._options)
         prepared = self._prepared[dynamic]
         start = self._start(scene, _target(scene))
-        return self._minimised(prepared, scene, start, asked), scene
+        return self._minimise(prepared, scene, start, absolute), scene
 
     def _with_inertia(self, scene: Scene, recurrence: Recurrence, state: State, base: Floats | None) -> Scene:
-        """The scene with targets by Eq. 9, the base's motion in them, and their stiffness over γ."""
+        """Give the scene targets by Eq. 9, the base's motion in them, and their stiffness over γ."""
         static = _target(scene)
         last, before = state.positions[: len(static.vertices)], state.before
         sought = recurrence.target(static.positions, last, before)
@@ -179,20 +179,20 @@ class Sequence:
         moving = replace(static, positions=sought, stiffness=recurrence.stiffness(static.stiffness))
         return replace(scene, terms=tuple(moving if term is static else term for term in scene.terms))
 
-    def _minimised(self, prepared: Prepared, scene: Scene, start: Floats, absolute: float) -> Solution:
-        """The scene's solution: from a sound frame to a sound one there is nothing to untangle, which costs as much."""
-        asked: dict[str, Any] = {"start": start, "max_iterations": self._limit, "absolute": absolute}
+    def _minimise(self, prepared: Prepared, scene: Scene, start: Floats, absolute: float) -> Solution:
+        """Solve a scene: from a sound frame to a sound one there is nothing to untangle, which costs as much."""
+        options: dict[str, Any] = {"start": start, "max_iterations": self._limit, "absolute": absolute}
         last = self._last()
         sound = last is not None and (volume_ratio(scene, last.positions) > 0).all()
         if sound and self._solver == "projective":
-            solution = prepared.solve(scene, **asked | {"untangle": False})
+            solution = prepared.solve(scene, **options | {"untangle": False})
             if (solution.volume_ratio > 0).all():
                 return solution
-        return prepared.solve(scene, **asked)
+        return prepared.solve(scene, **options)
 
     def _start(self, scene: Scene, target: Target) -> Floats:
         """The last frame, and on it the change that the expression makes and what the last change had beyond that."""
-        ahead = self._carried(target.positions)
+        ahead = self._carry(target.positions)
         start = np.array(scene.vertices)
         last = self._last()
         if last is not None:
@@ -212,10 +212,10 @@ class Sequence:
 
     def _beyond(self, positions: Floats, sought: Floats) -> Floats:
         """How far [mm] the wraps' vertices are from where the expression alone takes them."""
-        ahead = self._carried(sought)
+        ahead = self._carry(sought)
         return positions[: len(ahead)] - ahead
 
-    def _carried(self, wrap_targets: Floats) -> Floats:
+    def _carry(self, wrap_targets: Floats) -> Floats:
         """The scene's vertices of the wraps [mm] where an expression takes them without physics."""
         rest = self.head.wrap_targets(self._neutral.skin)
         return self._stack.interpolate(*carry_wraps(self.head, self.parameters, rest, wrap_targets))

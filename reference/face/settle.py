@@ -78,7 +78,7 @@ class SettledFace:
         return Reason.CONVERGED if self.solution is None else self.solution.reason
 
     def targets(self, expression: Floats) -> Floats:
-        """What the skin is drawn to [mm] for an expression of the head without p, shape (..., skin vertices, 3)."""
+        """Return the skin's targets [mm] for an expression of the head without p, both (..., skin vertices, 3)."""
         return expression + self.displacement
 
     @cached_property
@@ -87,7 +87,7 @@ class SettledFace:
         return skin_activation(self.head, self.parameters)
 
     def skin_after(self, expression: Floats, positions: Floats) -> Floats:
-        """The skin [mm], shape (skin vertices, 3), of an expression of the head without p, by its scene's positions."""
+        """Return the skin [mm], shape (skin vertices, 3), of an expression and the positions of its scene."""
         goal = self.targets(check_targets(self.head, expression, "expression"))
         if self.activation is not None:
             goal = self.skin + self.activation * (goal - self.skin)
@@ -98,9 +98,9 @@ class SettledFace:
 
         See `facial_scene` and `apply_law`.
         """
-        given = {"neutral": self.skin} | self.choices | choices
+        choices = {"neutral": self.skin} | self.choices | choices
         targets = self.targets(check_targets(self.head, expression))
-        return apply_law(facial_scene(self.head, self.parameters, targets, **given), self.law)
+        return apply_law(facial_scene(self.head, self.parameters, targets, **choices), self.law)
 
 
 @check_arguments
@@ -155,9 +155,10 @@ def changes_neutral(parameters: Parameters) -> bool:
 
 
 def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> Scene:
-    """The scene in which the neutral face settles: bones at their scaled rest, no target where the face is fleshy.
+    """Build the scene in which the neutral face settles.
 
-    A palsy takes no part: it is of what draws a face to an expression.
+    Bones are at their scaled rest, and no target is where the face is fleshy. A palsy takes no part: it changes
+    only how a face is drawn to an expression.
     """
     parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
     skin = head.skin.vertices + carry_skin(head, parameters)
@@ -172,7 +173,7 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
 
 
 def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
-    """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
+    """Displace the wraps [mm], shape (n, 3), with the bones that p scales, harmonic along the skull between."""
     moved = scale_skull(head, parameters) - head.skull_wrap.vertices
     return fill_harmonically(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
 
@@ -183,7 +184,7 @@ def carry_skin(head: LayeredHead, parameters: Parameters) -> Floats:
 
 
 def carry_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:
-    """A stack's vertices [mm], by default the stacked wraps', all three moved by `bones_displacement`.
+    """Move a stack's vertices [mm], by default the stacked wraps', with `bones_displacement`.
 
     A start without inverted tets, from which the energy can only fall.
     """

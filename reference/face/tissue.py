@@ -1,20 +1,16 @@
-"""The tets of a facial scene: layers of a head's prisms or its own volume mesh, and where its vertices stand.
+"""The tets of a facial scene: layers of a head's prisms or its own volume mesh, guards, and connecting tets.
 
-A guard against inverted tets: thin tets of soft tissue resist stretches that no face has.
+A guard makes thin tets resist stretches that no face has. The energies of Eq. 10 are finite at inversion, and a tet of
+half a millimetre, as at lids and lips, is inverted by targets that are some tenths of a millimetre off what its
+neighbours allow. Mesh motion meets the same with stiffness that grows as elements shrink (Stein, Tezduyar and Benney
+2003); here it acts on none but extreme stretches.
 
-The energies of Eq. 10 are finite at inversion, and a tet of half a millimetre, as at lids and lips, is inverted by
-targets that are some tenths of a millimetre off what its neighbours allow. Mesh motion meets the same with stiffness
-that grows as elements shrink (Stein, Tezduyar and Benney 2003); here it acts on none but extreme stretches.
+Connecting tets tie skull and eyes, which lie under the skull wrap, to it (SoftDECA Eq. 15). The paper takes the three
+nearest vertices of a point; three that are adjacent make a better tet (design: method 2.8).
 
-Connecting tets: what lies under the skull wrap, skull and eyes, tied to it by well-shaped tets (SoftDECA Eq. 15).
-
-The paper takes the three nearest vertices of a point; three that are adjacent make a better tet (design: method 2.8).
-
-A start for a fine mesh of a face: where the answer on a coarser one takes its vertices.
-
-The finer a mesh, the more of Newton's iterations go into large motions and elements that they crush, which the coarse
-mesh has settled at a small part of the cost. A template's levels are nested, each wrap's triangles those of the level
-before split into four; sub-layers lie evenly between the wraps.
+A nested start lets a fine mesh begin where the answer on a coarser one takes its vertices: the finer a mesh, the more
+of Newton's iterations go into large motions and elements that they crush, which the coarse mesh has settled at a small
+part of the cost.
 """
 
 from __future__ import annotations
@@ -43,6 +39,22 @@ FLATTEST = 1e-4
 """The least volume of such a tet, over the median."""
 NEIGHBOURS = 8
 """Vertices of the wraps with which one between them is carried along."""
+FREE_STRETCH = 3.0
+"""Stretches within [1 / FREE_STRETCH, FREE_STRETCH] are left alone: no answer within them changes."""
+GUARDED_HEIGHT = 4.0
+"""[mm] Tets of less height are guarded, the more the thinner they are."""
+GUARD_STIFFNESS = 20.0
+"""A guard's stiffness over soft tissue's is this times GUARDED_HEIGHT / height - 1: it resists displacements alike."""
+CANDIDATES = 16
+"""Triangles near a point that are tried for its connecting tet."""
+FLATTEST_CONNECTOR = 0.02
+"""The least 6 V / h³ of a connecting tet, h the mean edge of its triangle."""
+INWARD = 2.0
+"""[mm] below the skull wrap where a bone's points are taken if the head has no surface of the skull."""
+EYE_RADIUS = 12.0
+"""[mm], of an adult's eyeball (axial length 24 mm)."""
+LEAST_VOLUME = 0.1
+"""Of a tet's volume at rest, that the start leaves it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +86,7 @@ class Stack:
         if head.volume is not None:
             if tuple(layers) != (1, 1):
                 raise SceneError(f"layers {layers!r}: the head's tets are a volume mesh, not layers of prisms")
-            inner = _carrying(head.vertices, 3 * n)
+            inner = _inverse_distance_weights(head.vertices, 3 * n)
             if "muscle" in without:
                 return cls(head.vertices, head.tets, None, 2 * n, None, inner)
             return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, None, inner)
@@ -113,8 +125,8 @@ class Stack:
         return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])
 
 
-def _carrying(vertices: Floats, wraps: int) -> csr_matrix:
-    """Weights by the inverse distance of the vertices after the wraps' to the nearest of the wraps'."""
+def _inverse_distance_weights(vertices: Floats, wraps: int) -> csr_matrix:
+    """Weigh the vertices after the wraps' by inverse distance to the nearest of the wraps'."""
     distance, near = cKDTree(vertices[:wraps]).query(vertices[wraps:], k=NEIGHBOURS)
     weight = 1.0 / np.maximum(distance, 1e-9)
     weight /= weight.sum(axis=1, keepdims=True)
@@ -122,20 +134,15 @@ def _carrying(vertices: Floats, wraps: int) -> csr_matrix:
     return csr_matrix((weight.ravel(), near.ravel(), rows), shape=(len(near), wraps))
 
 
-FREE_STRETCH = 3.0
-"""Stretches within [1 / FREE_STRETCH, FREE_STRETCH] are left alone: no answer within them changes."""
-GUARDED_HEIGHT = 4.0
-"""[mm] Tets of less height are guarded, the more the thinner they are."""
-GUARD_STIFFNESS = 20.0
-"""A guard's stiffness over soft tissue's is this times GUARDED_HEIGHT / height - 1: it resists displacements alike."""
-
-
 def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Strain | None:
-    """The guard of tets (k, 4), the first of a scene over `vertices` [mm]; None where none of them is thin.
+    """Guard tets (k, 4), the first of a scene over `vertices` [mm]; None where none of them is thin.
 
     stiffness [kPa]: soft tissue's, one or one per tet.
     """
-    height = _heights(vertices, tets)
+    x = vertices[tets]
+    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
+    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in faces]
+    height = 6.0 * tet_volumes(vertices, tets) / np.max(doubled, axis=0)  # the smallest: over the largest face
     thin = np.flatnonzero(height < GUARDED_HEIGHT)
     if not thin.size:
         return None
@@ -146,23 +153,6 @@ def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Strain | N
 def is_guard(strain: Strain) -> bool:
     """Whether a scene's Strain is a guard: tissue's own strain limit is never as wide."""
     return bool(np.all(strain.limit >= FREE_STRETCH))
-
-
-def _heights(vertices: Floats, tets: Ints) -> Floats:
-    """The smallest height of each tet [mm], shape (k,): three volumes over its largest face."""
-    x = vertices[tets]
-    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
-    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in faces]
-    return 6.0 * tet_volumes(vertices, tets) / np.max(doubled, axis=0)
-
-
-CANDIDATES = 16
-FLATTEST_CONNECTOR = 0.02
-"""The least 6 V / h³ of a connecting tet, h the mean edge of its triangle."""
-INWARD = 2.0
-"""[mm] below the skull wrap where a bone's points are taken if the head has no surface of the skull."""
-EYE_RADIUS = 12.0
-"""[mm], of an adult's eyeball (axial length 24 mm)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +172,7 @@ class Attachment:
 
 
 def connecting_tets(points: Floats, wrap: Surface) -> tuple[Ints, Ints]:
-    """The wrap's triangle (k,) for each point (k, 3) [mm], and the tets (k, 4): wrap vertices, then n + the point.
+    """Find the wrap's triangle (k,) for each point (k, 3) [mm], and its tet (k, 4): wrap vertices, then n + the point.
 
     The nearest triangle whose tet is not flat. Raises SceneError for a point, by index, that lies in the plane of all
     triangles near it.
@@ -207,12 +197,12 @@ def connecting_tets(points: Floats, wrap: Surface) -> tuple[Ints, Ints]:
 
 
 def bone_points(head: LayeredHead, *, most: int = 2000) -> tuple[Attachment, ...]:
-    """Cranium and mandible to attach: points of the head's skull near the wrap, or of the wrap itself, moved inward.
+    """Attach cranium and mandible: points of the head's skull near the wrap, or of the wrap itself, moved inward.
 
     At most so many points per bone, evenly thinned.
     """
     wrap = head.skull_wrap
-    found = []
+    bones = []
     for bone in (CRANIUM, MANDIBLE):
         ids = np.flatnonzero(head.bone == bone)
         if not ids.size:
@@ -223,8 +213,8 @@ def bone_points(head: LayeredHead, *, most: int = 2000) -> tuple[Attachment, ...
             nearest = cKDTree(wrap.vertices).query(skull)[1]
             points = skull[head.bone[nearest] == bone]
         step = -(-len(points) // most)
-        found.append(Attachment(points[:: max(step, 1)], bone))
-    return tuple(found)
+        bones.append(Attachment(points[:: max(step, 1)], bone))
+    return tuple(bones)
 
 
 def eyeballs(head: LayeredHead, *, radius: float = EYE_RADIUS) -> tuple[Attachment, ...]:
@@ -238,10 +228,6 @@ def eyeballs(head: LayeredHead, *, radius: float = EYE_RADIUS) -> tuple[Attachme
     return tuple(Attachment(sphere + centre) for centre in centres)
 
 
-LEAST_VOLUME = 0.1
-"""Of a tet's volume at rest, that the start leaves it."""
-
-
 @check_arguments
 def nested_start(
     scene: Scene,
@@ -252,16 +238,19 @@ def nested_start(
     layers: tuple[int, int] = (1, 1),
     coarse_layers: tuple[int, int] = (1, 1),
 ) -> Floats:
-    """Where to `start` the solve of a facial scene [mm], shape (scene vertices, 3), from the answer on a coarser mesh.
+    """Start the solve of a facial scene [mm], shape (scene vertices, 3), at the answer on a coarser mesh.
 
     `scene` is `facial_scene(head, ..., layers=layers)`, and `positions` [mm], shape (coarse vertices, 3), solve that of
-    `coarse`, a head of the same person on the same or a coarser level of the template, with `coarse_layers`. Its
+    `coarse`, a head of the same person on the same or a coarser level of the template, with `coarse_layers`. Levels are
+    nested, each wrap's triangles those of the level before split into four; sub-layers lie evenly between wraps. Its
     displacements are carried over: on the middle of an edge the mean of its ends', between the wraps by depth. Vertices
     of tets that this would crush, which some laws have no energy for, are moved aside. Raises SceneError for heads that
     are not nested, and for positions of another mesh, MeshError where tets stay inverted.
     """
     n = len(coarse.bone)
-    rest = _stacked(coarse, coarse_layers)
+    if coarse.volume is not None:
+        raise SceneError("coarse: the head's tets are a volume mesh, not layers of prisms")
+    rest = coarse.sub_layers(*coarse_layers)[0].vertices
     if positions.shape != rest.shape:
         raise SceneError(f"positions: expected shape {rest.shape}, got {positions.shape}")
     across = _between(coarse_layers, layers)
@@ -276,13 +265,6 @@ def nested_start(
         raise SceneError(f"scene: expected {moved.size // 3} vertices of layers {layers}, got {len(scene.vertices)}")
     start = scene.vertices + moved.reshape(-1, 3)
     return untangle(start, scene.tets, np.ones(len(start), dtype=bool), LEAST_VOLUME * scene.volumes)
-
-
-def _stacked(head: LayeredHead, layers: tuple[int, int]) -> Floats:
-    """The vertices of a head's layers; SceneError for one without, whose tets are a volume mesh."""
-    if head.volume is not None:
-        raise SceneError("coarse: the head's tets are a volume mesh, not layers of prisms")
-    return head.sub_layers(*layers)[0].vertices
 
 
 def _between(coarse: tuple[int, int], fine: tuple[int, int]) -> Floats:

@@ -4,11 +4,10 @@ E = Σ k/(2 A) |D|² with D = Σ w e - R B over a vertex' edges e, B = Σ w E ov
 rotation nearest to S = Σ w⁺ e Eᵀ, which depends on positions: as S = R Y with Y symmetric, R turns by ω with
 (tr(Y) I - Y) ω = axial(Rᵀ dS - dSᵀ R). R does not minimise E, so the PD matrix need not majorise it.
 
-The exact Hessian of Bending, ring after ring, in the frame of S = U diag(s) Vᵀ.
-
-There E = k/(2A) |y - R B|² with y = Σ w e, and R = 1. Along dS = e_i e_jᵀ, R turns by W = κ (e_i e_jᵀ - e_j e_iᵀ),
-κ = 1/(s_i + s_j), and Y = RᵀS changes by the symmetric Y' = dS - W Y; along two such, p and q, R changes by
-(W_p W_q + W_q W_p)/2 + W_pq, where W_pq Y + Y W_pq = - [(W_p W_q + W_q W_p)/2, Y] - {W_p, Y'_q} - {W_q, Y'_p}.
+The exact Hessian is worked out ring after ring, in the frame of S = U diag(s) Vᵀ, where R = 1 and
+E = k/(2A) |y - R B|² with y = Σ w e. Along dS = e_i e_jᵀ, R turns by W = κ (e_i e_jᵀ - e_j e_iᵀ), κ = 1/(s_i + s_j),
+and Y = RᵀS changes by the symmetric Y' = dS - W Y; along two such, p and q, R changes by (W_p W_q + W_q W_p)/2 + W_pq,
+where W_pq Y + Y W_pq = - [(W_p W_q + W_q W_p)/2, Y] - {W_p, Y'_q} - {W_q, Y'_p}.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Bending
 from .projections import COMPILED, D0, F00, LANES, ROWS, S0, S1, S2, U00, V00, decompose
-from .tets import add_block
+from .sparsity import add_block
 
 # Share of Σ w⁺ |E|² below which a ring is so far collapsed that its rotation is held.
 FLOOR = 1e-9
 
 
 @njit(**COMPILED)
-def gather(w, centres, starts, ring, cotangents, edges, sought, u):
+def _gather(w, centres, starts, ring, cotangents, edges, sought, u):
     """Put D without its R B, and S, of a block of vertices into the rows D and F."""
     w[D0 : D0 + 3 * LANES] = 0.0
     w[F00 : F00 + 9 * LANES] = 0.0
@@ -82,7 +81,7 @@ def _add_bending(centres, starts, ring, cotangents, edges, sought, laplacians, l
     energy = 0.0
     for first in range(0, len(centres), LANES):
         last = min(first + LANES, len(centres))
-        gather(w, centres[first:last], starts[first : last + 1], ring, cotangents, edges, sought, u)
+        _gather(w, centres[first:last], starts[first : last + 1], ring, cotangents, edges, sought, u)
         decompose(w)
         for v in range(first, last):
             energy += 0.5 * weights[v] * _turn(w, v - first, laplacians[v], least[v], R, D, z)
@@ -117,7 +116,7 @@ class Rings:
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Rings | None:
-        """The rings of a scene, or None if no vertex bends."""
+        """Find the rings of a scene, or None if no vertex bends."""
         found = [_rings(scene, term) for term in scene.of(Bending) if len(term.triangles)]
         if not sum(len(centres) for centres, *_ in found):
             return None
@@ -146,8 +145,8 @@ class Rings:
             gradient,
         )
 
-    def stiffness_entries(self, n: int) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of Σ k/A l lᵀ over n vertices, l the Laplacian's rows [mN/mm]: two rings wide."""
+    def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
+        """Return rows, columns and values of Σ k/A l lᵀ, l the Laplacian's rows [mN/mm]: two rings wide."""
         rows = np.repeat(np.arange(len(self.centres)), np.diff(self.starts))
         sums = np.add.reduceat(self.cotangents, self.starts[:-1])
         laplacian = csr_matrix(
@@ -155,14 +154,37 @@ class Rings:
                 np.concatenate([self.cotangents, -sums]),
                 (np.concatenate([rows, np.arange(len(sums))]), np.concatenate([self.ring, self.centres])),
             ),
-            shape=(len(sums), n),
+            shape=(len(sums), len(scene.vertices)),
         )
         share = (laplacian.T @ laplacian.multiply(self.weights[:, None])).tocoo()
         return share.row, share.col, share.data
 
+    def elements(self, scene: Scene) -> tuple[Ints, ...]:
+        """Return centres, where rings begin, and far ends."""
+        return self.centres, self.starts, self.ring
+
+    def pairs(self, scene: Scene) -> Ints:
+        """Return the pairs (k, 2) of each ring's vertices, centre first, each with itself and those after it."""
+        pairs = []
+        for i, centre in enumerate(self.centres):
+            vertices = np.concatenate([[centre], self.ring[self.starts[i] : self.starts[i + 1]]])
+            a, b = np.triu_indices(len(vertices))
+            pairs.append(np.column_stack([vertices[a], vertices[b]]))
+        return np.vstack(pairs)
+
+    def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
+        """Add the Hessian; see `Part`. Where `least` is not negative, the rotations R are held."""
+        size = np.diff(self.starts) + 1
+        first = np.concatenate([[0], np.cumsum(size * (size + 1) // 2)])
+        if least >= 0.0:
+            _add_bound(self.starts, self.cotangents, self.weights, slots, first, blocks)
+            return
+        shape = (self.centres, self.starts, self.ring, self.cotangents, self.edges, self.sought, self.laplacians)
+        _add_bending_tangent(*shape, self.least, self.weights, slots, first, u, blocks)
+
 
 def _rings(scene: Scene, term: Bending) -> tuple[Ints, Ints, Ints, Floats, Floats, Floats]:
-    """Centres, sizes of rings, far ends, cotangent weights, rest edges and k/A of one term."""
+    """Return centres, sizes of rings, far ends, cotangent weights, rest edges and k/A of one term."""
     rest, n = scene.vertices if term.rest is None else term.rest, len(scene.vertices)
     triangles = term.triangles
     corners = rest[triangles]
@@ -251,7 +273,7 @@ def _ring(H, U, v, K):
 
 
 @njit(**COMPILED)
-def add_bending_tangent(
+def _add_bending_tangent(
     centres, starts, ring, cotangents, edges, sought, laplacians, least, weights, slots, first, u, blocks
 ):
     """Add the rings' Hessian [mN/mm] at displacement u [mm], shape (n, 3), to blocks (pairs, 3, 3), in place.
@@ -263,7 +285,7 @@ def add_bending_tangent(
     U, V, s, y, B, H = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty((12, 12))
     for begin in range(0, len(centres), LANES):
         end = min(begin + LANES, len(centres))
-        gather(w, centres[begin:end], starts[begin : end + 1], ring, cotangents, edges, sought, u)
+        _gather(w, centres[begin:end], starts[begin : end + 1], ring, cotangents, edges, sought, u)
         decompose(w)
         for i in range(begin, end):
             k = i - begin
@@ -298,7 +320,7 @@ def add_bending_tangent(
 
 
 @njit(**COMPILED)
-def add_bending_bound(starts, cotangents, weights, slots, first, blocks):
+def _add_bound(starts, cotangents, weights, slots, first, blocks):
     """Add Σ k/A l lᵀ, l the Laplacian's rows: the Hessian with R held, which has no negative eigenvalue."""
     for i in range(len(weights)):
         m = starts[i + 1] - starts[i] + 1

@@ -40,7 +40,7 @@ class Body:
 
     @classmethod
     def from_scene(cls, scene: Scene, term: RigidBody) -> Body:
-        """A body of a scene."""
+        """Make a body of a scene."""
         rest = scene.body_rest(term)
         arms = rest - rest.mean(axis=0)
         radius = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
@@ -56,7 +56,7 @@ class Body:
         u[self.vertices] = shift + self.radius * (self.arms @ (rotation - np.eye(3)).T) + self.offset
 
     def shift(self, u: Floats) -> Floats:
-        """The shift [mm], shape (3,), of the body's mean at displacements u that are rigid."""
+        """Return the shift [mm], shape (3,), of the body's mean at displacements u that are rigid."""
         return (u[self.vertices] - self.offset).mean(axis=0)
 
 
@@ -75,7 +75,7 @@ class Coordinates:
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Coordinates:
-        """The unknowns of a scene, after its Fixed and RigidBody terms."""
+        """Find the unknowns of a scene, after its Fixed and RigidBody terms."""
         held, _ = scene.dirichlet()
         bodies = tuple(Body.from_scene(scene, term) for term in scene.of(RigidBody))
         taken = held.copy()
@@ -95,7 +95,7 @@ class Coordinates:
         return len(self.index) + 6 * len(self.bodies)
 
     def start(self, u: Floats) -> Place:
-        """The place nearest to displacements u [mm], shape (n, 3): each body is moved by the best rigid motion."""
+        """Return the place nearest to displacements u [mm], shape (n, 3): bodies move by the best rigid motion."""
         u = np.array(u, dtype=np.float64)
         rotations = np.empty((len(self.bodies), 3, 3))
         for body, rotation in zip(self.bodies, rotations, strict=True):
@@ -105,7 +105,7 @@ class Coordinates:
         return Place(u, rotations)
 
     def move(self, place: Place, step: Floats) -> Place:
-        """The place after a step [mm], shape (size,)."""
+        """Return the place after a step [mm], shape (size,)."""
         u = place.u.copy()
         _add_at(u.reshape(-1), self.index, step)
         rotations = np.empty_like(place.rotations)
@@ -116,7 +116,7 @@ class Coordinates:
         return Place(u, rotations)
 
     def pull(self, gradient: Floats, place: Place) -> Floats:
-        """The derivative of an energy by a step, shape (size,), from that by x, shape (n, 3); exact at each place.
+        """Turn the derivative of an energy by x, shape (n, 3), into that by a step, shape (size,); exact at each place.
 
         A body's share is the force on it, and the torque about its mean over its radius [mN].
         """
@@ -131,7 +131,7 @@ class Coordinates:
         return pulled
 
     def affine_motions(self, rotations: Floats) -> Floats:
-        """How the bodies' unknowns enter the coefficients of `Body.affine`, shape (3, 4 bodies, 6 bodies), per x, y, z.
+        """Map the bodies' unknowns to coefficients of `Body.affine`, shape (3, 4 bodies, 6 bodies), per x, y, z.
 
         With r = Q a, the displacement (θ × r)_i is Σ_a ([θ]ₓ Q)_ia a_a.
         """
@@ -155,7 +155,7 @@ def _add_at(values, index, step):
 
 
 def _rotation(vector: Floats) -> Floats:
-    """The rotation exp([ω]ₓ) of a rotation vector [rad] (Rodrigues)."""
+    """Return the rotation exp([ω]ₓ) of a rotation vector [rad] (Rodrigues)."""
     angle = float(np.linalg.norm(vector))
     cross = CROSS @ vector
     sine, versine = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
@@ -163,7 +163,7 @@ def _rotation(vector: Floats) -> Floats:
 
 
 def _alike(held: np.ndarray) -> list[Ints]:
-    """The components of x, y, z, gathered by equal columns of `held`."""
+    """Gather the components of x, y, z by equal columns of `held`."""
     gathered: dict[bytes, list[int]] = {}
     for c in range(3):
         gathered.setdefault(held[:, c].tobytes(), []).append(c)

@@ -15,6 +15,7 @@ from ..scene import Scene
 from ..solution import Stresses
 from ..terms import Inertia, Target
 from .bending import Rings
+from .sparsity import Part
 from .tets import TetBlocks, shape_gradients
 from .triangles import Triangles
 
@@ -32,6 +33,11 @@ class Energy:
     targets: tuple[tuple[Ints, Floats, Floats], ...]
     loads: Floats
 
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts that the scene names."""
+        return tuple(part for part in (self.tets, self.triangles, self.bending) if part is not None)
+
     @classmethod
     def from_scene(cls, scene: Scene, threads: int = 1) -> Energy:
         """Build what depends on mesh and stiffnesses."""
@@ -40,7 +46,7 @@ class Energy:
         ).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Energy:
-        """The energy of a scene of the same terms with other targets, motion, loads, limits, growth and volumes."""
+        """Take another scene's numbers of the same terms: targets, motion, loads, limits, growth and volumes."""
         targets = tuple(
             (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
             for term in scene.of(Target)
@@ -54,19 +60,15 @@ class Energy:
         return Energy(tets, triangles, self.bending, targets, scene.loads())
 
     def untangling(self, volume_share: float = 1.0) -> Energy:
-        """An energy that leads out of inverted tets, all weight on Strain, which the matrix of this share bounds."""
+        """Return an energy that leads out of inverted tets: all weight on Strain, bounded by this share's matrix."""
         return self if self.tets is None else replace(self, tets=self.tets.untangling(volume_share))
 
     def evaluate(self, u: Floats) -> tuple[float, Floats]:
-        """Energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
+        """Return energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
         gradient = -self.loads
         energy = -float(np.vdot(self.loads, u))
-        if self.tets is not None:
-            energy += self.tets.add_to(u, gradient)
-        if self.triangles is not None:
-            energy += self.triangles.add_to(u, gradient)
-        if self.bending is not None:
-            energy += self.bending.add_to(u, gradient)
+        for part in self.parts:
+            energy += part.add_to(u, gradient)
         for vertices, displacements, stiffness in self.targets:
             away = u[vertices] - displacements
             gradient[vertices] += stiffness * away
@@ -74,7 +76,7 @@ class Energy:
         return energy, gradient
 
     def matrix(self, scene: Scene, *, volume_share: float = 1.0) -> tuple[csr_matrix, np.ndarray]:
-        """The PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
+        """Return the PD matrix [mN/mm], shape (n, n), and which vertices a spring holds, shape (n,).
 
         With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
         one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian,
@@ -86,18 +88,13 @@ class Energy:
         for vertices, _, stiffness in self.targets:
             anchored[vertices] += stiffness.ravel()
         entries = [(np.arange(n), np.arange(n), anchored)]
-        if self.tets is not None:
-            entries.append(self.tets.stiffness_entries(scene, volume_share))
-        if self.triangles is not None:
-            entries.append(self.triangles.stiffness_entries())
-        if self.bending is not None:
-            entries.append(self.bending.stiffness_entries(n))
+        entries += [part.matrix_entries(scene, volume_share) for part in self.parts]
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
 
 
 def recover(scene: Scene, positions: Floats) -> Stresses:
-    """Of positions [mm], shape (n, 3)."""
+    """Recover stresses and reactions at positions [mm], shape (n, 3)."""
     energy, u = Energy.from_scene(scene), positions - scene.vertices
     reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1], 0.0)
     every = np.arange(len(scene.tets))

@@ -33,7 +33,7 @@ class Memory:
         self._order = []
 
     def copy(self) -> Memory:
-        """Another memory of the same pairs."""
+        """Copy the pairs into a memory of its own."""
         other = Memory(0)
         other._steps, other._changes = self._steps.copy(), self._changes.copy()
         other._products, other._order = self._products.copy(), list(self._order)
@@ -51,7 +51,7 @@ class Memory:
         self._products[:, slot] = self._steps @ change
 
     def direction(self, gradient: Floats, precondition: Callable[[Floats], Floats]) -> Floats:
-        """The two-loop recursion (Nocedal and Wright 2006, Algorithm 7.4), with A⁻¹ for its initial matrix.
+        """Run the two-loop recursion (Nocedal and Wright 2006, Algorithm 7.4), with A⁻¹ for its initial matrix.
 
         Its products s·q and y·d come from those of the pairs with one another, so that each buffer is read twice.
         """

@@ -1,17 +1,15 @@
-"""The layout of a block of tets: quantity after quantity, each a row of LANES numbers, so that loops vectorise.
+"""Local projections, a block of tets at a time: the block's layout, signed singular values, nearest volumes.
 
-The rows lie in one flat array and their offsets are compile-time constants: the compiler then knows that no two
-rows overlap, and needs no run-time checks that would make it fall back to scalar code.
+Of a block, quantity after quantity is a row of LANES numbers, so that loops vectorise. The rows lie in one flat array
+and their offsets are compile-time constants: the compiler then knows that no two rows overlap, and needs no run-time
+checks that would make it fall back to scalar code. Numba's cache looks at the file of the outermost function only:
+after a change to this file, delete the `*.nbi` files beside it.
 
-Numba's cache looks at the file of the outermost function only: after a change to this file, `singular_values` or
-`volume_projection`, delete the `*.nbi` files beside them.
+F = U diag(s) Vᵀ has rotations U and V, and s0 >= s1 >= |s2|.
 
-Signed singular values of F, a block of tets at a time: F = U diag(s) Vᵀ, U and V rotations, s0 >= s1 >= |s2|.
-
-The nearest matrix of a given determinant, in terms of signed singular values (SoftDECA Eq. 10, after ShapeOp).
-
+The nearest matrix of determinant v (SoftDECA Eq. 10, after ShapeOp) is U diag(t) Vᵀ, since v > 0, with t of
 min Σ (t_i - s_i)² subject to t0 t1 t2 = v. The stationary points have t_i (t_i - s_i) = m for one multiplier m, so
-t_i = (s_i ± √(s_i² + 4 m))/2, and what is left is one equation for m. U diag(t) Vᵀ is the nearest matrix, since v > 0.
+t_i = (s_i ± √(s_i² + 4 m))/2, and what is left is one equation for m.
 """
 
 from __future__ import annotations
@@ -47,8 +45,12 @@ ROWS = 56
 # two processes would differ from one made by one. It would be a tenth faster.
 COMPILED = {"cache": True, "error_model": "numpy"}
 
-
 MAX_SWEEPS = 10
+"""Of Jacobi rotations; four do for tets of a face."""
+STEPS = 7
+"""Of Newton's method for the multiplier."""
+SCAN = 256
+"""Steps of the search for roots where Newton's method is in doubt."""
 
 
 @njit(inline="always", **COMPILED)
@@ -182,10 +184,6 @@ def decompose(w):
     _order(w, C11, V01, V11, V21, C22, V02, V12, V22)
     _order(w, C00, V00, V10, V20, C11, V01, V11, V21)
     left_vectors(w)
-
-
-STEPS = 7
-SCAN = 256
 
 
 @njit(**COMPILED)

@@ -155,7 +155,13 @@ class ProjectivePrepared:
         place = coordinates.start(np.where(held, values, first_positions(scene, start, warm)) - scene.vertices)
         energy = self.energy.for_scene(scene)
         self.system.check_loads(energy.loads)
-        problem = self._problem(work := _Work(self.system), scene, energy, metric, self._remembered(warm))
+        if metric is not None and metric.coordinates.size != coordinates.size:
+            raise SceneError(f"metric: it has {metric.coordinates.size} unknowns, the scene {coordinates.size}")
+        work = _Work(self.system)
+        precondition = work.precondition if metric is None else work.by(metric)
+        bounded = energy.bending is None and metric is None
+        memory = self._memory(warm)
+        problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory)
         if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
             relaxed = work.on(energy.untangling(VOLUME_SHARE[self.method]))
             problem = replace(problem, untangling=Problem(relaxed, coordinates.move, work.precondition))
@@ -190,7 +196,7 @@ class ProjectivePrepared:
         linear_solver: LinearSolver | None = None,
         like: Tangent | Pattern | None = None,
     ) -> Tangent:
-        """The exact Hessian at a scene's solution, factored: for responses, and as a metric of scenes near by.
+        """Factor the exact Hessian at a scene's solution: for derivatives, and as a metric of scenes near by.
 
         Where it is not positive definite, which no minimum without a flat direction is, each element's
         eigenvalues are raised to 0, and `Tangent.is_exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
@@ -201,22 +207,11 @@ class ProjectivePrepared:
         self.scene.check_prepared_for(scene, fixed=PREPARED)
         held, values = scene.dirichlet()
         place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
-        known = (scene, self.energy.for_scene(scene), self.system.coordinates, place)
-        return Tangent.from_scene(*known, linear_solver=linear_solver, like=like)
+        energy = self.energy.for_scene(scene)
+        return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
 
-    def _problem(
-        self, work: _Work, scene: Scene, energy: Energy, metric: Tangent | None, memory: Memory | None
-    ) -> Problem:
-        if metric is not None and metric.coordinates.size != self.system.coordinates.size:
-            raise SceneError(
-                f"metric: it has {metric.coordinates.size} unknowns, the scene {self.system.coordinates.size}"
-            )
-        precondition = work.precondition if metric is None else work.by(metric)
-        bounded = energy.bending is None and metric is None
-        return Problem(work.on(energy), self.system.coordinates.move, precondition, bounded=bounded, memory=memory)
-
-    def _remembered(self, warm: Solution | None) -> Memory | None:
-        """A memory of its own for a solve, of what a solution of as many unknowns left."""
+    def _memory(self, warm: Solution | None) -> Memory | None:
+        """Copy the memory that a solution of as many unknowns left, or make an empty one; None unless by L-BFGS."""
         if self.method != "lbfgs":
             return None
         left = None if warm is None else warm.memory
@@ -251,23 +246,22 @@ def prepare(
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
     known = None if like is None else like.system
     system = System.from_matrix(
-        matrix, anchored, Coordinates.from_scene(scene), linear_solver=linear_solver, like=known
+        matrix,
+        anchored,
+        Coordinates.from_scene(scene),
+        linear_solver=linear_solver,
+        like=known,
     )
-    following = _following(scene, system)
-    return ProjectivePrepared(scene, method, energy, system, following, clock.read())
+    contact = None
+    if scene.of(Contact):
+        from .contact import ContactSolver  # costs an import of its own, which few scenes need
 
-
-def _following(scene: Scene, system: System) -> ContactSolver | None:
-    """What solves for contact, where the scene has any."""
-    if not scene.of(Contact):
-        return None
-    from .contact import ContactSolver
-
-    return ContactSolver.of(scene, system)
+        contact = ContactSolver.from_scene(scene, system)
+    return ProjectivePrepared(scene, method, energy, system, contact, clock.read())
 
 
 def time_local_step(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
-    """Median processor time [s] of one energy and gradient of all tets (the fused local step), slightly deformed."""
+    """Time one energy and gradient of all tets, slightly deformed: median processor time [s] of the local step."""
     tets = prepared.energy.tets
     if tets is None:
         raise SceneError("the scene has no Strain or Volume term to time")

@@ -53,7 +53,7 @@ class System:
         linear_solver: LinearSolver | None = None,
         like: System | None = None,
     ) -> System:
-        """From the matrix (n, n) [mN/mm] and the vertices that a Target holds (n,); see `factorise` for the rest."""
+        """Factor the matrix (n, n) [mN/mm], given the vertices that a Target holds (n,); see also `factorise`."""
         _, part = connected_components(_joined(matrix, coordinates.bodies), directed=False)
         groups = []
         for number, (components, free) in enumerate(coordinates.groups):
@@ -91,7 +91,7 @@ class System:
                     )
 
     def solve(self, gradient: Floats, rotations: Floats) -> Floats:
-        """A⁻¹ times a gradient over the unknowns, shape (size,), where the bodies have these rotations."""
+        """Apply A⁻¹ to a gradient over the unknowns, shape (size,), where the bodies have these rotations."""
         step = np.empty_like(gradient)
         begin = 0
         blocks = []
@@ -118,7 +118,7 @@ class System:
 
 
 def _joined(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
-    """The matrix with entries between the vertices of each body, to tell what hangs together."""
+    """Add entries between the vertices of each body to the matrix, to tell what hangs together."""
     none = np.empty(0, dtype=np.int64)
     first = np.concatenate([none, *(np.repeat(body.vertices[0], len(body.vertices)) for body in bodies)])
     other = np.concatenate([none, *(body.vertices for body in bodies)])
@@ -129,7 +129,7 @@ def _joined(matrix: csr_matrix, bodies: tuple[Body, ...]) -> csr_matrix:
 
 
 def _schur(matrix: csr_matrix, rows: csr_matrix, solver: Solver, bodies: tuple[Body, ...]) -> tuple[Floats, Floats]:
-    """`Group.carried` and `Group.body`, for the rows of the matrix that belong to free vertices."""
+    """Compute `Group.carried` and `Group.body`, for the rows of the matrix that belong to free vertices."""
     affine = np.zeros((matrix.shape[0], 4 * len(bodies)))
     for b, body in enumerate(bodies):
         affine[body.vertices, 4 * b : 4 * b + 4] = body.affine
@@ -139,7 +139,7 @@ def _schur(matrix: csr_matrix, rows: csr_matrix, solver: Solver, bodies: tuple[B
 
 
 def _solved(matrix: Floats, right: Floats) -> Floats:
-    """The solution of the bodies' small system, shifted as what nothing holds is, and scaled to a unit diagonal."""
+    """Solve the bodies' small system, shifted as what nothing holds is, and scaled to a unit diagonal."""
     diagonal = np.diag(matrix)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     scaled = matrix * scale * scale[:, None] + SHIFT * np.eye(len(matrix))

@@ -1,4 +1,4 @@
-"""The Hessian of a scene's energy over its unknowns, factored: for responses, and as a metric of descents."""
+"""The Hessian of a scene's energy over its unknowns, factored: for derivatives, and as a metric of descents."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from scipy.sparse import csc_matrix
 
 from ...lhm.base.errors import SceneError
@@ -14,12 +15,10 @@ from ...lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definit
 from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..terms import Bending, Contact, Strain, SurfaceStrain, Target, Volume
-from .bending import Rings, add_bending_bound, add_bending_tangent
+from .bending import Rings
 from .coordinates import Coordinates, Place
 from .energy import Energy
-from .sparsity import Sparsity, body_rows, elements_of
-from .tets import add_tet_tangent
-from .triangles import add_triangle_tangent
+from .sparsity import Sparsity, elements_of
 
 EXACT = -1.0
 """Of `least`: no eigenvalue is raised."""
@@ -30,35 +29,20 @@ SHIFT = 1e-7
 def hessian(
     scene: Scene, energy: Energy, coordinates: Coordinates, sparsity: Sparsity, place: Place, *, least: float
 ) -> csc_matrix:
-    """The Hessian [mN/mm], shape (size, size), over the unknowns at a place: exact, or with eigenvalues raised.
+    """Assemble the Hessian [mN/mm], shape (size, size), at a place: exact, or with eigenvalues raised.
 
     With `least` EXACT it is the derivative of `Coordinates.pull` of the gradient. Else each element's share has no
     eigenvalue below `least` times its Strain weight, Bending's rotations are held, and the sum is positive definite
     where the scene is held.
     """
     blocks = np.zeros((len(sparsity.pairs), 3, 3))
-    tets, triangles, rings = energy.tets, energy.triangles, energy.bending
-    if tets is not None:
-        layout = (
-            tets.parameters.reshape(len(tets.parameters), -1),
-            tets.corners.reshape(len(tets.corners), -1),
-            tets.has_volume,
-            len(tets.tets),
-        )
-        add_tet_tangent(*layout, sparsity.tets, least, place.u, blocks)
-    if triangles is not None:
-        parts = (triangles.corners, triangles.inverse, triangles.weights, triangles.scale, triangles.edges)
-        add_triangle_tangent(*parts, sparsity.triangles, least, place.u, blocks)
-    if rings is not None and least < 0.0:
-        shape = (rings.centres, rings.starts, rings.ring, rings.cotangents, rings.edges, rings.sought, rings.laplacians)
-        add_bending_tangent(*shape, rings.least, rings.weights, sparsity.rings, sparsity.first, place.u, blocks)
-    elif rings is not None:
-        add_bending_bound(rings.starts, rings.cotangents, rings.weights, sparsity.rings, sparsity.first, blocks)
+    for part, slots in zip(energy.parts, sparsity.slots, strict=True):
+        part.add_tangent(slots, least, place.u, blocks)
     for vertices, _, stiffness in energy.targets:
         for r in range(3):
             blocks[sparsity.diagonal[vertices], r, r] += stiffness.ravel()
     gradient = energy.evaluate(place.u)[1] if coordinates.bodies else np.zeros_like(place.u)
-    return sparsity.matrix(blocks, body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
+    return sparsity.matrix(blocks, _body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +85,8 @@ class Tangent:
         if scene.of(Contact):
             raise SceneError("a tangent knows no Contact: take the scene without it")
         pattern = like.pattern if isinstance(like, Tangent) else like
-        if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy, coordinates)):
-            pattern = Pattern(Sparsity.from_scene(scene, energy, coordinates), None)
+        if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy.parts, coordinates)):
+            pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates), None)
         sparsity, before = pattern.sparsity, pattern.analysis
         if least < 0.0:
             matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
@@ -119,15 +103,15 @@ class Tangent:
 
     @property
     def pattern(self) -> Pattern:
-        """What serves again when its numbers, a quarter of a gigabyte for a head, are let go."""
+        """The part that serves again when the numbers, a quarter of a gigabyte for a head, are let go."""
         return Pattern(self.sparsity, self.factor.analysis if isinstance(self.factor, cholesky.CholmodFactor) else None)
 
     def solve(self, right: Floats) -> Floats:
-        """The inverse Hessian times gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
+        """Apply the inverse Hessian to gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
         return self.factor(right.reshape(len(right), -1)).reshape(right.shape)
 
     def vertices_by_targets(self, moved: Floats) -> Floats:
-        """How vertices move, shape (k, n, 3), where the first Target's positions move by `moved`, (k, targets, 3)."""
+        """Move vertices, shape (k, n, 3), to first order, as the first Target moves by `moved` (k, targets, 3)."""
         if not self.scene.of(Target):
             raise SceneError("the scene has no Target that could move")
         target = self.scene.of(Target)[0]
@@ -142,7 +126,7 @@ class Tangent:
         return np.stack([self._moved(step) for step in self.solve(right).T])
 
     def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
-        """How vertices move, shape (k, n, 3), where the scene changes; by implicit differentiation.
+        """Move vertices, shape (k, n, 3), to first order as the scene changes; by implicit differentiation.
 
         Each change is a difference quotient: scenes near by, each with its weight [1/unit of the change], such as
         ((ahead, 1/(2h)), (behind, -1/(2h))). They may differ in all numbers, also in what is Fixed and in bodies' rest,
@@ -163,7 +147,7 @@ class Tangent:
         return np.stack([carried + self._moved(step) for carried, step in zip(base, steps.T, strict=True)])
 
     def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
-        """Gradient [mN] over the unknowns in another scene, and the displacement [mm], where the unknowns stay."""
+        """Return gradient [mN] over the unknowns and displacement [mm] in another scene, where the unknowns stay."""
         coordinates = Coordinates.from_scene(scene)
         mine = (self.scene.vertices, self.scene.tets, self.coordinates.index)
         same = all(map(np.array_equal, mine, (scene.vertices, scene.tets, coordinates.index)))
@@ -178,7 +162,7 @@ class Tangent:
         return coordinates.pull(gradient, Place(u, self.place.rotations)), u
 
     def _energy_of(self, scene: Scene) -> Energy:
-        """The energy of another scene: with numbers of its own on the same elements, where the terms are the same."""
+        """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
         kinds = (Strain, Volume, SurfaceStrain, Bending)
         mine, its = ([term for kind in kinds for term in which.of(kind)] for which in (self.scene, scene))
         same = [type(term) for term in mine] == [type(term) for term in its]
@@ -188,10 +172,65 @@ class Tangent:
         return energy if energy.bending is None else replace(energy, bending=Rings.from_scene(scene))
 
     def _moved(self, step: Floats) -> Floats:
-        """The displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
+        """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""
         moved = np.zeros_like(self.place.u)
         moved.reshape(-1)[self.coordinates.index] = step[: len(self.coordinates.index)]
         motions = step[len(self.coordinates.index) :].reshape(-1, 6)
         for body, rotation, motion in zip(self.coordinates.bodies, self.place.rotations, motions, strict=True):
             moved[body.vertices] = motion[:3] + np.cross(motion[3:], body.arms @ rotation.T)
         return moved
+
+
+def _body_rows(
+    sparsity: Sparsity, blocks: Floats, coordinates: Coordinates, place: Place, gradient: Floats, *, least: float
+) -> Floats:
+    """Assemble the bodies' rows of the Hessian, (6 bodies, size), at a place with this gradient [mN], shape (n, 3).
+
+    The share that a turn adds by the forces alone is raised to zero where it is negative, unless `least` is.
+    """
+    n, free, count = len(place.u), len(coordinates.index), len(coordinates.bodies)
+    rows = np.zeros((6 * count, coordinates.size))
+    if not count:
+        return rows
+    owner, motion = np.full(n, -1), np.zeros((n, 3, 6))
+    for b, body in enumerate(coordinates.bodies):
+        owner[body.vertices] = b
+        motion[body.vertices, :, :3] = np.eye(3)
+        arms = body.arms @ place.rotations[b].T
+        motion[body.vertices, :, 3:] = np.cross(np.eye(3), arms[:, None, :]).transpose(0, 2, 1)
+    over = np.zeros((6 * count, 3 * n))
+    _add_carried(sparsity.pairs, blocks, owner, motion, over)
+    rows[:, :free] = over[:, coordinates.index]
+    for b, body in enumerate(coordinates.bodies):
+        own = motion[body.vertices].reshape(-1, 6)
+        columns = (3 * body.vertices[:, None] + np.arange(3)).ravel()
+        block = slice(free + 6 * b, free + 6 * b + 6)
+        rows[:, block] = over[:, columns] @ own
+        # The second derivative of a turned arm a along the force g: (θ·a)(θ·g) - (a·g) |θ|².
+        arms = body.arms @ place.rotations[b].T
+        moment = arms.T @ gradient[body.vertices]
+        curved = 0.5 * (moment + moment.T) - np.trace(moment) * np.eye(3)
+        if least >= 0.0:
+            values, vectors = np.linalg.eigh(curved)
+            curved = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        rows[6 * b + 3 : 6 * b + 6, free + 6 * b + 3 : free + 6 * b + 6] += curved / body.radius
+    return rows
+
+
+@njit(cache=True)
+def _add_carried(pairs, blocks, owner, motion, over):
+    """Add motionᵀ K to the rows of the bodies for all blocks that touch one."""
+    for k in range(len(pairs)):
+        high, low = pairs[k]
+        b = owner[high]
+        if b >= 0:
+            for m in range(6):
+                for c in range(3):
+                    for r in range(3):
+                        over[6 * b + m, 3 * low + c] += motion[high, r, m] * blocks[k, r, c]
+        b = owner[low]
+        if b >= 0 and high != low:
+            for m in range(6):
+                for c in range(3):
+                    for r in range(3):
+                        over[6 * b + m, 3 * high + c] += motion[low, r, m] * blocks[k, c, r]

@@ -1,17 +1,13 @@
-"""The scene's Strain and Volume terms as blocks of tets for the local step.
-
-The local step of all tets: energy and gradient of Strain and Volume, fused and vectorised (SoftDECA Eq. 10).
+"""Strain and Volume on tets: energy and gradient by a fused local step, matrix, and exact Hessian (SoftDECA Eq. 10).
 
 E = Σ w/2 ‖F - p(F)‖² has the exact gradient Σ w (F - p) : ∂F/∂x, since p minimises the distance (but for the jumps of
 Strain's indicator).
-
-The exact Hessian of Strain and Volume, tet after tet, in the frame of F's signed singular values.
 
 With F = U diag(s) Vᵀ and principal stresses p, dP/dF has a 3x3 block on the stretches and, per pair (i, j), a twist
 (p_i + p_j)/(s_i + s_j) and a flip (p_i - p_j)/(s_i - s_j) (Smith, de Goes, Kim 2019, "Analytic Eigensystems for
 Isotropic Distortion Energies", Section 4). Volume's nearest stretches have t_i (t_i - s_i) = m, so with
 q_i = 1/(t_i² + m) its block, flip and twist are rational in t and m and nothing cancels where stretches are equal.
-Pairs are ordered (0, 1), (0, 2), (1, 2); a vertex' pairs as `PAIRS`.
+Pairs are ordered (0, 1), (0, 2), (1, 2); pairs of a tet's corners as `PAIRS`.
 """
 
 from __future__ import annotations
@@ -84,60 +80,21 @@ from .projections import (
     project_volume,
     settle_doubts,
 )
+from .sparsity import add_block
 
 ALWAYS = -1.0
 """Below any largest stretch."""
 WIDE = 2.0
 """A Strain whose limit is above that hardly ever acts."""
-
-
-@cache
-def _workers(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
-
-
-def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
-    """Dm_inv [1/mm] of the given tets, shape (k, 3, 3), and the gradients G of their shape functions, (k, 4, 3)."""
-    corners = scene.vertices[scene.tets[tets]]
-    a, b, c = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
-    inverse = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)  # far faster than linalg.inv
-    inverse /= np.sum(a * inverse[:, 0], axis=1)[:, None, None]
-    return inverse, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-
-
-def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Strain | Volume, Ints]]]:
-    """One row per tet, or as many as it has Strain or Volume terms: the rows' tets, and each term's rows.
-
-    The k-th Strain and the k-th Volume of a tet share a row, for they share F and its decomposition.
-    """
-    entries: list[tuple[Strain | Volume, Ints]] = []
-    for kind in (Strain, Volume):
-        count = np.zeros(len(scene.tets), dtype=np.int64)
-        for term in scene.of(kind):
-            tets = scene.tets_of(term)
-            entries.append((term, tets + len(scene.tets) * count[tets]))
-            count[tets] += 1
-    keys = [key for _, key in entries]
-    rows = np.unique(np.concatenate(keys)) if keys else np.zeros(0, dtype=np.int64)
-    return rows % max(len(scene.tets), 1), [(term, np.searchsorted(rows, key)) for term, key in entries]
-
-
-def _spread(values, row: int, rows: Ints, blocks: np.ndarray):
-    """Write one value per row of `_pair_up` at the offset `row` of the blocks."""
-    blocks[rows // LANES, row // LANES, rows % LANES] = values
-
-
-def _share(parameters: Floats, volume_share: float) -> Floats:
-    """The share of each row's Strain that the matrix has, shape (blocks, LANES): small, or all, where it rarely acts.
-
-    On eight shapes of two heads L-BFGS took 532, 457, 434 and 460 iterations with shares of 0.3, 0.15, 0.08 and 0.04.
-    """
-    return np.where(parameters[:, HIGH // LANES] > WIDE, volume_share**2, 1.0)
+PAIRS = np.array([[a, b] for a in range(4) for b in range(a, 4)])
+"""The pairs of a tet's corners, one block of the Hessian each."""
+SMALLEST = 1e-9
+"""Where s_i + s_j is less, the nearest rotation is not unique and the twist not finite: it is held there."""
 
 
 @dataclass(frozen=True, eq=False)
 class TetBlocks:
-    """Parameters and corners in the layout of `lanes`, and which rows each Strain and Volume of the scene has."""
+    """Parameters and corners in the layout of `projections`, and which rows each Strain and Volume of the scene has."""
 
     corners: np.ndarray
     parameters: Floats
@@ -148,7 +105,7 @@ class TetBlocks:
 
     @classmethod
     def from_scene(cls, scene: Scene, threads: int = 1) -> TetBlocks | None:
-        """The blocks of a scene, or None if it has no tet with a stiffness."""
+        """Build the blocks of a scene, or None if it has no tet with a stiffness."""
         tets, entries = _pair_up(scene)
         if not len(tets):
             return None
@@ -167,7 +124,7 @@ class TetBlocks:
         return cls(corners, parameters, none, tuple(rows for _, rows in entries), tets, threads).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> TetBlocks:
-        """The same blocks with the numbers, one or one per tet, of another scene of the same terms."""
+        """Return the same blocks with the numbers, one or one per tet, of another scene of the same terms."""
         parameters = self.parameters.copy()
         for term, rows in zip(scene.of(Strain) + scene.of(Volume), self.rows_of, strict=True):
             stiffness = term.stiffness * scene.volumes[self.tets[rows]]
@@ -184,7 +141,7 @@ class TetBlocks:
         return replace(self, parameters=parameters, has_volume=has_volume)
 
     def separate(self) -> TetBlocks:
-        """The same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
+        """Return the same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
         corners = np.zeros_like(self.corners)
         every = np.arange(len(self.tets))
         for corner in range(4):
@@ -192,7 +149,7 @@ class TetBlocks:
         return replace(self, corners=corners, threads=1)
 
     def untangling(self, volume_share: float) -> TetBlocks:
-        """The same blocks with a share of Volume's weight moved to Strain with limit 1, the rest left out.
+        """Move a share of Volume's weight to Strain with limit 1, and leave the rest out.
 
         A Strain of wide limit is left with the share that the matrix has of it.
         """
@@ -225,14 +182,72 @@ class TetBlocks:
             gradient += own
         return total
 
-    def stiffness_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]; see `Energy.matrix`."""
+    def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
+        """Return rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]: see `Part`."""
         strain, volume = (self.parameters[:, row // LANES].ravel()[: len(self.tets)] for row in (STRAIN, VOLUME))
         shares = _share(self.parameters, volume_share).ravel()[: len(self.tets)]
         _, gradients = shape_gradients(scene, self.tets)
         local = np.einsum("e,eai,ebi->eab", shares * strain + volume_share * volume, gradients, gradients)
         corners = scene.tets[self.tets]
         return np.repeat(corners, 4, axis=1).ravel(), np.tile(corners, (1, 4)).ravel(), local.ravel()
+
+    def elements(self, scene: Scene) -> tuple[Ints, ...]:
+        """Return the corners (k, 4) of all rows."""
+        return (scene.tets[self.tets],)
+
+    def pairs(self, scene: Scene) -> Ints:
+        """Return the pairs of corners (k, 2), ten per row."""
+        return scene.tets[self.tets][:, PAIRS].reshape(-1, 2)
+
+    def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
+        """Add the Hessian; see `Part`. Of Strain's weight no eigenvalue of dP/dF is below the share `least`."""
+        parameters, corners = (a.reshape(len(a), -1) for a in (self.parameters, self.corners))
+        slots = slots.reshape(-1, len(PAIRS))
+        add_tet_tangent(parameters, corners, self.has_volume, len(self.tets), slots, least, u, blocks)
+
+
+@cache
+def _workers(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads)
+
+
+def shape_gradients(scene: Scene, tets: Ints) -> tuple[Floats, Floats]:
+    """Return Dm_inv [1/mm] of tets, shape (k, 3, 3), and the gradients G of their shape functions, (k, 4, 3)."""
+    corners = scene.vertices[scene.tets[tets]]
+    a, b, c = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
+    inverse = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)  # far faster than linalg.inv
+    inverse /= np.sum(a * inverse[:, 0], axis=1)[:, None, None]
+    return inverse, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+
+
+def _pair_up(scene: Scene) -> tuple[Ints, list[tuple[Strain | Volume, Ints]]]:
+    """Make one row per tet, or one per Strain or Volume term of it: the rows' tets, and each term's rows.
+
+    The k-th Strain and the k-th Volume of a tet share a row, for they share F and its decomposition.
+    """
+    entries: list[tuple[Strain | Volume, Ints]] = []
+    for kind in (Strain, Volume):
+        count = np.zeros(len(scene.tets), dtype=np.int64)
+        for term in scene.of(kind):
+            tets = scene.tets_of(term)
+            entries.append((term, tets + len(scene.tets) * count[tets]))
+            count[tets] += 1
+    keys = [key for _, key in entries]
+    rows = np.unique(np.concatenate(keys)) if keys else np.zeros(0, dtype=np.int64)
+    return rows % max(len(scene.tets), 1), [(term, np.searchsorted(rows, key)) for term, key in entries]
+
+
+def _spread(values, row: int, rows: Ints, blocks: np.ndarray):
+    """Write one value per row of `_pair_up` at the offset `row` of the blocks."""
+    blocks[rows // LANES, row // LANES, rows % LANES] = values
+
+
+def _share(parameters: Floats, volume_share: float) -> Floats:
+    """Return the share of each row's Strain that the matrix has, (blocks, LANES): all, or little where it rarely acts.
+
+    On eight shapes of two heads L-BFGS took 532, 457, 434 and 460 iterations with shares of 0.3, 0.15, 0.08 and 0.04.
+    """
+    return np.where(parameters[:, HIGH // LANES] > WIDE, volume_share**2, 1.0)
 
 
 @njit(**COMPILED)
@@ -249,7 +264,7 @@ def gather(w, parameters, corners, u):
 
 @njit(**COMPILED)
 def deformation_gradient(w):
-    """F = I + Du Dm_inv: from displacements, for differences of positions far from the origin lose digits."""
+    """Compute F = I + Du Dm_inv: from displacements, for differences of positions far from the origin lose digits."""
     for k in range(LANES):
         g00, g01, g02 = w[G00 + k], w[G01 + k], w[G02 + k]
         g10, g11, g12 = w[G10 + k], w[G11 + k], w[G12 + k]
@@ -299,7 +314,7 @@ def _add_strain(w):
 
 @njit(**COMPILED)
 def _forces(w):
-    """P = U diag(D) Vᵀ and the nodal derivatives P Dm_invᵀ, written to F: row r, column j belongs to vertex j."""
+    """Write P = U diag(D) Vᵀ and the nodal derivatives P Dm_invᵀ to F: row r, column j belongs to vertex j."""
     for k in range(LANES):
         d0, d1, d2 = w[D0 + k], w[D1 + k], w[D2 + k]
         v00, v01, v02 = w[V00 + k] * d0, w[V01 + k] * d1, w[V02 + k] * d2
@@ -343,7 +358,7 @@ def _scatter(w, corners, gradient):
 def add_tets(parameters, corners, has_volume, u, gradient):
     """Add the tets' gradient [mN] at displacement u [mm], both (n, 3), in place; return their energy [µJ].
 
-    parameters (blocks, PARAMETERS * LANES) and corners (blocks, 4 * LANES) are laid out as `lanes` says; has_volume
+    parameters (blocks, PARAMETERS * LANES) and corners (blocks, 4 * LANES) have the layout of `projections`; has_volume
     (blocks,) tells where the volume projection is needed at all. Guards, which hardly ever act, cost a test of F.
     """
     w = np.zeros(ROWS * LANES)
@@ -364,21 +379,15 @@ def add_tets(parameters, corners, has_volume, u, gradient):
     return total
 
 
-PAIRS = np.array([[a, b] for a in range(4) for b in range(a, 4)])
-"""The pairs of a tet's corners, one block of the Hessian each."""
-SMALLEST = 1e-9
-"""Where s_i + s_j is less, the nearest rotation is not unique and the twist not finite: it is held there."""
-
-
 @njit(inline="always", **COMPILED)
 def _away(value):
-    """A divisor kept away from zero."""
+    """Keep a divisor away from zero."""
     return value if abs(value) > SMALLEST else (SMALLEST if value >= 0.0 else -SMALLEST)
 
 
 @njit(inline="always", **COMPILED)
 def _strain_pair(a, b, ca, cb, inside_a, inside_b):
-    """Twist and flip of unit Strain for stretches a >= b with distances ca, cb from their bounds."""
+    """Return twist and flip of unit Strain for stretches a >= b with distances ca, cb from their bounds."""
     if a - b > 1e-8:
         flip = (ca - cb) / (a - b)
     else:
@@ -423,7 +432,7 @@ def _moduli(w, k, h, twist, flip):
 
 
 @njit(**COMPILED)
-def raise_block(h, least):
+def _raise_block(h, least):
     """Raise the eigenvalues of a symmetric h (n, n) to at least `least`, in place (cyclic Jacobi)."""
     n = len(h)
     V = np.eye(n)
@@ -472,12 +481,12 @@ def _raise(h, twist, flip, least):
     d, f, g = h[1, 1] - least, h[1, 2], h[2, 2] - least
     det = a * (d * g - f * f) - b * (b * g - c * f) + c * (b * f - c * d)
     if not (a > 0.0 and a * d - b * b > 0.0 and det > 0.0):
-        raise_block(h, least)
+        _raise_block(h, least)
 
 
 @njit(**COMPILED)
 def _pair_block(h, alpha, beta, ga, gb, U, block, work):
-    """U M Uᵀ with M the Hessian between two corners whose shape gradients are ga, gb in the frame of V."""
+    """Compute U M Uᵀ with M the Hessian between two corners whose shape gradients are ga, gb in the frame of V."""
     for i in range(3):
         for k in range(3):
             if i == k:
@@ -494,14 +503,6 @@ def _pair_block(h, alpha, beta, ga, gb, U, block, work):
         w2 = U[r, 0] * work[0, 2] + U[r, 1] * work[1, 2] + U[r, 2] * work[2, 2]
         for c in range(3):
             block[r, c] = w0 * U[c, 0] + w1 * U[c, 1] + w2 * U[c, 2]
-
-
-@njit(**COMPILED)
-def add_block(blocks, slot, block, transposed):
-    """Add a 3x3 block, or its transpose."""
-    for r in range(3):
-        for c in range(3):
-            blocks[slot, r, c] += block[c, r] if transposed else block[r, c]
 
 
 @njit(**COMPILED)

@@ -1,9 +1,8 @@
-"""SurfaceStrain: the in-plane strain of triangles, with growth (SoftDECA Eq. 11).
+"""SurfaceStrain: the in-plane strain of triangles, with growth (SoftDECA Eq. 11): energy, gradient, matrix, Hessian.
 
-The exact Hessian of SurfaceStrain, triangle after triangle, in the frame of F's singular values s0 >= s1 >= 0.
-
-E = w/2 Σ (s_i - r)². Stretches have the eigenvalue w; the pair in the plane the flip w and the twist
-w (1 - 2 r/(s0 + s1)); out of the plane there is w (1 - r/s_i) for each, negative where the skin is compressed.
+In the frame of F's singular values s0 >= s1 >= 0, E = w/2 Σ (s_i - r)². Stretches have the eigenvalue w; the pair in
+the plane the flip w and the twist w (1 - 2 r/(s0 + s1)); out of the plane there is w (1 - r/s_i) for each, negative
+where the skin is compressed.
 """
 
 from __future__ import annotations
@@ -18,16 +17,18 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
 from .projections import COMPILED
-from .tets import add_block
+from .sparsity import add_block
 
 # Squared floor of s0 s1. A flat triangle has no one polar decomposition; with the floor its energy is smooth, and
 # that of a triangle of sound shape is the same to rounding.
 FLOOR = 1e-18
+PAIRS = np.array([[a, b] for a in range(3) for b in range(a, 3)])
+"""The pairs of a triangle's corners, one block of the Hessian each."""
 
 
 @njit(**COMPILED)
 def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
-    """E = w/2 (‖F‖² - 2 r N + 2 r²) with r = √growth and N = s0 + s1 = √(‖F‖² + 2 s0 s1), the nuclear norm.
+    """Add E = w/2 (‖F‖² - 2 r N + 2 r²), r = √growth and N = s0 + s1 = √(‖F‖² + 2 s0 s1), the nuclear norm.
 
     ∂N/∂F is the polar factor of F; s0 s1 = |f0 × f1| is what the floor acts on.
     """
@@ -64,12 +65,12 @@ def _add_triangles(corners, inverse, weight, scale, u, rest, gradient):
 
 
 def _edges(points: Floats) -> Floats:
-    """The first two edges as columns, shape (k, 3, 2), of triangles with corners (k, 3, 3)."""
+    """Return the first two edges as columns, shape (k, 3, 2), of triangles with corners (k, 3, 3)."""
     return (points[:, 1:] - points[:, :1]).transpose(0, 2, 1)
 
 
 def _inverse(edges: Floats) -> Floats:
-    """Inverse of the edges in an orthonormal frame of their triangle, shape (k, 2, 2)."""
+    """Invert the edges in an orthonormal frame of their triangle, shape (k, 2, 2)."""
     first = edges[:, :, 0] / np.linalg.norm(edges[:, :, 0], axis=1, keepdims=True)
     normal = np.cross(edges[:, :, 0], edges[:, :, 1])
     second = np.cross(normal / np.linalg.norm(normal, axis=1, keepdims=True), first)
@@ -92,7 +93,7 @@ class Triangles:
 
     @classmethod
     def from_scene(cls, scene: Scene) -> Triangles | None:
-        """The triangles of a scene, or None if it names none."""
+        """Take the triangles of a scene, or None if it names none."""
         terms = scene.of(SurfaceStrain)
         if not sum(len(term.triangles) for term in terms):
             return None
@@ -104,7 +105,7 @@ class Triangles:
         return cls(corners, edges, inverse, areas, np.ones(0), np.ones(0)).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Triangles:
-        """The same triangles with the stiffness and growth of another scene of the same terms."""
+        """Return the same triangles with the stiffness and growth of another scene of the same terms."""
         terms = scene.of(SurfaceStrain)
         stiffness, growth = (
             np.concatenate([np.broadcast_to(getattr(term, name), len(term.triangles)) for term in terms])
@@ -116,20 +117,29 @@ class Triangles:
         """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
         return _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
 
-    def stiffness_entries(self) -> tuple[Ints, Ints, Floats]:
-        """Rows, columns and values of Σ w A G Gᵀ, the triangles' share of the PD matrix [mN/mm]."""
+    def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
+        """Return rows, columns and values of Σ w A G Gᵀ, the triangles' share of the PD matrix [mN/mm]."""
         gradients = np.concatenate([-self.inverse.sum(axis=1, keepdims=True), self.inverse], axis=1)
         local = np.einsum("e,eai,ebi->eab", self.weights, gradients, gradients)
         return np.repeat(self.corners, 3, axis=1).ravel(), np.tile(self.corners, (1, 3)).ravel(), local.ravel()
 
+    def elements(self, scene: Scene) -> tuple[Ints, ...]:
+        """Return the corners (k, 3)."""
+        return (self.corners,)
 
-PAIRS = np.array([[a, b] for a in range(3) for b in range(a, 3)])
-"""The pairs of a triangle's corners, one block of the Hessian each."""
+    def pairs(self, scene: Scene) -> Ints:
+        """Return the pairs of corners (k, 2), six per triangle."""
+        return self.corners[:, PAIRS].reshape(-1, 2)
+
+    def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
+        """Add the Hessian; see `Part`."""
+        shape = (self.corners, self.inverse, self.weights, self.scale, self.edges)
+        _add_triangle_tangent(*shape, slots.reshape(-1, len(PAIRS)), least, u, blocks)
 
 
 @njit(**COMPILED)
 def _frame(f, U, V):
-    """Singular values of f (3, 2), with U (3, 3) and V (2, 2) its frames; a flat f gets any normal."""
+    """Return the singular values of f (3, 2), with U (3, 3) and V (2, 2) its frames; a flat f gets any normal."""
     a = f[0, 0] ** 2 + f[1, 0] ** 2 + f[2, 0] ** 2
     b = f[0, 1] ** 2 + f[1, 1] ** 2 + f[2, 1] ** 2
     g = f[0, 0] * f[0, 1] + f[1, 0] * f[1, 1] + f[2, 0] * f[2, 1]
@@ -164,7 +174,7 @@ def _frame(f, U, V):
 
 
 @njit(**COMPILED)
-def add_triangle_tangent(corners, inverse, weight, scale, edges, slots, least, u, blocks):
+def _add_triangle_tangent(corners, inverse, weight, scale, edges, slots, least, u, blocks):
     """Add the triangles' Hessian [mN/mm] at displacement u [mm], shape (n, 3), to blocks (pairs, 3, 3), in place.
 
     slots (triangles, 6) are the blocks of `PAIRS`; `least` is the share of the weight below which no eigenvalue is

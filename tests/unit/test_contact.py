@@ -172,7 +172,7 @@ def test_woodbury_equals_the_refactored_matrix(bodies):
     C = np.array(gradients)[pushing]
     refactored = np.linalg.inv(np.linalg.inv(inverse) + C.T @ (rows.stiffness[pushing][:, None] * C))
     vector = rng.normal(size=coordinates.size)
-    matrix = prepared.contact.elasticity.with_rows(rows, place)
+    matrix = prepared.contact.elasticity.with_constraints(rows, place)
     answer = matrix.solve(vector, pushing, place.rotations)
     np.testing.assert_allclose(answer, refactored @ vector, atol=1e-10 * np.abs(refactored @ vector).max())
 
@@ -188,7 +188,7 @@ def test_rows_push_along_normals_and_equal_their_energy_s_derivative():
     slope = (rows.add_to(x + h * d, dump) - rows.add_to(x - h * d, dump)) / (2 * h)
     np.testing.assert_allclose(np.vdot(gradient, d), slope, rtol=1e-7)
     np.testing.assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-12 * np.abs(gradient).max())
-    one = rows.chosen(rows.forces(x) > 0).chosen(slice(0, 1))
+    one = rows.select(rows.forces(x) > 0).select(slice(0, 1))
     single = np.zeros_like(x)
     one.add_to(x, single)
     assert np.abs(np.cross(single, one.normals[0])).max() < 1e-12 * np.abs(single).max()

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
-from softdeca.lhm.base.geometry.warp import rigid_motion
-from softdeca.lhm.remesh import refine_head
+from softdeca.lhm import InputError
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene, terms
 from softdeca.reference.face.bones import carry_wraps
 from softdeca.reference.face.palsy import Springs
-from softdeca.reference.face.tissue import Attachment, Stack, bone_points, connecting_tets, eyeballs
+from softdeca.reference.face.tissue import Attachment, bone_points, eyeballs
 
 
 def test_parameters_name_what_is_out_of_range():
@@ -32,14 +30,6 @@ def test_parameters_normalise_their_range_to_plus_minus_one():
         assert info.normalise(np.array([info.low, info.high])) == pytest.approx([-1, 1])
         rng = np.random.default_rng(0)
         assert all(info.low <= info.sample(rng) <= info.high for _ in range(100))
-
-
-def test_rigid_motion_is_recovered_exactly():
-    points = np.random.default_rng(1).normal(size=(20, 3))
-    rotation = Rotation.from_euler("xyz", [0.3, -0.2, 1.0]).as_matrix()
-    found, translation = rigid_motion(points, points @ rotation.T + [1, 2, 3])
-    assert found == pytest.approx(rotation, abs=1e-12)
-    assert translation == pytest.approx([1, 2, 3], abs=1e-12)
 
 
 def test_mandible_follows_the_skin_over_it_and_the_cranium_stays(sphere_head):
@@ -228,21 +218,6 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
         facial_scene(head, Parameters(), head.skin.vertices, bones="hard")
 
 
-def test_connecting_tets_are_sound_and_hold_their_points(sphere_head):
-    wrap = sphere_head.skull_wrap
-    rng = np.random.default_rng(0)
-    points = wrap.vertices[rng.choice(len(wrap.vertices), 50, replace=False)] * 0.97
-    triangles, tets = connecting_tets(points, wrap)
-    stack = np.vstack([wrap.vertices, points])
-    edges = stack[tets[:, 1:]] - stack[tets[:, :1]]
-    mean = np.linalg.norm(np.diff(stack[wrap.triangles[triangles]], axis=1, append=0)[:, :2], axis=2).mean(axis=1)
-    assert np.all(np.linalg.det(edges) > 0.015 * mean**3)
-    assert np.array_equal(np.sort(tets, axis=1)[:, 3], len(wrap.vertices) + np.arange(50))
-    flat = Surface(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]]), np.array([[0, 1, 2], [1, 3, 2]]))
-    with pytest.raises(SceneError, match="attached point 1: it lies in the plane"):
-        connecting_tets(np.array([[0.2, 0.2, 1.0], [0.2, 0.2, 0.0]]), flat)
-
-
 def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
     head, n = sphere_head, len(sphere_head.bone)
     skull = bone_points(head)
@@ -258,54 +233,3 @@ def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
         eyeballs(head)
     with pytest.raises(SceneError, match="bone 7"):
         Attachment(np.zeros((4, 3)), 7)
-
-
-def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
-    # Its own prisms, told as a volume.
-    head = replace(sphere_head, volume=(sphere_head.soft, sphere_head.muscle))
-    targets = head.skin.vertices * 1.05
-    own, told = (facial_scene(h, Parameters(), targets, bones="prescribed") for h in (sphere_head, head))
-    assert np.array_equal(own.tets, told.tets) and np.array_equal(own.vertices, told.vertices)
-    for a, b in zip(own.terms, told.terms, strict=True):
-        assert type(a) is type(b)
-    assert np.array_equal(own.of(terms.Fixed)[0].vertices, told.of(terms.Fixed)[0].vertices)
-    assert np.array_equal(own.of(terms.Strain)[1].tets, told.of(terms.Strain)[1].tets)
-    merged = facial_scene(head, Parameters(), targets, without=("muscle",))
-    assert len(merged.of(terms.Strain)) == 1 and len(merged.tets) == len(own.tets)
-
-
-def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
-    head = refine_head(sphere_head)
-    rest = head.skin.vertices
-    with pytest.raises(SceneError, match="layers"):
-        facial_scene(head, Parameters(), rest, layers=(2, 1))
-    with pytest.raises(SceneError, match="region"):
-        facial_scene(head, Parameters(), rest, region=head.skin_wrap.vertices[:, 2] > 0)
-    many = np.full(len(head.skin_wrap.triangles), 5.0)
-    with pytest.raises(SceneError, match="soft_stiffness: expected one number"):
-        facial_scene(head, Parameters(soft_stiffness=many), rest)
-    # The membrane has its triangles still.
-    assert facial_scene(head, Parameters(skin_stiffness=many), rest).of(terms.SurfaceStrain)
-
-
-def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):
-    head = refine_head(sphere_head)
-    stack = Stack.from_head(head, (1, 1), ())
-    wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
-    assert stack.interpolate(*wraps) == pytest.approx(head.vertices)
-    shift = np.array([1.0, -2.0, 3.0])
-    assert stack.interpolate(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
-    assert stack.first_of_skull == 2 * len(head.bone)
-
-
-def test_prisms_that_fold_without_the_muscle_wrap_are_few_and_left_out():
-    head = fit_head(load_template(), identities.Anny().sample(np.random.default_rng(0))[1])
-    whole = 3 * len(head.skin_wrap.triangles)
-    scene = facial_scene(head, Parameters(), head.skin.vertices, without=("muscle",))
-    assert whole - 29 < len(scene.tets) < whole
-    assert np.array_equal(np.unique(scene.tets), np.arange(len(scene.vertices)))
-    crossed = replace(head, muscle_wrap=head.muscle_wrap)
-    twisted = np.array(head.skull_wrap.vertices)
-    object.__setattr__(crossed, "skull_wrap", head.skull_wrap.with_vertices(twisted[::-1]))
-    with pytest.raises(SceneError, match="without muscle .* tets from skin to skull are folded"):
-        facial_scene(crossed, Parameters(), head.skin.vertices, without=("muscle",))

@@ -46,7 +46,7 @@ def moved(parts, size):
 
 def of(prepared, place, least=EXACT):
     coordinates = prepared.system.coordinates
-    sparsity = Sparsity.from_scene(prepared.scene, prepared.energy, coordinates)
+    sparsity = Sparsity.from_scene(prepared.scene, prepared.energy.parts, coordinates)
     return hessian(prepared.scene, prepared.energy, coordinates, sparsity, place, least=least).toarray()
 
 

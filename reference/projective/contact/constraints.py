@@ -1,6 +1,7 @@
 """Contact constraints frozen at one state: gaps that must not be negative, their energy and its multipliers.
 
-How far forces move a surface's vertices by the PD matrix, and with it the matrix of energy and contact together.
+Elasticity says how far their forces move a surface's vertices by the PD matrix; with it follows the matrix of energy
+and contact together.
 """
 
 from __future__ import annotations
@@ -34,9 +35,11 @@ class Constraints:
     multipliers: Floats
 
     @classmethod
-    def joined(cls, parts: Sequence[Constraints]) -> Constraints:
-        """The constraints of several, in order."""
-        return cls(*(np.concatenate([getattr(rows, field.name) for rows in parts]) for field in fields(cls)))
+    def concatenate(cls, parts: Sequence[Constraints]) -> Constraints:
+        """Concatenate the constraints of several."""
+        return cls(
+            *(np.concatenate([getattr(constraints, field.name) for constraints in parts]) for field in fields(cls))
+        )
 
     @property
     def between_edges(self) -> np.ndarray:
@@ -62,12 +65,8 @@ class Constraints:
         np.add.at(gradient, self.ids.ravel(), pushes.reshape(-1, 3))
         return float(np.sum((forces**2 - self.multipliers**2) / (2.0 * self.stiffness)))
 
-    def updated(self, x: Floats) -> Constraints:
-        """The same constraints with the forces at x for multipliers."""
-        return replace(self, multipliers=self.forces(x))
-
-    def chosen(self, mask: np.ndarray) -> Constraints:
-        """Some of the constraints."""
+    def select(self, mask: np.ndarray) -> Constraints:
+        """Select some of the constraints."""
         return Constraints(*(getattr(self, field.name)[mask] for field in fields(self)))
 
     def keys(self) -> list[tuple[int, ...]]:
@@ -75,7 +74,7 @@ class Constraints:
         edges = self.between_edges.tolist()
         return [(a, b, c, d) if edge else (a,) for (a, b, c, d), edge in zip(self.ids.tolist(), edges, strict=True)]
 
-    def carrying(self, others: Constraints) -> Constraints:
+    def carry_multipliers(self, others: Constraints) -> Constraints:
         """The same constraints with the multipliers of others that have the same keys, 0 where there are none."""
         known = dict(zip(others.keys(), others.multipliers.tolist(), strict=True))
         return replace(self, multipliers=np.array([known.get(key, 0.0) for key in self.keys()]))
@@ -117,28 +116,28 @@ class Elasticity:
         self._known = np.zeros(len(vertices), dtype=bool)
         self._blocks = [np.zeros((len(vertices), len(vertices))) for _ in system.groups]
 
-    def of(self, rows: Constraints, place: Place) -> tuple[csr_matrix, Floats]:
+    def compliance(self, constraints: Constraints, place: Place) -> tuple[csr_matrix, Floats]:
         """The gaps' gradients over the unknowns C, shape (r, size), and C A⁻¹ Cᵀ [mm/mN], shape (r, r), at a place."""
-        gradients = _gradients(self.system.coordinates, rows, place)
-        return gradients, self._between_vertices(rows) + self._by_bodies(gradients, place)
+        gradients = _gradients(self.system.coordinates, constraints, place)
+        return gradients, self._between_vertices(constraints) + self._by_bodies(gradients, place)
 
-    def with_rows(self, rows: Constraints, place: Place) -> ContactMatrix:
+    def with_constraints(self, constraints: Constraints, place: Place) -> ContactMatrix:
         """The matrix A with the constraints' own, linearised at a place."""
-        return ContactMatrix(self.system, rows.stiffness, *self.of(rows, place))
+        return ContactMatrix(self.system, constraints.stiffness, *self.compliance(constraints, place))
 
-    def _between_vertices(self, rows: Constraints) -> Floats:
+    def _between_vertices(self, constraints: Constraints) -> Floats:
         """The part of C A⁻¹ Cᵀ that free vertices have while bodies are held."""
-        vertices, local = np.unique(rows.ids, return_inverse=True)
+        vertices, local = np.unique(constraints.ids, return_inverse=True)
         at = np.searchsorted(self._vertices, vertices)
         missing = at[~self._known[at]]
         for first in range(0, len(missing), COLUMNS):
             self._find(missing[first : first + COLUMNS])
-        r = len(rows.ids)
+        r = len(constraints.ids)
         shape = (r, len(vertices))
-        weights = csr_matrix((rows.weights.ravel(), (np.repeat(np.arange(r), 4), local.ravel())), shape=shape)
+        weights = csr_matrix((constraints.weights.ravel(), (np.repeat(np.arange(r), 4), local.ravel())), shape=shape)
         total = np.zeros((r, r))
         for (components, _), block in zip(self.system.coordinates.groups, self._blocks, strict=True):
-            along = rows.normals[:, components]
+            along = constraints.normals[:, components]
             total += (weights @ (weights @ block[np.ix_(at, at)]).T) * (along @ along.T)
         return total
 
@@ -173,18 +172,18 @@ def _places(free: Ints, vertices: Ints) -> Ints:
     return np.where(free[place] == vertices, place, -1)
 
 
-def _gradients(coordinates: Coordinates, rows: Constraints, place: Place) -> csr_matrix:
+def _gradients(coordinates: Coordinates, constraints: Constraints, place: Place) -> csr_matrix:
     """The gaps' gradients over the unknowns, shape (r, size)."""
-    r = len(rows.ids)
-    columns = 3 * rows.ids[:, :, None] + np.arange(3)
-    values = rows.weights[:, :, None] * rows.normals[:, None, :]
+    r = len(constraints.ids)
+    columns = 3 * constraints.ids[:, :, None] + np.arange(3)
+    values = constraints.weights[:, :, None] * constraints.normals[:, None, :]
     at = np.repeat(np.arange(r), 12)
     over_x = csr_matrix((values.ravel(), (at, columns.ravel())), shape=(r, place.u.size))
     free = over_x[:, coordinates.index]
     if not coordinates.bodies:
         return free
     motions = np.zeros((r, 6 * len(coordinates.bodies)))
-    bound = np.isin(rows.ids, np.concatenate([body.vertices for body in coordinates.bodies])).any(axis=1)
+    bound = np.isin(constraints.ids, np.concatenate([body.vertices for body in coordinates.bodies])).any(axis=1)
     for k in np.flatnonzero(bound):
         gradient = over_x[k].toarray().reshape(-1, 3)
         motions[k] = coordinates.pull(gradient, place)[len(coordinates.index) :]

@@ -1,7 +1,4 @@
-"""The surface a Contact term keeps from crossing itself, and the flesh behind it: what does not change in a solve.
-
-Where a surface goes through itself: vertices in the flesh of another part, and edges that cross.
-"""
+"""Where a surface goes through itself: vertices in the flesh of another part, and edges that cross."""
 
 from __future__ import annotations
 
@@ -25,14 +22,22 @@ ON_A_FACE = 1e-6
 """A vertex with a lesser barycentric weight in a tet touches it only."""
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 """A tet's faces, each seen counter-clockwise from outside."""
+TURNED = 0.3
+"""A triangle whose normal has more than this cosine with a vertex' own is no place that the vertex went in at."""
+PARALLEL = 0.1
+"""Edges of a smaller sine between them have no direction to be parted in; the vertices at their ends do."""
+TOUCHING = 1e-3
+"""A gap [mm] too short to have a direction."""
+MARGIN = 1.0
+"""Vertices nearer than this share of a mean edge, beyond the thickness, are watched before they touch."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """Triangles (m, 3) over the surface's own k vertices, which are `ids` of the scene, and the tets behind them.
+    """The surface that a Contact term keeps from crossing itself, and the flesh behind it: constant during a solve.
 
-    areas (k,): rest areas [mm²] of the vertices; near: sorted numbers i k + j of vertices i
-    and j that lie within two edges of one another.
+    Triangles (m, 3) are over the surface's own k vertices, which are `ids` of the scene. areas (k,): rest areas [mm²]
+    of the vertices; near: sorted numbers i k + j of vertices i and j that lie within two edges of one another.
     """
 
     term: Contact
@@ -44,7 +49,7 @@ class ContactSurface:
     flesh: TetTree
 
     @classmethod
-    def of(cls, scene: Scene, term: Contact) -> ContactSurface:
+    def from_term(cls, scene: Scene, term: Contact) -> ContactSurface:
         """The surface of a term and what lies behind it.
 
         Raises SceneError for a triangle that is no face of the tets' surface or is seen from inside, and for a vertex
@@ -97,16 +102,6 @@ def _near_pairs(triangles: Ints) -> Ints:
     return np.sort(pairs.row.astype(np.int64) * n + pairs.col)
 
 
-TURNED = 0.3
-"""A triangle whose normal has more than this cosine with a vertex' own is no place that the vertex went in at."""
-PARALLEL = 0.1
-"""Edges of a smaller sine between them have no direction to be parted in; the vertices at their ends do."""
-TOUCHING = 1e-3
-"""A gap [mm] too short to have a direction."""
-MARGIN = 1.0
-"""Vertices nearer than this share of a mean edge, beyond the thickness, are watched before they touch."""
-
-
 @dataclass(frozen=True, eq=False)
 class Detection:
     """Constraints against what was found; crossing pairs of triangles without a common vertex; greatest depth [mm].
@@ -115,14 +110,14 @@ class Detection:
     that would part a crossing pair.
     """
 
-    rows: Constraints
+    constraints: Constraints
     pairs: int
     depth: float
 
     @classmethod
-    def together(cls, parts: Sequence[Detection]) -> Detection:
-        """What was found on several surfaces."""
-        rows = Constraints.joined([part.rows for part in parts])
+    def merge(cls, parts: Sequence[Detection]) -> Detection:
+        """Merge what several surfaces have."""
+        rows = Constraints.concatenate([part.constraints for part in parts])
         return cls(rows, sum(part.pairs for part in parts), max(part.depth for part in parts))
 
 
@@ -135,22 +130,22 @@ def detect(contact: ContactSurface, x: Floats, earlier: Constraints | None = Non
     points, normals, faces = surface.vertices, surface.vertex_normals, _unit(surface.face_normals)
     tree = contact.rest.moved(points)
     facing, on, distance = tree.closest_facing(points, -normals, faces, 0.0)
-    inner, partner, at = _overlapping(contact, x)
-    partner, at = _turned(contact, points, normals, faces, (inner, partner, at), (facing, on))
+    inner, partner, at = _inner_vertices(contact, x)
+    partner, at = _face_partners(contact, points, normals, faces, (inner, partner, at), (facing, on))
     away = np.linalg.norm(points[inner] - _points(points, contact.triangles[partner], at), axis=1)
-    outer = _watched(contact, points, faces, facing, distance, inner)
+    outer = _outer_vertices(contact, points, faces, facing, distance, inner)
     gap = points[outer] - _points(points, contact.triangles[facing[outer]], on[outer])
     pairs = tree.self_crossings()
     first, second = (tree.corners[pairs[:, k]] for k in range(2))
-    edges = np.vstack([_crossed(contact, pairs, crossed_edges(first, second)), _kept(contact, earlier)])
+    edges = np.vstack([_crossing_edges(contact, pairs, crossed_edges(first, second)), _pushing_edges(contact, earlier)])
     parts = [
         _vertex_rows(contact, inner, partner, at, faces[partner]),
         _vertex_rows(contact, outer, facing[outer], on[outer], _directions(gap, faces[facing[outer]])),
-        _held(contact, x, np.concatenate([inner, outer]), earlier),
+        _still_pushing(contact, x, np.concatenate([inner, outer]), earlier),
         _edge_rows(contact, points, normals, edges[~np.isin(edges, inner).any(axis=1)]),
     ]
     depths = np.concatenate([np.minimum(distance[inner], away), parting_shifts(first, second)])
-    return Detection(Constraints.joined(parts), len(pairs), float(depths.max(initial=0.0)))
+    return Detection(Constraints.concatenate(parts), len(pairs), float(depths.max(initial=0.0)))
 
 
 def _directions(gaps: Floats, faces: Floats) -> Floats:
@@ -163,7 +158,7 @@ def _points(vertices: Floats, triangles: Ints, weights: Floats) -> Floats:
     return np.einsum("rj,rjc->rc", weights, vertices[triangles])
 
 
-def _overlapping(contact: ContactSurface, x: Floats) -> tuple[Ints, Ints, Floats]:
+def _inner_vertices(contact: ContactSurface, x: Floats) -> tuple[Ints, Ints, Floats]:
     """Vertices in the flesh of another part, with the triangle and the weights on it of the point they went in at.
 
     That point is the one nearest to where the flesh around the vertex lies at rest (McAdams et al. 2011, Section 5), so
@@ -181,7 +176,7 @@ def _overlapping(contact: ContactSurface, x: Floats) -> tuple[Ints, Ints, Floats
     return vertex, triangle[order][first], at[order][first]
 
 
-def _turned(
+def _face_partners(
     contact: ContactSurface,
     points: Floats,
     normals: Floats,
@@ -205,7 +200,7 @@ def _is_near(contact: ContactSurface, vertices: Ints, triangles: Ints) -> np.nda
     return contact.are_near(vertices[:, None], contact.triangles[triangles]).any(axis=1)
 
 
-def _watched(
+def _outer_vertices(
     contact: ContactSurface, points: Floats, faces: Floats, facing: Ints, distance: Floats, inner: Ints
 ) -> Ints:
     """Vertices outside and within reach in front of the surface that faces them."""
@@ -219,7 +214,7 @@ def _watched(
     return outer[~_is_near(contact, outer, facing[outer])]
 
 
-def _kept(contact: ContactSurface, earlier: Constraints | None) -> Ints:
+def _pushing_edges(contact: ContactSurface, earlier: Constraints | None) -> Ints:
     """The edges of earlier constraints on this surface that push, shape (r, 4)."""
     if earlier is None:
         return np.zeros((0, 4), dtype=np.int64)
@@ -228,7 +223,7 @@ def _kept(contact: ContactSurface, earlier: Constraints | None) -> Ints:
     return local[(contact.ids[local] == edges).all(axis=1)]
 
 
-def _held(contact: ContactSurface, x: Floats, found: Ints, earlier: Constraints | None) -> Constraints:
+def _still_pushing(contact: ContactSurface, x: Floats, found: Ints, earlier: Constraints | None) -> Constraints:
     """Earlier constraints of vertices that push, against the same triangles, but of vertices that were `found` anew.
 
     Without them a vertex that was parted from something that does not face it would go back in.
@@ -236,10 +231,10 @@ def _held(contact: ContactSurface, x: Floats, found: Ints, earlier: Constraints 
     if earlier is None:
         return _vertex_rows(contact, found[:0], found[:0], np.zeros((0, 3)), np.zeros((0, 3)))
     lost = ~earlier.between_edges & (earlier.multipliers > 0.0) & np.isin(earlier.ids, contact.ids).all(axis=1)
-    rows = earlier.chosen(lost & ~np.isin(earlier.ids[:, 0], contact.ids[found]))
+    rows = earlier.select(lost & ~np.isin(earlier.ids[:, 0], contact.ids[found]))
     a, b, c = (x[rows.ids[:, k]] for k in (1, 2, 3))
     rows = replace(rows, normals=_unit(np.cross(b - a, c - a)))
-    return rows.chosen(np.abs(rows.gaps(x)) < MARGIN * np.sqrt(contact.areas.mean()))
+    return rows.select(np.abs(rows.gaps(x)) < MARGIN * np.sqrt(contact.areas.mean()))
 
 
 def _vertex_rows(contact: ContactSurface, vertices: Ints, triangles: Ints, at: Floats, normals: Floats) -> Constraints:
@@ -248,7 +243,7 @@ def _vertex_rows(contact: ContactSurface, vertices: Ints, triangles: Ints, at: F
     return _rows(contact, ids, weights, normals, contact.areas[vertices])
 
 
-def _crossed(contact: ContactSurface, pairs: Ints, crossed: Ints) -> Ints:
+def _crossing_edges(contact: ContactSurface, pairs: Ints, crossed: Ints) -> Ints:
     """Pairs of edges (a, b, c, d), shape (r, 4), that each go through a triangle at the other; a < b, c < d, a < c."""
     sides = []
     for side in range(2):

@@ -1,10 +1,9 @@
 """Contact as a solve that follows the one without (SoftDECA 3.3.2): look for it, push apart, look again.
 
-The way from rest to a deep overlap, with contact met on the way: then nothing has gone through, out at the back.
-
-The energy is replaced by its PD matrix A around the solution without contact, so that contact alone is solved for: with
-û the displacement without contact at a share of the way and g its gaps, the forces f >= 0 minimise the dual
-½ fᵀ (C A⁻¹ Cᵀ + 1/stiffness) f + gᵀ f, and the displacement is û + A⁻¹ Cᵀ f.
+Where surfaces overlap deeply, the way there from rest is gone again first, with contact met on the way: then nothing
+has gone through, out at the back. On that way the energy is replaced by its PD matrix A around the solution without
+contact, so that contact alone is solved for: with û the displacement without contact at a share of the way and g its
+gaps, the forces f >= 0 minimise the dual ½ fᵀ (C A⁻¹ Cᵀ + 1/stiffness) f + gᵀ f, and the displacement is û + A⁻¹ Cᵀ f.
 """
 
 from __future__ import annotations
@@ -33,13 +32,18 @@ PARTED = 0.02
 """The depth [mm] below which a descent goes on to the end."""
 LOOSE = 0.03
 """While surfaces are deeper than that a descent ends at this share of its first gradient norm."""
-
-SOLVED = (Reason.CONVERGED, Reason.STAGNATED)
-"""How a descent ends that has come as far as it can."""
+STEP = 1.0
+"""The way [mm] that no vertex of the surface goes further than between two looks for contact."""
+LOOKS = 3
+"""Rounds of looking and pushing at one place at most."""
+NEARLY = 0.1
+"""The depth [mm] with which the way goes on."""
+SWEEPS = 200
+"""Gauss-Seidel sweeps at most; the descent that follows makes up for what they leave."""
 
 
 @dataclass(frozen=True)
-class Loosely:
+class LooseWatch:
     """Shows a watch each point, and stops at a threshold [mN] of its own that is above the watch's."""
 
     watch: Watch
@@ -53,22 +57,22 @@ class Loosely:
 
 @dataclass(frozen=True, eq=False)
 class ContactSolver:
-    """The surfaces of a scene's Contact terms, and what of A⁻¹ between their vertices was asked for so far."""
+    """The surfaces of a scene's Contact terms, and the entries of A⁻¹ between their vertices needed so far."""
 
     surfaces: tuple[ContactSurface, ...]
     vertices: Ints
     elasticity: Elasticity
 
     @classmethod
-    def of(cls, scene: Scene, system: System) -> ContactSolver:
+    def from_scene(cls, scene: Scene, system: System) -> ContactSolver:
         """Raise SceneError for triangles that are not the tets' surface."""
-        surfaces = tuple(ContactSurface.of(scene, term) for term in scene.of(Contact))
+        surfaces = tuple(ContactSurface.from_term(scene, term) for term in scene.of(Contact))
         vertices = np.unique(np.concatenate([surface.ids for surface in surfaces]))
         return cls(surfaces, vertices, Elasticity(system, vertices))
 
     def detect(self, x: Floats, earlier: Constraints | None = None) -> Detection:
-        """All surfaces' contact with themselves at positions x [mm], shape (n, 3); `earlier` as in `detection`."""
-        return Detection.together([detect(surface, x, earlier) for surface in self.surfaces])
+        """Detect all surfaces' contact with themselves at x [mm], shape (n, 3); `earlier` as in `detection`."""
+        return Detection.merge([detect(surface, x, earlier) for surface in self.surfaces])
 
     def solve(
         self, problem: Problem, point: Point, rest: Floats, watch: Watch
@@ -76,78 +80,107 @@ class ContactSolver:
         """Continue from the solution without contact; the point, why it stopped, and counts for `Solution.detail`.
 
         Each round freezes the gaps where contact is, descends on energy and contact together, and takes the forces
-        found for multipliers of the next round's gaps (the method of multipliers, with the geometry brought up to
+        there for multipliers of the next round's gaps (the method of multipliers, with the geometry brought up to
         date), until nothing is deeper than PARTED; the last descent goes on to the watch's own threshold. Where the
-        depth does not fall any more, the least deep point found is returned with Reason.CONTACT.
+        depth does not fall any more, the least deep point is returned with Reason.CONTACT. The counts are crossing
+        pairs of triangles and greatest depths [mm] before and after, and rounds.
         """
-        before = found = self.detect(rest + point.u)
+        before = contact = self.detect(rest + point.u)
         reason, rounds, place = Reason.CONVERGED, 0, point.place
-        tight = found.depth <= PARTED
-        if found.depth > STEP:
-            place, found = approach(self.elasticity, self.detect, rest, place, self.vertices)
-        rows, best, since = found.rows, (point, before), 0
-        while not (tight and found.depth <= ALLOWED_DEPTH):
+        is_tight = contact.depth <= PARTED
+        if contact.depth > STEP:
+            place, contact = approach(self.elasticity, self.detect, rest, place, self.vertices)
+        constraints, best, since = contact.constraints, (point, before), 0
+        while not (is_tight and contact.depth <= ALLOWED_DEPTH):
             if since == PATIENCE:
-                point, found, reason = *best, Reason.CONTACT
+                point, contact, reason = *best, Reason.CONTACT
                 break
-            tight = found.depth <= PARTED
-            touching = self._with(problem, rows, rest, place)
+            is_tight = contact.depth <= PARTED
+            touching = self._with(problem, constraints, rest, place)
             first = touching.at(place)
             watch.forget()
-            point, reason = lbfgs(touching, first, watch if tight else Loosely(watch, LOOSE * first.norm))
+            point, reason = lbfgs(touching, first, watch if is_tight else LooseWatch(watch, LOOSE * first.norm))
             if reason is Reason.STAGNATED and watch.best is not None:
                 point = watch.best
             place, x, rounds = point.place, rest + point.u, rounds + 1
-            rows = rows.updated(x)
-            found = self.detect(x, rows)
-            if reason not in SOLVED:
+            constraints = replace(constraints, multipliers=constraints.forces(x))
+            contact = self.detect(x, constraints)
+            if reason not in (Reason.CONVERGED, Reason.STAGNATED):
                 break
-            rows = found.rows.carrying(rows)
+            constraints = contact.constraints.carry_multipliers(constraints)
             since += 1
-            if found.depth < 0.9 * best[1].depth:
-                best, since = (point, found), 0
-        return point, reason, _detail(before, found, rounds)
+            if contact.depth < 0.9 * best[1].depth:
+                best, since = (point, contact), 0
+        return point, reason, {
+            "contact_pairs_before": float(before.pairs),
+            "contact_pairs_after": float(contact.pairs),
+            "contact_depth_before": before.depth,
+            "contact_depth_after": contact.depth,
+            "contact_rounds": float(rounds),
+        }  # fmt: skip
 
-    def _with(self, problem: Problem, rows: Constraints, rest: Floats, place: Place) -> Problem:
+    def _with(self, problem: Problem, constraints: Constraints, rest: Floats, place: Place) -> Problem:
         """The problem with contact in its energy, and in its matrix where it pushes."""
-        matrix = self.elasticity.with_rows(rows, place)
+        matrix = self.elasticity.with_constraints(constraints, place)
 
         def at(ahead: Place) -> Point:
             point = problem.at(ahead)
             gradient = np.zeros_like(rest)
-            energy = rows.add_to(rest + ahead.u, gradient)
+            energy = constraints.add_to(rest + ahead.u, gradient)
             pulled = self.elasticity.system.coordinates.pull(gradient, ahead)
             return Point(ahead, point.energy + energy, point.gradient + pulled)
 
         def precondition(vector: Floats, near: Point) -> Floats:
-            return matrix.solve(vector, rows.forces(rest + near.u) > 0.0, near.place.rotations)
+            return matrix.solve(vector, constraints.forces(rest + near.u) > 0.0, near.place.rotations)
 
         return Problem(at, problem.move, precondition)
 
 
-def _detail(before: Detection, after: Detection, rounds: int) -> dict[str, float]:
-    """For `Solution.detail`: crossing pairs of triangles, greatest depths [mm], rounds."""
-    return {
-        "contact_pairs_before": float(before.pairs),
-        "contact_pairs_after": float(after.pairs),
-        "contact_depth_before": before.depth,
-        "contact_depth_after": after.depth,
-        "contact_rounds": float(rounds),
-    }
+def approach(
+    elasticity: Elasticity,
+    detect: Callable[[Floats, Constraints | None], Detection],
+    rest: Floats,
+    end: Place,
+    vertices: Ints,
+) -> tuple[Place, Detection]:
+    """Find a place like `end` that is not overlapped as deeply, and the contact there, with its forces for multipliers.
+
+    rest [mm], shape (n, 3); vertices (k,) are those of the surfaces.
+    """
+    moved = end.u[vertices]
+    steps = max(1, int(np.ceil(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max() / STEP)))
+    coordinates = elasticity.system.coordinates
+    place = force_free = coordinates.start(0.0 * end.u)
+    contact = detect(rest + place.u, None)
+    for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+        ahead = coordinates.start(share * end.u)
+        # Where contact pushed so far is a better place to look than where nothing did.
+        place = coordinates.start(place.u + ahead.u - force_free.u)
+        force_free = ahead
+        for _ in range(LOOKS):
+            contact = detect(rest + place.u, contact.constraints)
+            place, contact = _push(elasticity, rest, force_free, contact)
+            if contact.depth <= NEARLY:
+                break
+    return place, contact
 
 
-STEP = 1.0
-"""The way [mm] that no vertex of the surface goes further than between two looks for contact."""
-LOOKS = 3
-"""Rounds of looking and pushing at one place at most."""
-NEARLY = 0.1
-"""The depth [mm] with which the way goes on."""
-SWEEPS = 200
-"""Gauss-Seidel sweeps at most; the descent that follows makes up for what they leave."""
+def _push(elasticity: Elasticity, rest: Floats, force_free: Place, contact: Detection) -> tuple[Place, Detection]:
+    """Move away from a place without contact forces by those that minimise the dual."""
+    constraints = contact.constraints
+    if not len(constraints.ids):
+        return force_free, contact
+    gradients, compliance = elasticity.compliance(constraints, force_free)
+    forces = constraints.multipliers.copy()
+    gaps = constraints.gaps(rest + force_free.u)
+    _minimise_dual(compliance + np.diag(1.0 / constraints.stiffness), gaps, forces)
+    step = elasticity.system.solve(gradients.T @ forces, force_free.rotations)
+    place = elasticity.system.coordinates.move(force_free, step)
+    return place, replace(contact, constraints=replace(constraints, multipliers=forces))
 
 
 @njit(cache=True)
-def _dual(matrix, gaps, forces):
+def _minimise_dual(matrix, gaps, forces):
     """Projected Gauss-Seidel on the dual, from `forces` on, in place."""
     for _ in range(SWEEPS):
         change = 0.0
@@ -160,44 +193,3 @@ def _dual(matrix, gaps, forces):
             forces[i] = force
         if change < 1e-4:
             break
-
-
-def approach(
-    elasticity: Elasticity,
-    detect: Callable[[Floats, Constraints | None], Detection],
-    rest: Floats,
-    end: Place,
-    vertices: Ints,
-) -> tuple[Place, Detection]:
-    """A place like `end` that is not overlapped as deeply, and the contact there, with its forces for multipliers.
-
-    rest [mm], shape (n, 3); vertices (k,) are those of the surfaces.
-    """
-    moved = end.u[vertices]
-    steps = max(1, int(np.ceil(np.linalg.norm(moved - moved.mean(axis=0), axis=1).max() / STEP)))
-    coordinates = elasticity.system.coordinates
-    place = force_free = coordinates.start(0.0 * end.u)
-    found = detect(rest + place.u, None)
-    for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-        ahead = coordinates.start(share * end.u)
-        # Where contact pushed so far is a better place to look than where nothing did.
-        place = coordinates.start(place.u + ahead.u - force_free.u)
-        force_free = ahead
-        for _ in range(LOOKS):
-            found = detect(rest + place.u, found.rows)
-            place, found = _pushed(elasticity, rest, force_free, found)
-            if found.depth <= NEARLY:
-                break
-    return place, found
-
-
-def _pushed(elasticity: Elasticity, rest: Floats, force_free: Place, found: Detection) -> tuple[Place, Detection]:
-    rows = found.rows
-    if not len(rows.ids):
-        return force_free, found
-    gradients, compliance = elasticity.of(rows, force_free)
-    forces = rows.multipliers.copy()
-    _dual(compliance + np.diag(1.0 / rows.stiffness), rows.gaps(rest + force_free.u), forces)
-    step = elasticity.system.solve(gradients.T @ forces, force_free.rotations)
-    place = elasticity.system.coordinates.move(force_free, step)
-    return place, replace(found, rows=replace(rows, multipliers=forces))

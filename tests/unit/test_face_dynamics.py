@@ -1,0 +1,485 @@
+"""Eq. 9's recurrence, where a face is loose, and a head that turns while its face moves."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.sparse import csr_matrix
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+
+from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
+from softdeca.lhm.flesh import flesh_share
+from softdeca.reference import Parameters, Scene, SceneError, Sequence, facial_scene, solve, terms
+from softdeca.reference.face.dynamics import (
+    CLOSE,
+    DEEP,
+    RING,
+    Recurrence,
+    base_lag,
+    extrapolate_turns,
+    find_pivot,
+    measure_looseness,
+    turn_skin,
+)
+
+STEP = 1 / 60
+from_oscillator, from_implicit_euler = Recurrence.from_oscillator, Recurrence.from_implicit_euler
+RANGE = [(Parameters.info(n).low, Parameters.info(n).high) for n in ("frequency", "damping")]
+CORNERS = list(itertools.product(*RANGE))
+
+
+def rolled(recurrence, targets, last, before):
+    """The recurrence alone, without tissue."""
+    frames = [before, last]
+    for target in targets:
+        frames.append(recurrence.target(target, frames[-1], frames[-2]))
+    return np.array(frames[2:])
+
+
+@pytest.mark.parametrize(
+    ("frequency", "damping", "alpha", "beta", "gamma"),
+    # Poles of the continuous oscillator at 60 Hz, worked out apart, to four digits.
+    [(3, 0.1, 0.9221, 0.9391, 0.0949), (5, 0.2, 0.7846, 0.8110, 0.2418), (8, 0.4, 0.5146, 0.5116, 0.4824)],
+)
+def test_coefficients_are_those_of_the_poles(frequency, damping, alpha, beta, gamma):
+    found = from_oscillator(frequency, damping, STEP)
+    assert [found.alpha, found.beta, found.gamma] == pytest.approx([alpha, beta, gamma], abs=5.1e-5)
+    f, zeta = found.oscillation(STEP)
+    assert (f, zeta) == (pytest.approx(frequency, rel=1e-12), pytest.approx(damping, rel=1e-12))
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [*CORNERS, (4.0, 0.3)])
+def test_release_shows_frequency_and_logarithmic_decrement(frequency, damping):
+    """A skin let go swings as e^(-ζωt) cos(ω_d t): its crossings of zero and its peaks are measured off the motion."""
+    fine = STEP / 64  # so that crossings and peaks are found well between samples
+    n = int(4 / (frequency * fine))
+    x = rolled(from_oscillator(frequency, damping, fine), np.zeros((n, 1, 3)), np.ones((1, 3)), np.ones((1, 3)))[
+        :, 0, 0
+    ]
+    k = np.flatnonzero(x[:-1] * x[1:] < 0)
+    crossings = k + x[k] / (x[k] - x[k + 1])
+    damped = 1 / (2 * fine * np.diff(crossings).mean())
+    assert damped == pytest.approx(frequency * np.sqrt(1 - damping**2), rel=1e-3)
+    peaks = np.flatnonzero((x[1:-1] - x[:-2]) * (x[2:] - x[1:-1]) < 0) + 1
+    decrement = 2 * np.log(np.abs(x[peaks[0]] / x[peaks[1]]))  # half a period apart
+    assert decrement == pytest.approx(2 * np.pi * damping / np.sqrt(1 - damping**2), rel=2e-2)
+
+
+def test_the_free_skin_passes_through_the_continuous_motion_at_any_frame_rate():
+    """The poles are exact, so samples at 24 Hz lie on those at 240 Hz."""
+    f, zeta = 4.0, 0.3
+    omega, turn = 2 * np.pi * f, 2 * np.pi * f * np.sqrt(1 - zeta**2)
+
+    def exact(t):
+        return np.exp(-zeta * omega * t) * np.cos(turn * t) * np.ones((1, 3))
+
+    for rate in (24, 60, 240):
+        times = np.arange(1, rate) / rate
+        found = rolled(from_oscillator(f, zeta, 1 / rate), np.zeros((len(times), 1, 3)), exact(0), exact(-1 / rate))
+        assert found == pytest.approx(np.array([exact(t) for t in times]), abs=1e-12)
+
+
+def test_a_shift_of_everything_shifts_the_motion():
+    rng = np.random.default_rng(0)
+    targets, last, before = rng.normal(size=(40, 5, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
+    shift = np.array([120.0, -40.0, 7.0])
+    recurrence = from_oscillator(rng.uniform(2, 8, 5), rng.uniform(0.1, 0.7, 5), STEP)
+    moved = rolled(recurrence, targets + shift, last + shift, before + shift)
+    assert moved - shift == pytest.approx(rolled(recurrence, targets, last, before), abs=1e-11)
+
+
+def test_at_rest_the_target_is_the_expression_exactly():
+    x = np.random.default_rng(1).normal(scale=100, size=(50, 3))
+    for f, zeta in CORNERS:
+        assert from_oscillator(f, zeta, STEP).target(x, x, x) == pytest.approx(x, abs=1e-12)
+
+
+def test_no_range_of_p_grows_over_2048_frames_of_the_worst_input():
+    """Inputs within ±1 stay below γ Σ |h_k|, h_k = r^k sin((k+1)θ) / sin θ of poles r e^(±iθ); signs attain it."""
+    f, zeta = (grid.ravel() for grid in np.meshgrid(*(np.linspace(*limits, 9) for limits in RANGE)))
+    r, angle = np.exp(-zeta * 2 * np.pi * f * STEP), 2 * np.pi * f * np.sqrt(1 - zeta**2) * STEP
+    k = np.arange(2048)[:, None]
+    response = r**k * np.sin((k + 1) * angle) / np.sin(angle)
+    worst = np.repeat(np.sign(response[::-1])[:, :, None], 3, axis=2)
+    recurrence = from_oscillator(f, zeta, STEP)
+    motion = np.abs(rolled(recurrence, worst, np.zeros((len(f), 3)), np.zeros((len(f), 3))))
+    bound = recurrence.gamma * np.abs(response).sum(axis=0)
+    assert bound.max() < 7
+    assert motion.max(axis=0) == pytest.approx(np.repeat(bound[:, None], 3, axis=1), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "gamma", "damping", "slower"),
+    # γ = (ωh)²/(1 + (ωh)²) at 60 Hz, and the damping and frequency of its poles, worked out apart.
+    [(2, 0.042, 0.103, 0.99), (4, 0.149, 0.200, 0.97), (8, 0.412, 0.356, 0.89)],
+)
+def test_implicit_euler_damps_and_slows(frequency, gamma, damping, slower):
+    euler = from_implicit_euler(frequency, STEP)
+    found, ratio = euler.oscillation(STEP)
+    assert euler.gamma == pytest.approx(gamma, abs=6e-4)
+    assert ratio == pytest.approx(damping, abs=6e-4)
+    # The poles are √(1-γ) e^(±i atan(ωh)): the damped frequency is that angle over the step.
+    turned = found * np.sqrt(1 - ratio**2)
+    assert turned == pytest.approx(np.arctan(2 * np.pi * frequency * STEP) / (2 * np.pi * STEP), rel=1e-12)
+    assert found / frequency == pytest.approx(slower, abs=3e-2)
+
+
+def test_implicit_euler_is_what_an_inertia_term_over_springs_does():
+    """Each step of Inertia + Target has the closed form (k S + m/h² (2 x₁ - x₂)) / (k + m/h²) at every vertex."""
+    corners = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 10]])
+    density, f = 1.04e-6, 5.0
+    mass = density * 1000 / 6 / 4
+    k = mass * (2 * np.pi * f) ** 2
+    pulled = corners + [3.0, 0, 0]
+    euler = from_implicit_euler(f, STEP)
+    last, before = corners, corners - [0.1, 0.2, 0]
+    for _ in range(30):
+        inertia = terms.Inertia(density, STEP, positions=last, velocities=(last - before) / STEP)
+        scene = Scene(corners, [[0, 1, 2, 3]], [inertia, terms.Target(range(4), pulled, k)])
+        spring, place = scene.inertia()
+        step = (k * pulled + spring[:, None] * place) / (k + spring)[:, None]
+        assert euler.target(pulled, last, before) == pytest.approx(step, abs=1e-10)
+        assert euler.stiffness(k) == pytest.approx(k + spring[0], rel=1e-12)
+        last, before = step, last
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0.0, 0.3, STEP), r"frequency = 0 is outside \(0, 30\) Hz at 60 frames"),
+        ((np.array([4.0, 31.0]), 0.3, STEP), r"frequency = 31 is outside \(0, 30\)"),
+        ((4.0, 1.0, STEP), r"damping = 1 is outside \(0, 1\)"),
+        ((4.0, np.nan, STEP), "damping = nan"),
+        ((4.0, 0.3, 0.0), "time_step: must be finite and above 0 s"),
+    ],
+)
+def test_coefficients_out_of_range_are_named(arguments, message):
+    with pytest.raises(InputError, match=message):
+        from_oscillator(*arguments)
+
+
+def test_a_recurrence_that_grows_or_drifts_is_refused():
+    with pytest.raises(InputError, match="unstable"):
+        Recurrence(0.9, 1.0, 0.2)
+    with pytest.raises(InputError, match="would drift"):
+        Recurrence(0.5, 0.5, 0.6)
+
+
+def test_skin_that_is_loose_in_part_swings_faster_and_nearer_to_critical_until_it_only_follows():
+    """At a share s: frequency f/s, damping 1 - s (1 - ζ); at 1 what it was to the bit, at 0 the target itself."""
+    share = np.array([1.0, 0.5, 0.25])
+    found = from_oscillator(4.0, 0.3, STEP / 8, loose=share)  # at 480 Hz 16 Hz is well resolved
+    frequency, damping = found.oscillation(STEP / 8)
+    assert frequency == pytest.approx([4.0, 8.0, 16.0], rel=1e-9)
+    assert damping == pytest.approx([0.3, 0.65, 0.825], rel=1e-9)
+    whole, none = (
+        from_oscillator(4.0, 0.3, STEP),
+        from_oscillator(4.0, 0.3, STEP, loose=np.array([1.0, 0.0])),
+    )
+    assert none.alpha[0] == whole.alpha and none.beta[0] == whole.beta and none.gamma[0] == whole.gamma
+    assert (none.alpha[1], none.beta[1], none.gamma[1]) == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("rate", [24.0, 30.0, 60.0])
+def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_is_followed_behind(rate):
+    """By 2 (α - β) / γ frames at every corner of p's range; not at all where nothing is loose."""
+    share = np.linspace(0.0, 1.0, 201)
+    for f, zeta in CORNERS:
+        found = from_oscillator(f, zeta, 1 / rate, loose=share)  # Recurrence itself refuses what grows or drifts
+        assert np.abs(found.gamma + 2 * found.alpha - found.beta - 1).max() < 1e-14
+        lag = 2 * (found.alpha - found.beta) / found.gamma
+        assert lag[0] == 0.0
+        even = np.arange(600)[:, None, None] * np.ones((201, 3))
+        ends = rolled(found, even, *np.zeros((2, 201, 3)))[-1, :, 0]
+        assert 599 - ends == pytest.approx(lag, abs=1e-3)
+
+
+def test_a_recurrence_at_other_vertices_is_the_mean():
+    found = from_oscillator(np.array([2.0, 8.0]), 0.3, STEP)
+    between = found.at(csr_matrix([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]))
+    assert between.alpha == pytest.approx(np.array([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]) @ found.alpha, abs=1e-15)
+    assert between.gamma[[0, 2]] == pytest.approx(found.gamma, abs=1e-15)
+    assert from_oscillator(4.0, 0.3, STEP).at(csr_matrix(np.eye(3))).beta.shape == (3,)
+
+
+@pytest.mark.parametrize("loose", [-0.1, 1.1, np.nan])
+def test_a_share_out_of_range_is_refused(loose):
+    with pytest.raises(InputError, match="loose: expected shares"):
+        from_oscillator(4.0, 0.3, STEP, loose=np.array([0.5, loose]))
+
+
+@pytest.fixture(scope="module")
+def default():
+    """The default head of 1,212 vertices a wrap, and its expressions."""
+    space = identities.from_text("anny")
+    code = np.zeros(space.code_size)
+    return fit_head(load_template(space, level=1), space.skin(code)), space.expression_deltas(code)
+
+
+def test_lips_lids_and_skin_close_to_bone_follow_and_cheeks_are_loose(default):
+    head, _ = default
+    x, share = head.skin_wrap.vertices, measure_looseness(head)
+    bone = cdist(x, head.skull_wrap.vertices[head.bone != 0]).min(axis=1)
+    assert np.all(share[head.regions["lips"] | head.regions["lids"] | (bone <= CLOSE)] == 0.0)
+    assert share.min() >= 0.0 and share.max() == 1.0
+    assert np.all(bone[share > 0.99] > 0.9 * DEEP)
+    middle = x[head.regions["lips"]].mean(axis=0)
+    beside = head.regions["face"] & (np.abs(np.abs(x[:, 0] - middle[0]) - 45) < 8) & (np.abs(x[:, 1] - middle[1]) < 12)
+    assert beside.any() and np.median(share[beside]) > 0.7
+
+
+def test_the_recurrence_of_a_head_is_one_call(default, sphere_head):
+    head, _ = default
+    p = Parameters(frequency=3.0, damping=0.2)
+    found, share = Recurrence.from_head(head, p, STEP), measure_looseness(head)
+    uniform = from_oscillator(3.0, 0.2, STEP)
+    flesh, follows = share == 1.0, share == 0.0
+    assert flesh.any() and np.all(found.alpha[flesh] == uniform.alpha) and np.all(found.beta[flesh] == uniform.beta)
+    assert np.all(found.gamma[follows] == 1.0) and np.all(found.alpha[follows] == 0.0)
+    skin = found.at(head.skin_from_wrap)
+    assert skin.gamma.shape == (len(head.skin.vertices),)
+    everywhere = Recurrence.from_head(sphere_head, p, STEP)  # without regions
+    assert np.ptp(everywhere.gamma) == 0.0 and everywhere.gamma[0] == uniform.gamma
+    with pytest.raises(SceneError, match="parameter damping: 7 values for"):
+        Recurrence.from_head(head, Parameters(damping=np.full(7, 0.3)), STEP)
+
+
+def test_without_bone_all_flesh_is_loose(default):
+    head, _ = default
+    boneless = replace(head, bone=np.zeros_like(head.bone))
+    loose, whole = measure_looseness(boneless), measure_looseness(head)
+    assert np.array_equal(loose, flesh_share(head, fade=RING))
+    assert np.all(loose >= whole) and loose.sum() > 1.2 * whole.sum()
+
+
+def test_closed_lips_of_fast_speech_stay_closed(default):
+    """Within 1 mm of statics wherever those have them closed; with one frequency everywhere they miss it by far."""
+    head, deltas = default
+    take = expressions.speech("Bob, pop my puppy.", pace=18.0)
+    frames = [head.skin.vertices + np.tensordot(w, deltas, axes=1) for w in take.weights[10:28]]
+    still, lagging, uniform = (Sequence(head, Parameters(), dynamic=d, tolerance=1e-4) for d in (False, True, True))
+    uniform.recurrence = from_oscillator(4.0, 0.3, STEP)
+    n = len(head.bone)
+    lips = np.flatnonzero(head.regions["lips"])
+    below = (head.wrap_from_skin @ deltas[expressions.index("jawOpen")])[lips, 1]
+    upper, lower = lips[below > 0.5 * below.min()], lips[below <= 0.5 * below.min()]
+
+    def moved(sequence):
+        return np.array([sequence.frame(s).positions[:n] for s in frames])
+
+    def apart(skins):
+        return np.array([cdist(x[upper], x[lower]).min(axis=1).mean() for x in skins])
+
+    skins, now, before = moved(still), moved(lagging), moved(uniform)
+    closed = apart(skins) < apart(skins).min() + 1.0
+    assert 3 < closed.sum() < len(frames)
+    off = [np.linalg.norm(x[closed][:, lips] - skins[closed][:, lips], axis=2).max() for x in (now, before)]
+    assert off[0] < 1.0 and off[1] > 4.0
+    cheeks = measure_looseness(head) > 0.9
+    assert np.linalg.norm(now[:, cheeks] - skins[:, cheeks], axis=2).max() > 1.0
+
+
+STILL = np.stack([np.eye(3)] * 2)
+P = Parameters(target_stiffness=30.0, soft_stiffness=1.0, skin_stiffness=5.0, volume_ratio=5.0)
+
+
+def nod(times):
+    """A head that nods, shakes and tilts by some twenty degrees, shape (times, 3, 3)."""
+    t = np.asarray(times)
+    angles = [0.3 * np.sin(9 * t), 0.25 * np.sin(6 * t + 1), 0.1 * np.cos(5 * t)]
+    return Rotation.from_euler("yxz", np.stack(angles, axis=-1)).as_matrix()
+
+
+def spin(rate, frames):
+    """A head that turns evenly [rad/s] about y, shape (frames, 3, 3)."""
+    return Rotation.from_rotvec(np.arange(frames)[:, None] * STEP * rate * np.array([0.0, 1.0, 0.0])).as_matrix()
+
+
+def rolled_turning(recurrence, targets, rotations, last, before):
+    """The recurrence alone, without tissue; rotations begin two frames before the targets."""
+    frames = [before, last]
+    for k, target in enumerate(targets):
+        behind = base_lag(rotations[k + 2], frames[-1], frames[-2], rotations[k : k + 2])
+        sought = recurrence.target(target, frames[-1], frames[-2])
+        frames.append(sought if behind is None else sought + recurrence.driven_by(behind))
+    return np.array(frames[2:])
+
+
+def test_a_mass_on_a_spring_in_the_room_is_where_the_head_has_it():
+    """Implicit Euler of a mass whose spring's other end the head carries: (k R S + m/h² (2 x₁ - x₂)) / (k + m/h²)."""
+    rng = np.random.default_rng(0)
+    f, rotations = rng.uniform(2, 8, 5), nod(np.arange(42) * STEP)
+    s = 80 * rng.normal(size=(40, 5, 3))
+    x = [s[0] @ rotations[0].T, s[0] @ rotations[1].T + 0.3]
+    stiff = (2 * np.pi * f * STEP)[:, None] ** 2
+    for target, base in zip(s, rotations[2:], strict=True):
+        x.append((stiff * target @ base.T + 2 * x[-1] - x[-2]) / (stiff + 1))
+    inside = np.einsum("fni,fij->fnj", x, rotations)
+    found = rolled_turning(from_implicit_euler(f, STEP), s, rotations, inside[1], inside[0])
+    assert found == pytest.approx(inside[2:], abs=1e-9)
+    without = rolled_turning(from_implicit_euler(f, STEP), s, np.stack([np.eye(3)] * 42), inside[1], inside[0])
+    assert np.abs(without - inside[2:]).max() > 5.0
+
+
+def test_the_motion_nears_that_of_the_differential_equation_as_frames_come_closer():
+    """x'' = -ω² (x - R S) - 2ζω (x' - R' Rᵀ x) in the room, integrated by Dormand-Prince."""
+    f, zeta, rest = 4.0, 0.3, np.array([20.0, 60.0, 90.0])
+    omega = 2 * np.pi * f
+
+    def force(t, z):
+        base, speed = nod(t), (nod(t + 1e-6) - nod(t - 1e-6)) / 2e-6
+        dragged = speed @ base.T @ z[:3]
+        return np.r_[z[3:], -(omega**2) * (z[:3] - base @ rest) - 2 * zeta * omega * (z[3:] - dragged)]
+
+    start, off = nod(0.0) @ rest, []
+    moving = (nod(1e-6) - nod(-1e-6)) / 2e-6 @ rest
+    ends = nod(1.0).T @ solve_ivp(force, (0, 1), np.r_[start, moving], method="DOP853", rtol=1e-9, atol=1e-9).y[:3, -1]
+    assert np.linalg.norm(ends - rest) > 1.0
+    for rate in (60, 120, 240, 480):
+        rotations = nod(np.arange(-1, rate + 1) / rate)
+        end = rolled_turning(
+            from_oscillator(f, zeta, 1 / rate), [rest[None]] * rate, rotations, rest[None], rest[None]
+        )[-1, 0]
+        off.append(np.linalg.norm(end - ends))
+    assert np.log2(off[:-1]) - np.log2(off[1:]) == pytest.approx([1.0, 1.0, 1.0], abs=0.25)
+
+
+@pytest.mark.parametrize("loose", [1.0, 0.6])
+def test_skin_that_is_spun_evenly_flies_out_to_its_closed_form(loose):
+    """x = S / (1 - (Ω/ω)²) across the axis, to first order in Ωh; along it S. Loose in part, ω is that over loose."""
+    f, rate, fine = 4.0, 5.0, 20
+    rotations = Rotation.from_rotvec(np.arange(3000)[:, None] * [0.0, STEP / fine * rate, 0.0]).as_matrix()
+    s = np.array([[40.0, 70.0, -30.0]])
+    found = rolled_turning(from_oscillator(f, 0.3, STEP / fine, loose=loose), [s] * 2998, rotations, s, s)[-1, 0]
+    out = 1 / (1 - (rate * loose / (2 * np.pi * f)) ** 2)
+    assert np.linalg.norm(found[[0, 2]]) == pytest.approx(50.0 * out, rel=1e-4)
+    assert np.linalg.norm(found[[0, 2]] - s[0, [0, 2]] * out) < 2 * (out - 1) * 50.0 * rate * STEP / fine
+    assert found[1] == pytest.approx(70.0, abs=1e-9)
+
+
+def test_what_is_not_loose_stays_in_the_head():
+    none = from_oscillator(4.0, 0.3, STEP, loose=np.array([1.0, 0.01, 0.0]))
+    assert none.driven[0] == pytest.approx(none.gamma[0] / (8 * np.pi * STEP) ** 2, rel=1e-12)
+    assert none.driven[1] == pytest.approx(1e-4 / (8 * np.pi * STEP) ** 2, rel=1e-6) and none.driven[2] == 0.0
+    euler = from_implicit_euler(4.0, STEP)
+    assert euler.driven == euler.beta
+
+
+def test_a_spun_face_rests_where_statics_have_it_with_targets_that_fly_out(sphere_head):
+    """At rest D = -(1 - Qᵀ)² y of one frame's turn Q; the answer minimises the static energy for S + D/(ωh)²."""
+    p, rotations = replace(P, frequency=3.0, damping=0.5), spin(4.0, 80)
+    rest, middle = sphere_head.skin.vertices, find_pivot(sphere_head)
+    sequence = Sequence(sphere_head, p, dynamic=True, tolerance=1e-8)
+    sequence.begin(rest, base=extrapolate_turns(rotations))
+    for base in rotations:
+        moved = sequence.frame(rest, base=base).positions
+    skin = moved[: len(rest)]
+    once = np.eye(3) - rotations[1].T
+    aside = -(skin - middle) @ (once @ once).T / (2 * np.pi * 3.0 * STEP) ** 2
+    alone = solve(facial_scene(sphere_head, p, rest + aside), start=moved, tolerance=1e-10)
+    assert np.abs(moved - alone.positions).max() < 5e-4
+    still = solve(facial_scene(sphere_head, p, rest), tolerance=1e-10)
+    assert np.abs(moved - still.positions).max() > 1.0
+
+
+def test_a_head_that_does_not_turn_has_the_frames_it_had_to_the_bit(sphere_head):
+    x, leant = sphere_head.skin.vertices, nod(0.2)
+    frames = [x + np.sin(0.4 * k) * np.clip(-x[:, 1:2] / 100, 0, 1) * [0.0, -5.0, 2.0] for k in range(5)]
+    plain, upright, leaning = (Sequence(sphere_head, P, dynamic=True) for _ in range(3))
+    for s in frames:
+        expected = plain.frame(s).positions
+        assert np.array_equal(upright.frame(s, base=np.eye(3)).positions, expected)
+        assert np.array_equal(leaning.frame(s, base=leant).positions, expected)
+    kept, told = (Sequence(sphere_head, P, dynamic=True) for _ in range(2))
+    for k, s in enumerate(frames):
+        told.frame(s, base=nod(0.1 * min(k, 2)))
+        kept.frame(s, base=nod(0.1 * k) if k < 3 else None)  # left out, it stays as it was
+    assert np.array_equal(kept.state.positions, told.state.positions)
+    assert np.abs(told.state.positions - plain.state.positions).max() > 0.5
+
+
+def test_only_how_a_head_turns_matters_not_where_it_looks(sphere_head):
+    x, away = sphere_head.skin.vertices, Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
+    one, other = (Sequence(sphere_head, P, dynamic=True, tolerance=1e-9) for _ in range(2))
+    for base in nod(np.arange(5) * STEP):
+        moved = one.frame(x, base=base).positions
+        assert other.frame(x, base=away @ base).positions == pytest.approx(moved, abs=1e-7)
+    assert np.abs(moved[: len(x)] - x).max() > 1.0
+
+
+def test_a_motion_goes_on_into_its_first_frame(sphere_head):
+    """Begun as if at rest, a head that turns already is jerked: skin is thrown back by far more than it flies out."""
+    x, rotations = sphere_head.skin.vertices, spin(1.5, 9)
+    assert extrapolate_turns(rotations[2:]) == pytest.approx(rotations[:2], abs=1e-12)
+    assert np.array_equal(extrapolate_turns(rotations[4:5]), rotations[[4, 4]])
+    thrown = []
+    for begun in (extrapolate_turns(rotations), rotations[0]):
+        sequence = Sequence(sphere_head, P, dynamic=True)
+        start = sequence.begin(x, base=begun).positions
+        thrown.append(max(np.abs(sequence.frame(x, base=base).positions - start).max() for base in rotations))
+    assert 0.1 < thrown[0] < 0.25 * thrown[1]
+
+
+def test_statics_do_not_know_how_a_head_turns(sphere_head):
+    x = sphere_head.skin.vertices
+    plain, turning = Sequence(sphere_head, P), Sequence(sphere_head, P)
+    for k, base in enumerate(nod(np.arange(3) * STEP)):
+        s = x * (1 + 0.01 * k)
+        assert np.array_equal(plain.frame(s).positions, turning.frame(s, base=base).positions)
+
+
+def test_a_state_carries_how_the_head_turned(sphere_head):
+    x, rotations = sphere_head.skin.vertices, nod(np.arange(6) * STEP)
+    whole, first, second = (Sequence(sphere_head, P, dynamic=True) for _ in range(3))
+    expected = [whole.frame(x, base=base).positions for base in rotations]
+    for base in rotations[:3]:
+        first.frame(x, base=base)
+    assert np.array_equal(first.state.turns, rotations[1:3])
+    second.state = first.state
+    assert np.array_equal([second.frame(x, base=base).positions for base in rotations[3:]], expected[3:])
+
+
+def test_a_head_turns_about_its_neck(sphere_head):
+    x = sphere_head.skin_wrap.vertices
+    assert find_pivot(sphere_head) == pytest.approx(x.mean(axis=0))
+    low = replace(sphere_head, regions={"neck": x[:, 1] < -80})
+    assert find_pivot(low) == pytest.approx(x[x[:, 1] < -80].mean(axis=0))
+    leant = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    there = turn_skin(low, np.array([find_pivot(low), find_pivot(low) + [0.0, 10.0, 0.0]]), leant)
+    assert there == pytest.approx(find_pivot(low) + np.array([[0.0, 0, 0], [0, 0, 10]]))
+
+
+@pytest.mark.parametrize(
+    ("base", "message"),
+    [
+        (np.eye(4), r"base: expected a rotation of shape \(3, 3\), got \(4, 4\)"),
+        (np.zeros(3), r"base: expected a rotation of shape \(3, 3\), got \(3,\)"),
+        (np.full((3, 3), np.nan), "base: no rotation; R\\^T R is off the identity by inf"),
+        (1.01 * np.eye(3), r"off the identity by 0\.0201, at most 0\.0001 may be"),
+        (np.diag([1.0, 1.0, -1.0]), "base: no rotation but a reflection"),
+    ],
+)
+def test_what_is_no_rotation_is_named_and_the_state_stays(sphere_head, base, message):
+    x = sphere_head.skin.vertices
+    sequence = Sequence(sphere_head, P, dynamic=True)
+    with pytest.raises(InputError, match=message):
+        sequence.begin(x, base=base)
+    sequence.begin(x)
+    before = sequence.state
+    with pytest.raises(InputError, match=message):
+        sequence.frame(x, base=base)
+    assert sequence.state is before
+    if np.shape(base) == (3, 3):
+        with pytest.raises(InputError, match=message):
+            extrapolate_turns(np.stack([np.eye(3), base]))
+
+
+def test_a_beginning_wants_one_rotation_or_two(sphere_head):
+    with pytest.raises(InputError, match=r"base: expected one rotation \(3, 3\), or those of two frames"):
+        Sequence(sphere_head, P, dynamic=True).begin(sphere_head.skin.vertices, base=np.stack([np.eye(3)] * 3))
+    sequence = Sequence(sphere_head, P, dynamic=True)
+    sequence.begin(sphere_head.skin.vertices, base=np.eye(3, dtype=np.float32))
+    assert np.array_equal(sequence.state.turns, STILL)
