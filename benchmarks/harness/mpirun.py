@@ -28,8 +28,10 @@ def by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict:
     """What `work`, a function of a module, returns in the first of so many processes, all of which call it.
 
     The system may move them between processors. What is given and returned travels by pickle. Raises
-    MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
+    MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail, and under mpirun itself.
     """
+    if ranks.size() > 1:
+        raise SoftdecaError("this study starts mpirun itself; run it without")
     if shutil.which("mpirun") is None:
         raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
     with tempfile.TemporaryDirectory() as folder:

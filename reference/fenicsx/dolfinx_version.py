@@ -8,14 +8,13 @@ because its processes solve each on their own.
 
 from __future__ import annotations
 
-import atexit
 import fcntl
 import logging
 import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from ...lhm.base.errors import MissingDependencyError
 from ...lhm.base.files import cache
 from ...lhm.base.mesh import Floats, Ints
 from ..compiling import compiling
-from ..ranks import followers, leave
 
 for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -33,8 +31,7 @@ for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
 INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
 
 try:
-    _others = followers()  # PETSc begins in all processes at once
-    with warnings.catch_warnings(), _others.import_too(__name__) if _others else nullcontext():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources
         import basix
         import dolfinx
@@ -58,8 +55,6 @@ def parse_version(text: str) -> tuple[int, int]:
 
 VERSION = parse_version(dolfinx.__version__)
 ALONE, ALL = MPI.COMM_SELF, PETSc.COMM_WORLD.tompi4py()
-if ALL.size > 1:
-    atexit.register(leave)  # before PETSc ends, which all processes do at once
 _fem: Any = fem  # names and signatures differ by version
 
 _LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"

@@ -19,7 +19,6 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
-from ..ranks import followers
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Term
@@ -119,8 +118,6 @@ def read_scene(
     terms that differ between processes, and as Scene does.
     """
     path, facets = Path(path), Path(path if facets is None else facets)
-    if followers() is not None:
-        raise SceneError(f"{path}: a command reads whole scenes; read this one by a script under mpirun")
     grids = _grids(path)
     solids = [name for name, corners, _ in grids if corners == 4]
     if not solids:

@@ -12,10 +12,10 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
+from .. import ranks
 from ..compiling import Clock
 from ..march import Motion, march
 from ..materials import Incompressible, NeoHookean
-from ..ranks import Mirrored, followers
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Solution, first_positions
@@ -58,7 +58,7 @@ LARGE = 10_000  # tets, from which on Newton's steps with a pressure are dear en
 
 
 @check_arguments
-def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx | MirroredFenicsx:
+def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> PreparedFenicsx:
     """Make mesh, forms (compiled once per kind of scene, then cached on disk) and the matrix' pattern.
 
     element is "P1", "P2", or "P2P1" of quadratic displacement and linear pressure, for (nearly) incompressible laws.
@@ -76,10 +76,9 @@ def prepare(scene: Scene, *, element: str = "P1", linear_solver: str = "cg") -> 
     if linear_solver not in known:
         names = ", ".join(known)
         raise SceneError(f"solver 'fenicsx': unknown linear_solver {linear_solver!r}; there are {names}")
-    others = followers()
-    if others is None or processes_for(scene).size == 1:
-        return PreparedFenicsx(scene, element, linear_solver)
-    return MirroredFenicsx(Mirrored(others, PreparedFenicsx, scene, element, linear_solver), scene)
+    if processes_for(scene).size > 1:
+        scene = ranks.first(scene)
+    return PreparedFenicsx(scene, element, linear_solver)
 
 
 def _check_terms(scene: Scene, element: str):
@@ -262,44 +261,6 @@ class PreparedFenicsx:
         pressure = self._end.pressure
         at_cells = None if pressure is None else pressure[self._problem.pressure_dofs]
         return Sampling(self._end.numbering, degree).fields(self._end.u, at_cells)
-
-
-class MirroredFenicsx:
-    """A PreparedFenicsx of all processes, as the one has it that runs a command: see `ranks`."""
-
-    def __init__(self, everywhere: Mirrored, scene: Scene):
-        self._everywhere, self.scene = everywhere, scene
-
-    @check_arguments
-    def solve(
-        self,
-        scene: Scene | None = None,
-        *,
-        start: Floats | None = None,
-        warm: Solution | None = None,
-        remember: bool = False,
-        on_iteration: OnIteration | None = None,
-        **limits: Any,
-    ) -> Solution:
-        """See PreparedFenicsx; what a solution remembers is not sent to other processes, its positions are."""
-        begin = warm.positions if start is None and warm is not None else start
-        return self._everywhere.call("solve", scene, here={"on_iteration": on_iteration}, start=begin, **limits)
-
-    def march(self, **course: Any) -> Trajectory:
-        """See PreparedFenicsx."""
-        return march(self.scene, prepared=self, **course)
-
-    def carry_out(self, motion: Motion) -> Trajectory:
-        """See PreparedFenicsx."""
-        return self._everywhere.call("carry_out", bare(motion), here={"own": motion})
-
-    def set_body_force(self, density: Callable[[Floats], Floats]):
-        """See PreparedFenicsx."""
-        self._everywhere.call("set_forces", density(self._everywhere.call("force_points")))
-
-    def fields(self, degree: int) -> Fields:
-        """See PreparedFenicsx."""
-        return self._everywhere.call("fields", degree)
 
 
 def carry_out(motion: Motion, *, element: str = "P1") -> Trajectory:
