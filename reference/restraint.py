@@ -54,7 +54,7 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
 
 
 def _parts(scene: Scene) -> list[Ints]:
-    """The vertices that energies and bodies join to parts; what processes have in parts counts as one."""
+    """The vertices that energies and bodies join to parts; what ranks have in parts counts as one."""
     solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
     groups = [scene.tets[scene.tets_of(term)] for term in solids]
     groups += [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Bending))]

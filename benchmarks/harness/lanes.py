@@ -17,8 +17,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from ...lhm.base.errors import MissingDependencyError, SoftdecaError
-from ...reference.added import NotModelledError, add_file, added_files
 from ...reference import ranks
+from ...reference.added import NotModelledError, add_file, added_files
 from ...surrogate.schedule import without_interrupts
 from .apart import cpu_seconds, forget_peak, peak_megabytes
 from .study import Study, Task, Values

@@ -10,11 +10,11 @@ How to read it, from what is asked to what is solved:
 - What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (`hyperelastic` laws by UFL from
   `densities`, `laws` of singular values by `principal`, integrated by `quadrature`), surfaces
   (`membrane`, `bending`, `follower`) and loads. `bodies` makes parts rigid, `moving` adds a time step.
-- Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no process has
-  whole, `shared` how processes divide them, `assembly` the matrix. `linear` and, with a pressure, `saddle` solve
+- Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no rank has
+  whole, `shared` how ranks divide them, `assembly` the matrix. `linear` and, with a pressure, `saddle` solve
   systems, by name. `dolfinx_version` is the only module that knows which dolfinx there is.
 
-Of several processes every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package
+Of several ranks every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package
 without dolfinx raises MissingDependencyError.
 """
 

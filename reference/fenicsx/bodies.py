@@ -19,8 +19,8 @@ from ..terms import RigidBody
 from .assembly import null_space
 from .dolfinx_version import PETSc
 from .numbering import Numbering
+from .parallel import anywhere
 from .problem import Problem, State
-from .shared import anywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +49,14 @@ class Pose:
 
 
 def turned(turn: Rotation, r: Floats) -> Floats:
-    """Places r (k, 3) after a turn; of a process without nodes of a body there are none."""
+    """Places r (k, 3) after a turn; of a rank without nodes of a body there are none."""
     return turn.apply(r) if len(r) else np.zeros((0, 3))
 
 
 class RigidProblem:
     """A Problem in which bodies are rigid; unknowns come in blocks of three, bodies' translation and rotation last.
 
-    Each process has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
+    Each rank has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
     """
 
     def __init__(self, scene: Scene, order: Numbering, problem: Problem):
@@ -117,7 +117,7 @@ class RigidProblem:
         return poses
 
     def _sum(self, values):
-        """The sum over processes."""
+        """The sum over ranks."""
         return self.comm.allreduce(values)
 
     def place(self, poses: list[Pose], x: Floats):

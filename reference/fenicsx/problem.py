@@ -45,8 +45,8 @@ from .laws import (
 )
 from .membrane import Membrane
 from .numbering import CELL_SHARES, FACE_SHARES, Numbering
+from .parallel import IndexMap, anywhere
 from .quadrature import DEGREES, Quadrature
-from .shared import Shared, anywhere
 from .solids import Solid
 
 Law = tuple[Ints, PrincipalLaw]
@@ -62,7 +62,7 @@ LAWS: dict[type[Material], Callable[[Floats, Floats], PrincipalLaw]] = {
 
 @dataclass(frozen=True, eq=False)
 class Spring:
-    """Springs of targets or of inertia at nodes that this process owns.
+    """Springs of targets or of inertia at nodes that this rank owns.
 
     dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
     """
@@ -92,7 +92,7 @@ class Problem:
             self.pressure = seam.function(space)
             self.pressure_dofs = seam.cell_dofs(space, 4)
             owned, ids = seam.dof_counts(space)[0], seam.global_dofs(space)
-        self.pressures = Shared(self.comm, owned, ids[owned:], 1)
+        self.pressures = IndexMap(self.comm, owned, ids[owned:], 1)
         self.pressure_vertex: Ints = np.empty(len(ids), dtype=np.int64)
         if mixed:
             self.pressure_vertex[self.pressure_dofs] = numbering.cell_vertices
@@ -126,7 +126,7 @@ class Problem:
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
-        self.unsupported = ~numbering.nodes.marked(supported)
+        self.unsupported = ~numbering.nodes.spread_mask(supported)
         for body in scene.of(RigidBody):
             dofs = numbering.own_dofs(body.name, body.vertices)[1]
             self.unsupported[dofs] = not anywhere(self.comm, ~self.unsupported[dofs])
@@ -246,7 +246,7 @@ class Problem:
         used = np.zeros(self.pressures.count, dtype=bool)
         for forms in self.mixed_forms:
             used[self.pressure_dofs[forms.cells]] = True
-        return np.flatnonzero(~self.pressures.marked(used)[: self.pressures.owned])
+        return np.flatnonzero(~self.pressures.spread_mask(used)[: self.pressures.owned])
 
     def at(self, u: Floats, p: Floats | None = None, share: float = 1.0) -> State:
         """The problem at a displacement [mm] and a pressure [kPa], fields (n, 3) and (n_p,), and a share of loads."""
@@ -293,7 +293,7 @@ class State:
 
     @cached_property
     def energy(self) -> float:
-        """The energy [µJ], of all processes; not finite where a law does not hold."""
+        """The energy [µJ], of all ranks; not finite where a law does not hold."""
         problem = self._problem
         self.place()
         energy = -self.share * float(np.sum(problem.loads * self.u[: len(problem.loads)]))
@@ -325,7 +325,7 @@ class State:
             follower.add_gradient(self._x, total, self.share)
         for spring in problem._springs:
             total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
-        return problem.numbering.nodes.summed(total)
+        return problem.numbering.nodes.sum_up(total)
 
     def strain(self) -> Floats:
         """The energy's derivative by the pressure [mm³], a vector."""
@@ -333,7 +333,7 @@ class State:
         parts = np.zeros(self._problem.pressures.count)
         for forms in self._problem.mixed_forms:
             seam.add_vector(forms.by_pressure, parts)
-        return self._problem.pressures.summed(parts)
+        return self._problem.pressures.sum_up(parts)
 
     def by_share(self) -> Floats:
         """The gradient's derivative by the share of the loads [mN], a vector (owned, 3)."""
@@ -341,10 +341,10 @@ class State:
         forces = np.zeros_like(self.u)
         for follower in problem._followers:
             follower.add_gradient(self._x, forces)
-        return problem.numbering.nodes.summed(forces) - problem.loads
+        return problem.numbering.nodes.sum_up(forces) - problem.loads
 
     def stresses(self) -> tuple[Floats, Floats, Quadrature]:
-        """F and P [kPa] at the points of this process, shape (k q, 3, 3), of all laws together, and the quadrature."""
+        """F and P [kPa] at the points of this rank, shape (k q, 3, 3), of all laws together, and the quadrature."""
         problem = self._problem
         self.place()
         F = problem._quadrature.deformation_gradient(self.u)
@@ -394,7 +394,7 @@ class State:
         for spring in problem._springs:
             nodes = spring.dofs[:, None]
             stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])
-        return stiffness.assembled()
+        return stiffness.assemble()
 
     def _curvature(self) -> tuple[Floats, Floats]:
         """Gradient and Hessian of all laws of the singular values."""
@@ -422,4 +422,4 @@ def dead_loads(scene: Scene, order: Numbering) -> Floats:
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
         shares = np.outer(area, FACE_SHARES[order.degree])
         forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
-    return order.nodes.summed(forces)
+    return order.nodes.sum_up(forces)
