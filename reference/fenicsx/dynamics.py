@@ -20,11 +20,10 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..march import Motion
+from ..march import Energies, Motion, Trajectory
 from ..scene import Scene
 from ..solution import Reason
 from ..terms import Target
-from ..trajectory import Energies, Trajectory
 from .dolfinx_version import PETSc
 from .linear_solvers import Mumps, hold
 from .masses import accelerations, mass_matrix, times

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
-from ..recovered import Recovered
 from ..scene import Scene
+from ..solution import Stresses
 from . import dolfinx_version as seam
 from .assembly import add_forces
 from .dolfinx_version import ALONE
@@ -72,7 +72,7 @@ class NodalAnswer:
     pressure: Floats | None
 
 
-def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Recovered:
+def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
     """Compute the stresses and reactions of an answer to a scene, by elements of a degree.
 
     Any rank may ask for them, alone: it integrates over the whole mesh once. Of a scene in parts all ask together.
@@ -91,7 +91,7 @@ def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Recovered:
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Recovered.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
+    return Stresses.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
 
 
 def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:

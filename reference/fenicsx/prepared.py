@@ -19,8 +19,8 @@ from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
 from .. import ranks
-from ..compiling import Clock
-from ..march import Motion, march
+from ..clock import Clock
+from ..march import Motion, Trajectory, march
 from ..materials import Corotated, Incompressible, Material, NeoHookean
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
@@ -40,7 +40,6 @@ from ..terms import (
     Traction,
     Volume,
 )
-from ..trajectory import Trajectory
 from .bodies import RigidProblem
 from .densities import BY_DENSITY, check_mixed, shear_modulus
 from .dolfinx_version import ALONE
@@ -154,7 +153,7 @@ class PreparedFenicsx:
         self._condensed = Condensed(self._problem) if element == "P2P1" and not scene.of(Pressure) else None
         self._force: Floats | None = None
         self._end: Attempt | None = None
-        self._spent = clock.spent()
+        self._spent = clock.read()
 
     @check_arguments
     def solve(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ..compiling import Spent
+from ..clock import Seconds
 from ..scene import Scene
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, volume_ratio
 from .numbering import Numbering
@@ -99,7 +99,7 @@ class Run:
     def _positions(self, numbering: Numbering, u: Floats) -> Floats:
         return numbering.to_scene(numbering.X + u, self._elsewhere)
 
-    def solution(self, end: Attempt, preparation: Spent, *, remember: bool = False) -> Solution:
+    def solution(self, end: Attempt, preparation: Seconds, *, remember: bool = False) -> Solution:
         """Give an attempt's answer, which another solve may start from if it is to be remembered."""
         positions = self._positions(end.numbering, end.u)
         held, values = self.scene.dirichlet()

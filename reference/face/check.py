@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..lhm import expressions
-from ..lhm.check import Figure
-from ..lhm.head import LayeredHead
-from ..lhm.membranes import BLINK, OPEN
-from ..reference import Parameters, facial_scene, solve
+from ...lhm import expressions
+from ...lhm.check import Figure
+from ...lhm.head import LayeredHead
+from ...lhm.membranes import BLINK, OPEN
+from .. import Parameters, facial_scene, solve
 
 INVERTED = 100
 """Random identities and scans of levels 1 and 2: 0 to 68. Sealed lips alone may stay below it: `jaw_open_torn` tells
@@ -18,7 +18,7 @@ those."""
 GATES = (("jaw_open_inverted_tets", OPEN), ("blink_inverted_tets", BLINK))
 
 
-def posed_figures(head: LayeredHead) -> tuple[Figure, ...]:
+def check_posed_head(head: LayeredHead) -> tuple[Figure, ...]:
     """Tets inverted in jawOpen and in both blinks, each at full weight by the head's own rig; none without one."""
     if head.rig is None:
         return ()
