@@ -91,7 +91,7 @@ def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Stresses.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
+    return Stresses.from_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
 
 
 def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:
