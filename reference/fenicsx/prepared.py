@@ -18,10 +18,11 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from .. import ranks
+from .. import materials, ranks
 from ..clock import Clock
 from ..march import Motion, Trajectory, march
-from ..materials import Corotated, Incompressible, Material, NeoHookean
+from ..materials import Incompressible, NeoHookean
+from ..materials.material import HasDensity, HasStretches
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Solution, first_positions
@@ -41,10 +42,10 @@ from ..terms import (
     Volume,
 )
 from .bodies import RigidProblem
-from .densities import BY_DENSITY, check_mixed, shear_modulus
 from .dolfinx_version import ALONE
 from .dynamics import March
 from .fields import Fields, NodalAnswer, Sampling, recover
+from .hyperelastic import check_mixed
 from .linear_solvers import LINEAR_SOLVERS, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
@@ -71,7 +72,7 @@ TERMS = (
 )
 MOVING_TERMS = tuple(kind for kind in TERMS if kind not in (RigidBody, Pressure, Inertia))
 """Those of a march: mass is given to it."""
-LAWS: tuple[type[Material], ...] = (*BY_DENSITY, Corotated)
+LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasDensity, HasStretches)))
 GIVEN_UP = (Reason.LINE_SEARCH, Reason.LINEAR_SOLVER)
 """Reasons after which another strategy is tried."""
 FORCE_DEGREE = 6
@@ -141,7 +142,7 @@ class PreparedFenicsx:
         self._large = self.comm.allreduce(len(self._numbering.tet)) >= LARGE
         self._problem = Problem(scene, self._numbering, mixed=element == "P2P1")
         # Multigrid leaves too much of volumes in steps by a displacement alone.
-        stiff = any(t.material.stiffness > STIFF * shear_modulus(t.material) for t in scene.of(Hyperelastic))
+        stiff = any(t.material.stiffness > STIFF * t.material.shear_modulus for t in scene.of(Hyperelastic))
         small = 3 * self._numbering.nodes.total < LARGE_SADDLE
         by_factors = linear_solver == "mumps" or (linear_solver == "cg" and stiff and small)
         make = LINEAR_SOLVERS["mumps" if by_factors else "cg"]
@@ -286,7 +287,7 @@ def soften(scene: Scene) -> Scene:
     terms: list[Term] = []
     for term in scene.terms:
         if isinstance(term, Hyperelastic):
-            mu = shear_modulus(term.material)
+            mu = term.material.shear_modulus
             term = replace(term, material=NeoHookean(mu, BULK * mu))
         terms.append(term)
     return replace(scene, terms=tuple(terms))
