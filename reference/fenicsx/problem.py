@@ -40,8 +40,8 @@ Law = tuple[Ints, HasStretches]
 class Problem:
     """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
 
-    Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the pressure
-    [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
+    Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the
+    pressure [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
     `pressure_vertex`; of another one there are none. `softness` is the sum of their 1/mu [1/kPa] per cell.
     """
 
