@@ -124,7 +124,7 @@ class Split(OfPerson):
         of = self.person()
         head, shape = of.head, of.shape(task.method)
         parameters, linear = EFFECTS[task.case], _prepared(self, task.case)
-        weights = expressions.parsed(task.method)
+        weights = expressions.parse_weights(task.method)
         network = (
             Surrogate.load().bind(head.skin, of.code, parameters, beyond="clamp").frame(weights).astype(np.float64)
         )

@@ -133,7 +133,7 @@ class WorkPrecision(OfPerson):
 
     def _learned(self, text: str, label: str) -> dict:
         of, problem = self.person(), _problem(self, text, FACE)
-        weights, shape = expressions.parsed(text), of.shape(text)
+        weights, shape = expressions.parse_weights(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
         bind = _binds(of)[label]
         bind()  # not counted, like the first solve

@@ -34,7 +34,7 @@ from scipy.spatial import cKDTree
 
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import LEAN_REGIONS, fleshy
+from ...lhm.flesh import LEAN_REGIONS, flesh_share
 from ...lhm.head import FREE, LayeredHead
 from .parameters import Parameters, spread_to_vertices
 
@@ -180,7 +180,7 @@ def measure_looseness(head: LayeredHead) -> Floats:
     n = len(head.bone)
     if not all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")):
         return np.ones(n)
-    flesh, bone = fleshy(head, fade=RING), head.bone != FREE
+    flesh, bone = flesh_share(head, fade=RING), head.bone != FREE
     if not bone.any():
         return flesh
     depth = cKDTree(head.skull_wrap.vertices[bone]).query(head.skin_wrap.vertices)[0]

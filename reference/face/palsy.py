@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Surface
-from ...lhm.flesh import expressive, eye_sockets
+from ...lhm.flesh import expressive_share, socket_share
 from ...lhm.head import LayeredHead
 from .parameters import Parameters, spread_to_vertices
 
@@ -45,7 +45,7 @@ def activation(head: LayeredHead, parameters: Parameters) -> Floats:
     A palsy is of the face alone: scalp, ears and neck stay tied to what is below.
     """
     share = activation_share(left_share(head.skin_wrap), parameters.paralysis_left, parameters.paralysis_right)
-    return 1.0 - expressive(head) * (1.0 - share)
+    return 1.0 - expressive_share(head) * (1.0 - share)
 
 
 def skin_activation(head: LayeredHead, parameters: Parameters) -> Floats | None:
@@ -81,7 +81,7 @@ class Springs:
         if not has_palsy(parameters):
             return cls(whole)
         share = activation(head, parameters)
-        passive = (1.0 - share) * eye_sockets(head)
+        passive = (1.0 - share) * socket_share(head)
         active = np.divide(share, share + passive, out=np.ones_like(share), where=passive > 0.0)
         return cls(whole * (share + passive), active[:, None])
 

@@ -20,9 +20,9 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ...lhm.flesh import LEAN_REGIONS, fleshy
+from ...lhm.flesh import LEAN_REGIONS, flesh_share
 from ...lhm.head import FREE, LayeredHead
-from ...lhm.wraps.harmonic import harmonic
+from ...lhm.wraps.columns import fill_harmonically
 from .. import terms
 from ..added import all_solvers
 from ..scene import Scene
@@ -162,7 +162,7 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
     parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
     skin = head.skin.vertices + carry_skin(head, parameters)
     scene = facial_scene(head, parameters, skin, **choices | {"bones": "prescribed", "neutral": skin})
-    kept = 1.0 - (fleshy(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
+    kept = 1.0 - (flesh_share(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
     return replace(
         scene,
         terms=tuple(
@@ -174,7 +174,7 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
 def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
     """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
     moved = scale_skull(head, parameters) - head.skull_wrap.vertices
-    return harmonic(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
+    return fill_harmonically(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
 
 
 def carry_skin(head: LayeredHead, parameters: Parameters) -> Floats:

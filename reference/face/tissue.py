@@ -33,7 +33,7 @@ from ...lhm.base.geometry.tets import untangle
 from ...lhm.base.geometry.topology import split_triangles
 from ...lhm.base.mesh import Floats, Ints, Surface, as_points, tet_volumes
 from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
-from ...lhm.layers import prism_tets, stacked
+from ...lhm.layers import prism_tets, stack_wraps
 from ..scene import Scene
 from ..terms import Strain
 
@@ -89,7 +89,7 @@ class Stack:
     def _from_merged(cls, head: LayeredHead, layers: int) -> Stack:
         """Prisms straight from skin to skull; a few tets fold where columns bend at the muscle, and are left out."""
         n = len(head.bone)
-        vertices = stacked((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
+        vertices = stack_wraps((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
         tets = np.vstack([prism_tets(head.skin_wrap.triangles, k * n, (k + 1) * n) for k in range(layers)])
         volumes = tet_volumes(vertices, tets)
         sound = volumes > FLATTEST * np.median(volumes)
@@ -106,8 +106,8 @@ class Stack:
             # Vertices between twisted prisms' wraps are not evenly spaced, and stay as far off.
             now, n = (skin, skull) if self.muscle is None else (skin, muscle, skull), len(skin)
             firsts = n * np.cumsum([0, *self.counts])
-            rest = stacked([self.vertices[first : first + n] for first in firsts], self.counts)
-            return stacked(now, self.counts) + (self.vertices - rest)
+            rest = stack_wraps([self.vertices[first : first + n] for first in firsts], self.counts)
+            return stack_wraps(now, self.counts) + (self.vertices - rest)
         wraps = np.vstack([skin, muscle, skull])
         moved = wraps - self.vertices[: len(wraps)]
         return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])

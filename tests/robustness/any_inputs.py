@@ -109,7 +109,7 @@ def any_values(data) -> None:
 @given(st.data())
 def any_texts(data) -> None:
     """What commands read from their words: expressions, takes, identities, counts."""
-    reads: list[Callable[[str], object]] = [expressions.parsed, identities.from_text, _counts, take_from_text]
+    reads: list[Callable[[str], object]] = [expressions.parse_weights, identities.from_text, _counts, take_from_text]
     read = data.draw(st.sampled_from(reads))
     part = st.sampled_from(
         ["jawOpen", "cheekPuff", "*", "+", ":", ",", "anny", "ict", "conversation", "speech", "nan", "1"]

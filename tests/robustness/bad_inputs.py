@@ -174,7 +174,7 @@ def functions() -> Iterator[Function]:
     yield Function("weights_of", expressions.weights_of, {"named": {"jawOpen": 0.5}})
     yield Function("weights_of's weight", lambda weight: expressions.weights_of({"jawOpen": weight}), {"weight": 0.5})
     yield Function("expressions.index", expressions.index, {"name": "jawOpen"})
-    yield Function("checked_weights", expressions.checked_weights, {"weights": np.zeros(52)})
+    yield Function("checked_weights", expressions.check_weights, {"weights": np.zeros(52)})
     yield Function("blend", expressions.blend, {"space": SPACE, "code": code, "weights": np.zeros(52)})
     moved = {"source_neutral": HEAD.skin, "source_deltas": DELTAS, "target": HEAD.skin}
     yield Function("transfer_expressions", expressions.transfer_expressions, moved)
@@ -184,14 +184,14 @@ def functions() -> Iterator[Function]:
         "examples": HEAD.skin.vertices[None],
         "weights": np.ones((1, 52)),
     }
-    yield Function("personalised", expressions.personalised, scans | {"rounds": 1})
+    yield Function("personalised", expressions.personalise, scans | {"rounds": 1})
     for name in ("conversation", "combinations"):
         good = {"rng": np.random.default_rng(0), "frames": 60, "rate": 60.0}
         yield Function(name, getattr(expressions, name), good)
     yield Function("sample_weights", expressions.sample_weights, {"rng": np.random.default_rng(0)})
     yield Function("Take", expressions.Take, {"weights": np.zeros((3, 52)), "rate": 60.0, "times": np.arange(3) / 60})
     yield Function("read_take", expressions.read_take, {"path": "no/such.csv"})
-    yield Function("resampled", expressions.resampled, {"take": TAKE, "rate": 30.0})
+    yield Function("resampled", expressions.resample, {"take": TAKE, "rate": 30.0})
     yield Function(
         "recordings", expressions.recordings, {"folder": None, "conversations": 1, "random": 1, "seconds": 1.0}
     )

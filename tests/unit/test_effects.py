@@ -15,7 +15,7 @@ from softdeca.benchmarks.effect_run import run_effect, with_effect
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.effects import STARTS, Effects
 from softdeca.lhm.base.errors import InputError
-from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
+from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
@@ -44,7 +44,7 @@ def head(spheres):
 
 
 def test_flesh_fades_in_along_the_skin(fine_head):
-    x, share = fine_head.skin_wrap.vertices, fleshy(fine_head)
+    x, share = fine_head.skin_wrap.vertices, flesh_share(fine_head)
     brow = x[fine_head.regions["lids"], 1].max() + 10.0
     none = (x[:, 1] >= brow) | fine_head.regions["lips"] | fine_head.regions["lids"]
     none |= ~(fine_head.regions["face"] | fine_head.regions["neck"])
@@ -56,7 +56,7 @@ def test_flesh_fades_in_along_the_skin(fine_head):
 
 
 def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
-    x, share = fine_head.skin_wrap.vertices, cheeks(fine_head)
+    x, share = fine_head.skin_wrap.vertices, cheek_share(fine_head)
     mirrored = np.argmin(cdist(x * [-1, 1, 1], x), axis=1)
     np.testing.assert_allclose(share[mirrored], share, atol=1e-9)
     lips, lids = (x[fine_head.regions[name]] for name in ("lips", "lids"))
@@ -67,12 +67,12 @@ def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
 
 def test_a_head_without_regions_is_named(sphere_head):
     with pytest.raises(InputError, match="'lids'|'face'"):
-        fleshy(sphere_head)
+        flesh_share(sphere_head)
 
 
 def test_a_share_per_triangle_is_the_mean_of_its_corners(head):
     y = head.skin_wrap.vertices[:, 1]
-    np.testing.assert_allclose(on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)
+    np.testing.assert_allclose(mean_on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
@@ -130,7 +130,7 @@ def test_a_neutral_face_without_an_effect_is_at_rest(head):
 
 
 def test_flesh_that_grows_is_not_held_by_the_old_surface(head):
-    parameters = Parameters(soft_volume=1.0 + 0.2 * on_triangles(head, fleshy(head)))
+    parameters = Parameters(soft_volume=1.0 + 0.2 * mean_on_triangles(head, flesh_share(head)))
     held = solve(facial_scene(head, parameters, head.skin.vertices, bones="prescribed"))
     free = solve(neutral_scene(head, parameters))
     grown = parameters.soft_volume.repeat(3) > 1.19
@@ -149,9 +149,11 @@ def test_what_leaves_the_neutral_face_alone_costs_no_solve(head, changes):
 
 @pytest.mark.parametrize("layers", [(1, 1), (2, 1)])
 def test_the_settled_face_moves_with_its_flesh_and_bones(head, layers):
-    heavier = settle(head, Parameters(soft_volume=1.0 + 0.2 * on_triangles(head, fleshy(head))), layers=layers)
+    heavier = settle(
+        head, Parameters(soft_volume=1.0 + 0.2 * mean_on_triangles(head, flesh_share(head))), layers=layers
+    )
     out = np.einsum("ij,ij->i", heavier.displacement, head.skin.vertices) / 100.0
-    share = head.skin_from_wrap @ fleshy(head)
+    share = head.skin_from_wrap @ flesh_share(head)
     assert heavier.converged and out[share > 0.9].mean() > 0.2
     assert np.abs(heavier.displacement[share == 0.0]).max() < 0.3 * out.max()
     longer = settle(head, Parameters(mandible_scale_y=1.15), layers=layers)
@@ -170,7 +172,7 @@ def test_a_head_without_regions_is_held_everywhere(sphere_head):
 
 def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkeypatch):
     # Where all targets let go, and no bone is free, the settled face is in balance with targets that follow it.
-    monkeypatch.setattr("softdeca.reference.face.settle.fleshy", lambda head: np.ones(len(head.bone)))
+    monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
     effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
     at_rest, ended = with_effect(toothless, effect, head.skin.vertices)

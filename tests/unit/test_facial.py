@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.warp import rigid_motion
-from softdeca.lhm.refine import refined_head
+from softdeca.lhm.remesh import refine_head
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene, terms
 from softdeca.reference.face.bones import carry_wraps
 from softdeca.reference.face.palsy import Springs
@@ -275,7 +275,7 @@ def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
 
 
 def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
-    head = refined_head(sphere_head)
+    head = refine_head(sphere_head)
     rest = head.skin.vertices
     with pytest.raises(SceneError, match="layers"):
         facial_scene(head, Parameters(), rest, layers=(2, 1))
@@ -289,12 +289,12 @@ def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
 
 
 def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):
-    head = refined_head(sphere_head)
+    head = refine_head(sphere_head)
     stack = Stack.from_head(head, (1, 1), ())
     wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
-    assert stack.between(*wraps) == pytest.approx(head.vertices)
+    assert stack.interpolate(*wraps) == pytest.approx(head.vertices)
     shift = np.array([1.0, -2.0, 3.0])
-    assert stack.between(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
+    assert stack.interpolate(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
     assert stack.first_of_skull == 2 * len(head.bone)
 
 

