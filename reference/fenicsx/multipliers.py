@@ -199,14 +199,6 @@ class MultiplierDescent:
         self._first = max(self._first, force)
         return self._alternate(lifted)
 
-    def _round(self, state: CondensedState, threshold, *, near: bool = False) -> tuple[CondensedState, Reason]:
-        """Minimise the condensed energy."""
-        left = self._limit - self._iterations
-        after, reason, made = self._newton.minimise(state, threshold=threshold, max_iterations=left, near=near)
-        self._iterations += made
-        assert isinstance(after, CondensedState)
-        return after, reason
-
     def _alternate(self, state: CondensedState) -> tuple[CondensedState, Reason]:
         """Minimise and correct the pressure in turns, until forces and volumes are in balance."""
         condensed = self._condensed
@@ -221,7 +213,12 @@ class MultiplierDescent:
             def threshold(first: float, share: float = share) -> float:
                 return max(share * first, last / 2)
 
-            state, reason = self._round(state, threshold, near=turn > 0)
+            after, reason, made = self._newton.minimise(
+                state, threshold=threshold, max_iterations=self._limit - begin, near=turn > 0
+            )
+            assert isinstance(after, CondensedState)
+            state = after
+            self._iterations += made
             if reason not in (Reason.CONVERGED, Reason.STAGNATED):
                 return state, reason
             size = self._norm(state.p)
