@@ -1,4 +1,4 @@
-"""What files of one's own add: laws and solvers, which studies then have beside those that are here."""
+"""Laws and solvers that files of one's own add: studies then have them beside those of the package."""
 
 from __future__ import annotations
 

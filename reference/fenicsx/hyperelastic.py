@@ -81,7 +81,7 @@ LazyEvaluator = Callable[[], Callable[[Ints], Floats]]
 
 
 def lazy_evaluator(expression, degree: int, domain) -> LazyEvaluator:
-    """What gives the function of cells for an expression at a rule's points; the code may be large, and not needed."""
+    """Compile an expression's evaluator at a rule's points on first use: its code may be large, and not needed."""
 
     @cache
     def evaluator() -> Callable[[Ints], Floats]:
@@ -100,7 +100,7 @@ def stress_and_tangent(psi, F, degree: int, domain) -> tuple[LazyEvaluator, Lazy
 class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there.
 
-    Of a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
+    For a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
     and that by the pressure twice, negative semi-definite [mm³/kPa].
     """
 

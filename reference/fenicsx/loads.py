@@ -101,7 +101,7 @@ class Springs:
 
     @classmethod
     def from_scene(cls, scene: Scene, order: Numbering) -> list[Springs]:
-        """Those of a scene's targets, and of its inertia."""
+        """The springs of a scene's targets, and of its inertia."""
         springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
         stiffness, places = scene.inertia()
         moving = np.flatnonzero(stiffness)

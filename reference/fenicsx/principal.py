@@ -53,7 +53,7 @@ def modes(s: Floats, p: Floats, h: Floats) -> Modes:
 
 @njit(cache=True)
 def _indefinite(block):
-    """Which of symmetric blocks (m, 3, 3) are not positive definite, by their leading minors."""
+    """Mask the symmetric blocks (m, 3, 3) that are not positive definite, by their leading minors."""
     indefinite = np.empty(len(block), dtype=np.bool_)
     for e in range(len(block)):
         a, b, c = block[e, 0, 0], block[e, 0, 1], block[e, 0, 2]

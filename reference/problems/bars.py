@@ -102,7 +102,7 @@ PULLED_LENGTH, PULLED_CELLS, FEW_CELLS = 6.0, (24, 4, 4), (12, 2, 2)
 CLAMPED = 3.0
 """From the clamp on, widths of the bar that are left out."""
 START = 0.9
-"""Of the stretch is where a solve starts, so that the answer is not given away."""
+"""The share of the stretch that a solve starts from, so that the answer is not given away."""
 FLAT = 4.0
 """The stretch from which on tets of Strain + Volume are flat rather than round."""
 STRETCHES = (2.0, 5.0, 10.0)
@@ -118,7 +118,7 @@ def strain_law(stretch: float) -> tuple[Floats, float]:
 
 
 def strain_and_volume_law(stretch: float) -> tuple[Floats, float]:
-    """Of ‖F - R‖²/2 + VOLUME/2 min ‖F - T‖² over det T = 1.
+    """The same of ‖F - R‖²/2 + VOLUME/2 min ‖F - T‖² over det T = 1.
 
     For T = diag(1/(a b), a, b) the best lateral stretches are (1 + VOLUME (a, b)) / (1 + VOLUME), which leaves a
     problem in a and b.
@@ -136,7 +136,7 @@ def strain_and_volume_law(stretch: float) -> tuple[Floats, float]:
 
 
 def neo_hookean_law(stretch: float, poisson: float = POISSON) -> tuple[Floats, float]:
-    """Of the neo-Hookean law: mu (s - 1/s) + lmbda ln J / s along each axis, which vanishes along the lateral ones."""
+    """The same of the neo-Hookean law: mu (s - 1/s) + lmbda ln J / s along each axis, 0 along the lateral ones."""
     mu, lmbda = lame(YOUNG, poisson)
 
     def stress(along: float, s: float, lateral: float) -> float:

@@ -204,7 +204,7 @@ def pulled_scene(row: Row) -> Scene:
 
 
 def stretch_along(axis: int, reference: float) -> Callable[[Scene, Solution], float]:
-    """Of the vertices at the far face, the stretch along `axis` that is farthest from the reference."""
+    """Measure the stretch along `axis` at the far face, that of the vertex farthest from the reference."""
 
     def quantity(scene: Scene, solution: Solution) -> float:
         stretches = solution.positions[vertices_at(scene.vertices, axis, 1.0), axis]

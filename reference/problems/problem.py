@@ -1,4 +1,4 @@
-"""Verification problems and hard cases as data, and what a solver makes of them."""
+"""Verification problems and hard cases as data, and the results of solvers."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class HardCase:
 
 @dataclass(frozen=True)
 class HardOutcome:
-    """What one solver made of one case.
+    """One solver's result of one case.
 
     `outcome` is "passed"; "missed" for an answer that is off, such as an equilibrium that is not the one sought; or the
     name of the reason it stopped.

@@ -86,7 +86,7 @@ class Elements:
         return gradient.reshape(-1, 3, gradient.shape[-1])
 
     def integral(self, psi: Floats) -> float:
-        """Of a density at the points, shape (m q,)."""
+        """Integrate a density at the points, shape (m q,)."""
         return float(self.weights.ravel() @ psi)
 
     def forces(self, stress: Floats) -> Floats:
@@ -175,7 +175,7 @@ class Discretisation:
         return result
 
     def held_dofs(self, vertices: np.ndarray) -> np.ndarray:
-        """Which degrees of freedom (size,) are held where components of vertices are, a mask (n, 3).
+        """Mask the degrees of freedom (size,) that are held where components of vertices are, a mask (n, 3).
 
         A node on an edge is held where all of a face of the boundary is: an edge through the inside that joins two held
         faces stays free.

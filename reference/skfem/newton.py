@@ -29,7 +29,7 @@ OnStep = Callable[[Floats, float, float], bool]
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """What is large for a scene: a length [mm] no step exceeds, and a vertex' stiffness [mN/mm]."""
+    """A scene's scales: a length [mm] that no step exceeds, and a vertex' stiffness [mN/mm]."""
 
     length: float
     stiffness: float

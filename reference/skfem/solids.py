@@ -31,7 +31,7 @@ LEVI_CIVITA = np.zeros((3, 3, 3))
 LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1.0
 Treatment = Callable[[Floats], Floats]
-"""What is done to the tangents at points before they are assembled: `project_spd`, or nothing."""
+"""A treatment of the tangents at points before they are assembled: `project_spd`, or none."""
 
 
 class Tets:
@@ -108,7 +108,7 @@ class Law(Protocol):
 
 @dataclass(frozen=True)
 class ByInvariants:
-    """A law as a function of I1, I2 and J, by the chain rule; F's polynomials, they have derivatives for every F."""
+    """A law of I1, I2 and J, by the chain rule; these are polynomials of F, with derivatives everywhere."""
 
     law: HasInvariants
 
@@ -140,7 +140,7 @@ class ByInvariants:
 
 
 def _chain(by_F: Floats, hessian: Floats) -> Floats:
-    """What a Hessian (m, k, k) by k quantities gives to the tangent, from their derivatives by F (m, k, 3, 3)."""
+    """Give the tangent's part from a Hessian (m, k, k) by k quantities and their derivatives by F (m, k, 3, 3)."""
     flat = by_F.reshape(*by_F.shape[:2], 9)
     return (flat.transpose(0, 2, 1) @ (hessian @ flat)).reshape(-1, 3, 3, 3, 3)
 
@@ -374,7 +374,7 @@ def _root(sigma: Floats, target: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def _nearest_root(sigma: Floats, target: Floats) -> Floats:
-    """Of the smallest and the largest root in (0, sigma_3), the one whose stretches are nearer to sigma."""
+    """Choose the smallest or the largest root in (0, sigma_3): the one whose stretches are nearer to sigma."""
     if not len(sigma):
         return np.zeros(0)
     fractions = np.linspace(0, 1, 33)

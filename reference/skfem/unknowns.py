@@ -1,4 +1,4 @@
-"""What Newton's method moves: free degrees of freedom, and each rigid body as a whole.
+"""The unknowns of Newton's method: free degrees of freedom, and each rigid body as a whole.
 
 A body's six unknowns are a translation t and a turn w, both [mm]: with y the places of its vertices about their mean
 and ρ their RMS, the vertices move by t and y turns to C y, C = (I - W)⁻¹ (I + W) with W = [w/2ρ]ₓ (Cayley). That is
