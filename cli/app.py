@@ -4,7 +4,7 @@ import sys
 
 import click
 
-from ..lhm.base.errors import SoftdecaError
+from ..lhm.base.errors import InputError, SoftdecaError
 from ..reference import ranks
 from . import animate, bench, corpus, head, simulate, study, train, view
 from .streams import silence_streams
@@ -15,11 +15,17 @@ ROOT = (
     "start them unless OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 stand in the environment."
 )
 
+SHARED = ("study", "bench", "evaluate")
+"""The commands that solve by FEniCSx, whose solves ranks of mpirun share."""
+
 
 @click.group(context_settings={"show_default": True}, epilog=ROOT)
 @click.version_option(package_name="softdeca", prog_name="softdeca", message="%(prog)s %(version)s")
-def app() -> None:
+@click.pass_context
+def app(context: click.Context) -> None:
     """A finite-element reference on FEniCSx, and a learned surrogate, for physics-based faces."""
+    if ranks.size() > 1 and context.invoked_subcommand not in SHARED:
+        raise InputError(f"softdeca {context.invoked_subcommand}: solves nothing by FEniCSx; run it without mpirun")
 
 
 app.add_command(study.study)
@@ -36,17 +42,15 @@ app.add_command(bench.bench)
 def main() -> None:
     """Run the command; an error that a user can act on is one line, not a traceback.
 
-    Of processes that mpirun starts together the first one runs it, and the others help FEniCSx.
+    Under mpirun every rank runs it; rank 0 prints and writes.
     """
     with end_at_ctrl_c():
-        status = _run()
-        ranks.leave(status)
-        sys.exit(status)
+        sys.exit(_run())
 
 
 def _run() -> int:
     try:
-        ranks.lead()
+        ranks.begin()
         status = app.main(sys.argv[1:] or ["--help"], prog_name="softdeca", standalone_mode=False) or 0
         sys.stdout.flush()
     except SoftdecaError as error:
@@ -79,6 +83,7 @@ def _say(line: str, status: int) -> int:
         print(line, file=sys.stderr, flush=True)
     except OSError:
         silence_streams(2)
+    ranks.leave(status, line)
     return status
 
 

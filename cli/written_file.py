@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from ..lhm.base.files.atomic import check_place
+from ..reference import ranks
 
 
 class WrittenFile(click.Path):
@@ -31,11 +32,11 @@ class WrittenFolder(click.Path):
         super().__init__(path_type=Path)
 
     def convert(self, value, param, ctx):
-        """The path; InputError where no folder can be."""
+        """The path, of ranks above 0 a copy's; InputError where no folder can be."""
         super().convert(value, param, ctx)
         path = Path(value)
         check_place(path, folder=True)
-        return path
+        return ranks.writable(path)
 
 
 NPZ, PNG, HTML, ANY, FOLDER = (

@@ -241,7 +241,7 @@ def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solutio
     """
     path = Path(path)
     if scene.in_parts:
-        raise InputError(f"{path}: processes have this scene in parts; its own method write writes them together")
+        raise InputError(f"{path}: ranks have this scene in parts; its own method write writes them together")
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
     if solution.positions.shape != scene.vertices.shape or len(solution.volume_ratio) != len(scene.tets):

@@ -17,8 +17,8 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from ...lhm.base.errors import MissingDependencyError, SoftdecaError
+from ...reference import ranks
 from ...reference.added import NotModelledError, add_file, added_files
-from ...reference.ranks import followers
 from ...surrogate.schedule import without_interrupts
 from .apart import cpu_seconds, forget_peak, peak_megabytes
 from .study import Study, Task, Values
@@ -57,11 +57,14 @@ class Measured:
 def measured(jobs: Sequence[Job], lanes: int) -> Iterator[Measured]:
     """Each job as it is done, by as many processes side by side; they end with the iterator.
 
-    A process goes on with the case that it is at, of which it may have kept something. Under mpirun, whose processes
-    share each solve of FEniCSx, this process does all.
+    A process goes on with the case that it is at, of which it may have kept something. Under mpirun, whose ranks
+    share each solve of FEniCSx, every rank does all.
     """
-    if followers() is not None:
-        yield from map(_measure, jobs)
+    if ranks.size() > 1:
+        for job in jobs:
+            ended = _measure(job)
+            ranks.check_in_step(f"{job.study.name}: {job.task}, {ended.status}", failed=ended.status == "failed")
+            yield ended
         return
     waiting = list(jobs)
     running: dict[Future, _Lane] = {}

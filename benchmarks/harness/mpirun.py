@@ -1,4 +1,4 @@
-"""Work by several processes of mpirun, as FEniCSx shares a mesh among them."""
+"""Work by several ranks of mpirun, as FEniCSx shares a mesh among them."""
 
 from __future__ import annotations
 
@@ -25,38 +25,41 @@ SETTINGS = {
 
 
 def by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict:
-    """What `work`, a function of a module, returns in the first of so many processes, all of which call it.
+    """Call `work`, a function of a module, in so many ranks, and return what it gives on rank 0.
 
-    The system may move them between processors. What is given and returned travels by pickle. Raises
-    MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
+    The system may move them between processors. What is given and returned travels by pickle.
+
+    Raises MissingDependencyError where there is no mpirun, SoftdecaError where its ranks fail and under mpirun itself.
     """
+    if ranks.size() > 1:
+        raise SoftdecaError("this study starts mpirun itself; run it without")
     if shutil.which("mpirun") is None:
         raise MissingDependencyError("mpirun is not installed; Debian: apt-get install openmpi-bin")
     with tempfile.TemporaryDirectory() as folder:
-        question, told = Path(folder) / "given", Path(folder) / "told"
+        question, reply = Path(folder) / "given", Path(folder) / "reply"
         question.write_bytes(pickle.dumps((work, given)))
-        python = [sys.executable, "-c", START, str(question), str(told)]
+        python = [sys.executable, "-c", START, str(question), str(reply)]
         command = ["mpirun", "--bind-to", "none", "--oversubscribe", "-n", str(count), *python]
         outer = {key: value for key, value in os.environ.items() if not key.startswith(ranks.INHERITED)}
         done = subprocess.run(command, env={**outer, **SETTINGS}, capture_output=True, text=True)
         if done.returncode != 0:
             why = without_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]
             raise SoftdecaError(f"mpirun -n {count}: {why[-1]}")
-        return pickle.loads(told.read_bytes())
+        return pickle.loads(reply.read_bytes())
 
 
 def answer() -> None:
-    """Do the work of the file that the command names first; the first process writes the answer to the second."""
-    question, told = map(Path, sys.argv[-2:])
+    """Do the work of the file that the command names first; rank 0 writes the answer to the second."""
+    question, reply = map(Path, sys.argv[-2:])
     work, given = pickle.loads(question.read_bytes())
-    found = work(*given)
+    result = work(*given)
     from ...reference.fenicsx.dolfinx_version import ALL
 
     if ALL.rank == 0:
-        told.write_bytes(pickle.dumps(found))
+        reply.write_bytes(pickle.dumps(result))
 
 
 def without_notices(errors: str) -> str:
-    """What processes have written to stderr, without mpirun's own notices: between rules, or of processes it ended."""
+    """Give what ranks have written to stderr, without mpirun's own notices: between rules, or of processes it ended."""
     said = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
     return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", said, flags=re.MULTILINE)

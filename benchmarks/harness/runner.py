@@ -17,6 +17,7 @@ from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import RowStore, lock_folder
 from ...lhm.base.progress import OnProgress, silent
+from ...reference import ranks
 from ...reference.added import added_files
 from ...surrogate.schedule import count_processors
 from .gates import at_most
@@ -159,6 +160,7 @@ class _Run:
         folders.enter_context(lock_folder(self._out, f"run of {self.study.name}"))
         self._with_what = provenance.describe_machine()
         self.rows = _Rows(self._out / "rows.jsonl", _digest(self.study))
+        self.rows.found = ranks.first(self.rows.found)  # folders of ranks differ, and with them digests
         again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
         known = self.rows.found
         self.left = [task for task in self.tasks if (row := known.get(task)) is None or row.status in again]

@@ -161,14 +161,13 @@ def measure(scene: Scene, repeats: int) -> dict:
     """
     from ...reference.fenicsx import prepare
     from ...reference.fenicsx.dolfinx_version import ALL
-    from ...reference.fenicsx.linear import LINEAR_SOLVERS, hold
-    from ...reference.fenicsx.numbering import Numbering
+    from ...reference.fenicsx.linear_solvers import LINEAR_SOLVERS, hold
+    from ...reference.fenicsx.numbering import Numbering, ranks_for
     from ...reference.fenicsx.problem import Problem
-    from ...reference.fenicsx.scope import processes_for
 
     prepare(scene).solve(max_iterations=1)  # compiles
     times: dict[str, list[float]] = {phase: [] for phase in PHASES}
-    order = Numbering(scene, comm=processes_for(scene))
+    order = Numbering(scene, comm=ranks_for(scene))
     problem = Problem(scene, order)
     owned = order.nodes.owned
     held = np.flatnonzero((order.held(scene.dirichlet()[0]) | problem.unsupported[:, None])[:owned])
@@ -190,7 +189,7 @@ def measure(scene: Scene, repeats: int) -> dict:
             b = -gradient.ravel()
             hold(hessian, held, np.zeros(len(held)), b)
             seconds, answer = _timed(lambda solver=solver, b=b: solver.solve(b, relative=RELATIVE))
-            if not answer.found:
+            if not answer.converged:
                 raise SoftdecaError(f"the linear system near rest is not solved: {answer.why}")
             times[phase].append(seconds)
     for _ in range(max(1, repeats // 2)):

@@ -229,7 +229,7 @@ def _assembly_ms(problem, x: Floats, _) -> float:
 
 def _cg_ms(problem, x: Floats, held: np.ndarray) -> float:
     """Of an iteration: the difference of a solve to few digits and one to many."""
-    from ...reference.fenicsx.linear import ConjugateGradients, hold
+    from ...reference.fenicsx.linear_solvers import ConjugateGradients, hold
 
     matrix = problem.at(np.zeros_like(x)).softened_hessian(0.0)
     b = np.random.default_rng(0).normal(size=x.size)

@@ -2,20 +2,20 @@
 
 How to read it, from what is asked to what is solved:
 
-- `prepared`: prepare and solve. A `run` is one call of solve, with the one record of what all attempts spend; a `plan`
-  says which strategies are tried and when the next one is. `MirroredFenicsx` is for commands under mpirun.
+- `prepared`: prepare and solve; which strategies are tried and when the next one is. A `run` is one call of solve, with
+  the record of what all attempts spend. `fields` gives stresses and functions inside the tets.
 - The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, for
-  elements with a pressure), `load_path` (continuation of the equations of `equilibrium`).
-  `dynamics` marches through time by minimisations. What can be modelled is in `scope`.
+  elements with a pressure), `load_path` (continuation of the equations of equilibrium). `dynamics` marches through
+  time by minimisations.
 - What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (Strain, Volume, and laws by their
   singular values by `principal`, integrated by `quadrature`; `hyperelastic` laws by UFL), surfaces
-  (`surface_strain`, `bending`) and `loads`. `bodies` makes parts rigid, `moving` adds a time step.
-- Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no process has
-  whole, `shared` how processes divide them, `assembly` the matrix. `linear` and, with a pressure, `saddle` solve
+  (`surface_strain`, `bending`) and `loads`. `bodies` makes parts rigid.
+- Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no rank has whole,
+  `parallel` how ranks divide them, `assembly` the matrix. `linear_solvers` and, with a pressure, `saddle` solve
   systems, by name. `dolfinx_version` is the only module that knows which dolfinx there is.
 
-Of several processes every one makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package
-without dolfinx raises MissingDependencyError.
+Every rank makes the same calls, and a mesh is divided among them by DOLFINx. Importing this package without dolfinx
+raises MissingDependencyError.
 """
 
 # First of all, since it says in one line what to install, and keeps ufl's warning of its own imports to itself.

@@ -8,18 +8,18 @@ from scipy.sparse import csr_matrix
 
 from ...lhm.base.mesh import Floats, Ints
 from .dolfinx_version import ALONE, MPI, PETSc
-from .shared import Shared
+from .parallel import IndexMap
 
 
 class Stiffness:
     """A matrix (3n, 3n) in 3x3 blocks with room for the coupling of every element's nodes, zero at first.
 
-    `local` is what this process' elements add up to, over all nodes that it knows of. Its memory is `values`, so
-    element blocks are summed where they belong, at the speed of memory. `matrix` is the sum of all processes', each
+    `local` is what this rank's elements add up to, over all nodes that it knows of. Its memory is `values`, so
+    element blocks are summed where they belong, at the speed of memory. `matrix` is the sum of all ranks', each
     with the rows that it owns; alone it is the same as `local`.
     """
 
-    def __init__(self, elements: list[Ints], nodes: Shared):
+    def __init__(self, elements: list[Ints], nodes: IndexMap):
         self.nodes = nodes
         pattern = _pattern(elements, nodes.count)
         count = np.diff(pattern.indptr)
@@ -39,7 +39,7 @@ class Stiffness:
             matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
 
     def _distributed(self) -> PETSc.Mat:
-        """The sum of all processes' `local`, which PETSc keeps as one matrix of parts."""
+        """The sum of all ranks' `local`, which PETSc keeps as one matrix of parts."""
         nodes, order = self.nodes, self.nodes.local_map()
         sizes = ((3 * nodes.owned, 3 * nodes.total),) * 2
         self._parts = PETSc.Mat().create(comm=nodes.comm)
@@ -50,8 +50,8 @@ class Stiffness:
         self._parts.assemble()
         return self._parts.convert("aij", PETSc.Mat())
 
-    def assembled(self) -> PETSc.Mat:
-        """The matrix of all processes, from what each has added since `clear`."""
+    def assemble(self) -> PETSc.Mat:
+        """The matrix of all ranks, from what each has added since `clear`."""
         self.local.assemble()
         if self.matrix is not self.local:
             self._parts.assemble()
@@ -60,7 +60,7 @@ class Stiffness:
 
     def slots(self, elements: Ints) -> Ints:
         """Where the blocks of elements (m, k) are among those of the matrix, row by row, shape (m, k, k)."""
-        return _found(self.starts, self.columns, elements)
+        return _find_slots(self.starts, self.columns, elements)
 
     def has_room(self, elements: Ints) -> np.ndarray:
         """Which of elements (m, k) the pattern couples all nodes of, shape (m,)."""
@@ -107,7 +107,7 @@ def _three_rows(starts, columns):
 
 
 @njit(cache=True)
-def _found(starts, columns, elements):
+def _find_slots(starts, columns, elements):
     m, k = elements.shape
     slots = np.empty((m, k, k), dtype=np.int32)
     for e in range(m):

@@ -19,8 +19,8 @@ from ..terms import RigidBody
 from .assembly import null_space
 from .dolfinx_version import PETSc
 from .numbering import Numbering
+from .parallel import anywhere
 from .problem import Problem, State
-from .shared import anywhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +41,22 @@ class Pose:
 
     def of(self, body: Body) -> Floats:
         """The body's nodes [mm], shape (k, 3)."""
-        return self.centre + turned(self.turn, body.r)
+        return self.centre + rotate(self.turn, body.r)
 
     def moved(self, translation: Floats, rotation: Floats) -> Pose:
         """The pose after a translation [mm] and a turn by exp([rotation])."""
         return Pose(self.centre + translation, Rotation.from_rotvec(rotation) * self.turn)
 
 
-def turned(turn: Rotation, r: Floats) -> Floats:
-    """Places r (k, 3) after a turn; of a process without nodes of a body there are none."""
+def rotate(turn: Rotation, r: Floats) -> Floats:
+    """Places r (k, 3) after a turn; of a rank without nodes of a body there are none."""
     return turn.apply(r) if len(r) else np.zeros((0, 3))
 
 
 class RigidProblem:
     """A Problem in which bodies are rigid; unknowns come in blocks of three, bodies' translation and rotation last.
 
-    Each process has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
+    Each rank has those of the nodes that it owns, and the last one those of the bodies. All know all poses.
     """
 
     def __init__(self, scene: Scene, order: Numbering, problem: Problem):
@@ -117,7 +117,7 @@ class RigidProblem:
         return poses
 
     def _sum(self, values):
-        """The sum over processes."""
+        """The sum over ranks."""
         return self.comm.allreduce(values)
 
     def place(self, poses: list[Pose], x: Floats):
@@ -151,12 +151,12 @@ class RigidProblem:
         moved = zip(state.poses, motions, self._bodies, strict=True)
         return self.at(u, [pose.moved(t, turn / body.radius) for pose, (t, turn), body in moved])
 
-    def reduced(self, forces: Floats, poses: list[Pose]) -> Floats:
+    def reduce(self, forces: Floats, poses: list[Pose]) -> Floats:
         """Forces [mN], a vector (owned, 3), on the unknowns, shape (count, 3): torques over the RMS radius."""
         result = [forces[self.free]]
         for body, pose in zip(self._bodies, poses, strict=True):
             g = forces[body.nodes]
-            torque = np.cross(turned(pose.turn, body.r), g).sum(axis=0)
+            torque = np.cross(rotate(pose.turn, body.r), g).sum(axis=0)
             on_body = self._sum(np.stack([g.sum(axis=0), torque / body.radius]))
             if self._has_bodies:
                 result.append(on_body)
@@ -170,7 +170,7 @@ class RigidProblem:
         self._P.assemble()
         hessian.ptap(self._P, result=self.matrix)
         for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
-            y, g = turned(pose.turn, body.r), forces[body.nodes]
+            y, g = rotate(pose.turn, body.r), forces[body.nodes]
             curvature = self._sum(0.5 * (y.T @ g + g.T @ y) - np.sum(y * g) * np.eye(3))
             if not self._has_bodies:
                 continue
@@ -187,7 +187,7 @@ class RigidProblem:
         rows, values = [self.free], [np.tile(np.eye(3), (len(self.free), 1, 1))]
         columns = [self._first + np.arange(len(self.free))]
         for b, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
-            y = turned(pose.turn, body.r) / body.radius
+            y = rotate(pose.turn, body.r) / body.radius
             turning = np.cross(np.eye(3), y[:, None, :]).transpose(0, 2, 1)
             for block, entries in enumerate((np.tile(np.eye(3), (len(y), 1, 1)), turning)):
                 rows.append(body.nodes)
@@ -224,7 +224,7 @@ class RigidState:
 
     def gradient(self) -> Floats:
         """The energy's gradient [mN], shape (count, 3), held components included."""
-        return self._owner.reduced(self._state.gradient(), self.poses)
+        return self._owner.reduce(self._state.gradient(), self.poses)
 
     def hessian(self) -> PETSc.Mat:
         """The exact Hessian [mN/mm], in the owner's matrix."""

@@ -1,21 +1,20 @@
 """The seam: the only module that knows which dolfinx is installed (0.5 as in Debian 12, to 0.9 as in Debian 13).
 
 What differs: names of spaces and of quadrature elements, options of `form`, the type of dofmaps, and how an expression
-is evaluated. A mesh lives on all processes of its communicator, and all of them make the same calls. `ALL` are those
+is evaluated. A mesh lives on all ranks of its communicator, and all of them make the same calls. `ALL` are those
 that PETSc was begun with: all that mpirun has started, unless a program says `petsc4py.init(comm=MPI.COMM_SELF)` first
-because its processes solve each on their own.
+because its ranks solve each on their own.
 """
 
 from __future__ import annotations
 
-import atexit
 import fcntl
 import logging
 import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from ...lhm.base.errors import MissingDependencyError
 from ...lhm.base.files import cache
 from ...lhm.base.mesh import Floats, Ints
 from ..clock import count_compilation
-from ..ranks import followers, leave
 
 for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
     logging.getLogger(_name).setLevel(logging.ERROR)
@@ -33,8 +31,7 @@ for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
 INSTALL = "Debian: apt-get install python3-dolfinx; conda: environment.yml"
 
 try:
-    _others = followers()  # PETSc begins in all processes at once
-    with warnings.catch_warnings(), _others.import_too(__name__) if _others else nullcontext():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ufl 2022 warns of pkg_resources
         import basix
         import dolfinx
@@ -58,8 +55,6 @@ def parse_version(text: str) -> tuple[int, int]:
 
 VERSION = parse_version(dolfinx.__version__)
 ALONE, ALL = MPI.COMM_SELF, PETSc.COMM_WORLD.tompi4py()
-if ALL.size > 1:
-    atexit.register(leave)  # before PETSc ends, which all processes do at once
 _fem: Any = fem  # names and signatures differ by version
 
 _LOCK = Path(tempfile.gettempdir()) / f"softdeca-compiles-{os.getuid()}.lock"
@@ -75,7 +70,7 @@ def _compiling(comm) -> Iterator[None]:
     """One program at a time, and without the compiler's progress, which it logs under the root's name.
 
     Of several that ask for the same form at once one compiles it, the others find it in the cache: dolfinx itself would
-    give up waiting after 10 s. Within a communicator the first process compiles, and dolfinx lets the others wait.
+    give up waiting after 10 s. Within a communicator the first rank compiles, and dolfinx lets the others wait.
     """
     before = logging.root.manager.disable
     logging.disable(max(before, logging.INFO))
@@ -91,14 +86,14 @@ def _compiling(comm) -> Iterator[None]:
 def tet_mesh(vertices: Floats, tets: Ints, comm) -> mesh.Mesh:
     """A dolfinx mesh of affine tets; vertices in no tet are dropped, and both are renumbered.
 
-    Every process gives the whole and keeps the part that the graph partitioner makes its own. No form integrates over
+    Every rank gives the whole and keeps the part that the graph partitioner makes its own. No form integrates over
     inner faces, so there are no cells of others at its border.
     """
     return _mesh(_slice(tets, comm), _slice(vertices, comm), comm)
 
 
 def _mesh(cells: Ints, points: Floats, comm) -> mesh.Mesh:
-    """A mesh of what each process gives, in the order of processes."""
+    """A mesh of what each rank gives, in the order of ranks."""
     if VERSION < (0, 6):
         coordinates = ufl.VectorElement("Lagrange", ufl.tetrahedron, 1)
     else:
@@ -115,13 +110,13 @@ def _mesh(cells: Ints, points: Floats, comm) -> mesh.Mesh:
 
 
 def _slice(rows: np.ndarray, comm) -> np.ndarray:
-    """A process' run of rows, in the order of processes."""
+    """A rank's run of rows, in the order of ranks."""
     cut = [len(rows) * rank // comm.size for rank in (comm.rank, comm.rank + 1)]
     return rows[cut[0] : cut[1]]
 
 
 def read_tets(path: Path, name: str, tagged: str | None, comm) -> tuple[mesh.Mesh, Ints]:
-    """A mesh from an XDMF file's grid of a name, of which each process reads a run of rows, and its cells' tags (m,).
+    """A mesh from an XDMF file's grid of a name, of which each rank reads a run of rows, and its cells' tags (m,).
 
     Tags are another grid's or the same one's, 0 where there are none.
     """
@@ -144,7 +139,7 @@ def read_facet_tags(path: Path, name: str, domain) -> tuple[Ints, Ints]:
 
 
 def boundary(domain) -> tuple[Ints, Ints, Ints]:
-    """The facets (k,) of the boundary that this process has, each one's cell, and which of its facets it is."""
+    """The facets (k,) of the boundary that this rank has, each one's cell, and which of its facets it is."""
     topology = domain.topology
     topology.create_connectivity(2, 3)
     topology.create_connectivity(3, 2)
@@ -156,9 +151,9 @@ def boundary(domain) -> tuple[Ints, Ints, Ints]:
 
 
 def geometry(domain) -> tuple[Floats, Ints, Ints, int, Ints]:
-    """A process' vertices [mm] (n, 3), cells (m, 4) of them, and their numbers in the input.
+    """A rank's vertices [mm] (n, 3), cells (m, 4) of them, and their numbers in the input.
 
-    Then how many of them it owns, the first ones, and the numbers over all processes of the others.
+    Then how many of them it owns, the first ones, and the numbers over all ranks of the others.
     """
     shape = domain.geometry
     numbering = shape.index_map()
@@ -168,13 +163,13 @@ def geometry(domain) -> tuple[Floats, Ints, Ints, int, Ints]:
 
 
 def write_block(path: Path, cells: int):
-    """Write a unit block of tets, so many cells along each edge, to an XDMF file with HDF5, by this process alone."""
+    """Write a unit block of tets, so many cells along each edge, to an XDMF file with HDF5, by this rank alone."""
     with io.XDMFFile(ALONE, str(path), "w") as file:
         file.write_mesh(mesh.create_unit_cube(ALONE, cells, cells, cells))
 
 
 def write_xdmf(path: Path, domain, vectors: dict[str, Floats], numbers: dict[str, Floats]):
-    """Write vectors (n, 3) by vertex and numbers (m,) by cell to an XDMF file, all processes together."""
+    """Write vectors (n, 3) by vertex and numbers (m,) by cell to an XDMF file, all ranks together."""
     cells = _table(domain.geometry.dofmap, 4)
     with io.XDMFFile(domain.comm, str(path), "w") as file:
         file.write_mesh(domain)
@@ -190,7 +185,7 @@ def write_xdmf(path: Path, domain, vectors: dict[str, Floats], numbers: dict[str
 
 
 def communicator(domain) -> MPI.Intracomm:
-    """The processes that share a mesh, of dolfinx or as forms know it."""
+    """The ranks that share a mesh, of dolfinx or as forms know it."""
     return domain.comm if hasattr(domain, "comm") else domain.ufl_cargo().comm
 
 
@@ -206,12 +201,12 @@ def cell_dofs(space, columns: int) -> Ints:
 
 
 def dof_counts(space) -> tuple[int, int]:
-    """The numbers of a space's block dofs that this process owns, and of those that it shares with their owners."""
+    """The numbers of a space's block dofs that this rank owns, and of those that it shares with their owners."""
     return space.dofmap.index_map.size_local, space.dofmap.index_map.num_ghosts
 
 
 def global_dofs(space) -> Ints:
-    """The numbers over all processes of a process' block dofs, first its own."""
+    """The numbers over all ranks of a rank's block dofs, first its own."""
     numbering = space.dofmap.index_map
     return np.concatenate([np.arange(*numbering.local_range), np.asarray(numbering.ghosts)]).astype(np.int64)
 
@@ -222,7 +217,7 @@ def cell_vertices(domain) -> Ints:
 
 
 def cell_tets(domain) -> Ints:
-    """The scene's tet of each cell of this process, shape (cells,)."""
+    """The scene's tet of each cell of this rank, shape (cells,)."""
     return np.asarray(domain.topology.original_cell_index, dtype=np.int64)
 
 
@@ -304,17 +299,17 @@ def function(space):
 
 
 def assemble_scalar(form) -> float:
-    """A process' part of the value of a functional; not finite where its integrand is not."""
+    """A rank's part of the value of a functional; not finite where its integrand is not."""
     return float(fem.assemble_scalar(form))
 
 
 def add_vector(form, into: Floats):
-    """Add a linear form's vector to an array of dofs, those of others included; of this process' cells alone."""
+    """Add a linear form's vector to an array of dofs, those of others included; of this rank's cells alone."""
     fem.assemble_vector(into, form)
 
 
 def free_dropped(comm=ALONE):
-    """Free what Python has dropped of PETSc in all processes of a communicator: from 3.18 on, it waits for this."""
+    """Free what Python has dropped of PETSc in all ranks of a communicator: from 3.18 on, it waits for this."""
     if hasattr(PETSc, "garbage_cleanup"):
         PETSc.garbage_cleanup(comm)
 

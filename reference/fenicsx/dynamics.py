@@ -1,31 +1,181 @@
 """A march through time on FEniCSx: mesh, forms and factors once, an incremental minimisation per step.
 
-Of several processes every one makes the march, and has the whole trajectory. Edge nodes of "P2" begin in the middle of
-their ends.
+With d the displacement since a step's beginning the sum to minimise is E(u₀ + d) + d·A d / 2 - d·r. A is constant as
+long as the time step is; r is what mass, damper and the forces of the last step ask for. Sums over d, not over u, keep
+rounding small where A is large.
+
+From step to step the tangent changes little, and solving with factors at hand costs a small part of assembling and
+factoring. Where the gradient stops falling fast the tangent is made anew; where that does not help either, Newton's
+method with its line search takes over.
+
+Every rank makes the march, and has the whole trajectory. Of u₀ and r each rank has what it owns. Edge nodes of "P2"
+begin in the middle of their ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from ..march import Energies, Motion, Trajectory
-from ..scene import Scene, refuse_unknown
+from ..scene import Scene
 from ..solution import Reason
 from ..terms import Target
 from .dolfinx_version import PETSc
+from .linear_solvers import Mumps, hold
 from .masses import accelerations, mass_matrix, times
-from .moving import Chord, MovingProblem, MovingState
-from .numbering import Numbering
-from .problem import Problem
-from .scope import LAWS, MOVING_TERMS, processes_for
-from .shared import anywhere, check_same, dot, norm
+from .newton import Newton
+from .numbering import Numbering, ranks_for
+from .parallel import anywhere, check_same, dot, norm
+from .problem import Problem, State
 
-ELEMENTS = ("P1", "P2")
 MAX_ITERATIONS = 100
+FAST = 0.3  # of the gradient norm that an iteration may leave for its factors to be kept
+ROUNDING = 1e-12  # of the energy's scale, that an iteration may raise it by
+SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+
+
+class MovingProblem:
+    """A Problem with A (3n, 3n) added; `begin` sets u₀ [mm] and r [mN], vectors (owned, 3).
+
+    `size` [mm] is the sum of the tets' sizes.
+    """
+
+    def __init__(self, problem: Problem, added: PETSc.Mat, size: float):
+        self.problem, self.added, self.comm = problem, added, problem.comm
+        # The energy that A gives to a displacement as large as those that problem's scale is made of.
+        spread = float(added.getDiagonal().norm(PETSc.NormType.NORM_1)) / max(added.getSize()[0], 1)
+        self._added_scale = spread * size
+
+    def begin(self, u: Floats, r: Floats):
+        """Where a step begins."""
+        self.origin, self.r = u, r
+
+    @property
+    def energy_scale(self) -> float:
+        """See Problem."""
+        return self.problem.energy_scale + self._added_scale
+
+    def at(self, u: Floats) -> MovingState:
+        """The step at its end's displacement [mm], a field (n, 3)."""
+        return MovingState(self, self.problem.at(u))
+
+    def moved(self, state: MovingState, step: Floats) -> MovingState:
+        """The step after a change of all dofs [mm], a vector (3 owned,)."""
+        return self.at(state.u + self.problem.numbering.nodes.spread(step.reshape(-1, 3)))
+
+
+class MovingState:
+    """Energy, gradient and Hessian of a step; `static` is the scene's own part."""
+
+    def __init__(self, owner: MovingProblem, static: State):
+        self._owner, self.static, self.u = owner, static, static.u
+        d = self.u[: len(owner.origin)] - owner.origin
+        self._pull = times(owner.added, d)
+        self.energy = static.energy + dot(owner.comm, d, 0.5 * self._pull - owner.r)
+
+    def gradient(self) -> Floats:
+        """The gradient [mN], a vector (owned, 3), held components included."""
+        return self.static.gradient() + self._pull - self._owner.r
+
+    def hessian(self) -> PETSc.Mat:
+        """The exact Hessian [mN/mm], in the problem's matrix."""
+        return self._add_inertia(self.static.hessian())
+
+    def softened_hessian(self, kept: float) -> PETSc.Mat:
+        """The Hessian with negative eigenvalues of the scene's part multiplied by `kept`."""
+        return self._add_inertia(self.static.softened_hessian(kept))
+
+    def _add_inertia(self, matrix: PETSc.Mat) -> PETSc.Mat:
+        matrix.axpy(1.0, self._owner.added, structure=SAME)
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where a step ended, why, after how many iterations, and how often it factored."""
+
+    state: MovingState
+    reason: Reason
+    iterations: int
+    factorisations: int
+
+
+class Chord:
+    """Newton's method with one factorisation for as long as it serves, over the steps of one moving problem.
+
+    `held` are the dofs that keep their place within a step (sorted, flat).
+    """
+
+    def __init__(self, problem: MovingProblem, held: Ints, max_iterations: int):
+        self._problem, self._held, self._limit = problem, held, max_iterations
+        matrix = problem.problem.matrix
+        self._matrix = matrix.duplicate(copy=False)
+        self._factors = Mumps(self._matrix)
+        mumps = Mumps(matrix)
+        self._newton = Newton(problem, held, mumps, mumps, lambda *_: False)
+        self._has_factors = False
+
+    def minimise(self, state: MovingState, threshold: float) -> Minimum:
+        """Iterate from a state of finite energy until the gradient norm [mN] of what is free is at most threshold."""
+        gradient, norm = self._gradient(state)
+        factored, fresh = 0, False
+        for iteration in range(self._limit):
+            if norm <= threshold:
+                return Minimum(state, Reason.CONVERGED, iteration, factored)
+            if not self._has_factors:
+                self._factor(state)
+                factored, fresh = factored + 1, True
+            after, gradient_after, norm_after = self._step(state, gradient)
+            fell = norm_after <= FAST * norm
+            if not fell:
+                self._has_factors = False
+                if fresh and not norm_after < norm:
+                    return self._by_newton(state, threshold, iteration, factored)
+            if after is not None and norm_after < norm:
+                state, gradient, norm, fresh = after, gradient_after, norm_after, False
+        return Minimum(state, Reason.CONVERGED if norm <= threshold else Reason.MAX_ITERATIONS, self._limit, factored)
+
+    def spread(self, state: MovingState, jump: Floats) -> Floats:
+        """How a jump of the held dofs [mm], a vector (owned, 3), spreads to the others."""
+        return self._newton.extension(state, jump)[0]
+
+    def _gradient(self, state: MovingState) -> tuple[Floats, float]:
+        gradient = state.gradient().ravel()
+        gradient[self._held] = 0.0
+        return gradient, self._newton.norm(gradient)
+
+    def _factor(self, state: MovingState):
+        hessian = state.hessian()
+        hold(hessian, self._held, np.zeros(len(self._held)), np.zeros(hessian.getLocalSize()[0]))
+        hessian.copy(self._matrix, structure=SAME)
+        self._has_factors = True
+
+    def _step(self, state: MovingState, gradient: Floats) -> tuple[MovingState | None, Floats, float]:
+        """The state after a full step, its gradient and its norm: infinite where the step is none to take."""
+        answer = self._factors.solve(-gradient, relative=0.0)
+        if answer.converged:
+            answer.x[self._held] = 0.0
+            after = self._problem.moved(state, answer.x)
+            most = state.energy + ROUNDING * (self._problem.energy_scale + abs(state.energy))
+            if after.energy <= most:
+                return after, *self._gradient(after)
+        return None, gradient, np.inf
+
+    def _by_newton(self, state: MovingState, threshold: float, made: int, factored: int) -> Minimum:
+        before = self._newton.work.linear_solves
+        end, reason, iterations = self._newton.minimise(
+            state,
+            threshold=lambda _: threshold,
+            max_iterations=self._limit - made,
+            near=True,  # a thirtieth of its first gradient norm, which is small, may be less than what is asked
+        )
+        self._has_factors = False
+        assert isinstance(end, MovingState)
+        return Minimum(end, reason, made + iterations, factored + self._newton.work.linear_solves - before)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,33 +195,18 @@ class Moment:
     potential: float
 
 
-def check(motion: Motion, element: str):
-    """Raise SceneError for what a march cannot model."""
-    if element not in ELEMENTS:
-        raise SceneError(f"march: unknown element {element!r}; there are {', '.join(ELEMENTS)}")
-    refuse_unknown(motion.scene, "fenicsx, march", MOVING_TERMS, LAWS)
-    if motion.scene.in_parts:
-        raise SceneError("march: processes have this scene in parts; solver 'fenicsx' marches whole ones")
-
-
-def bare(motion: Motion) -> Motion:
-    """A motion without what only the process that runs a command has: courses and callback."""
-    return replace(motion, targets=None, fixed=None, scenes=None, acceleration=None, on_step=None)
-
-
 class March:
-    """One march. Scenes and frames are what the first process has for a step.
+    """One march.
 
     `problem`, one of the motion's scene, lends mesh, forms and matrix; what they are set to is changed.
     """
 
     def __init__(self, motion: Motion, problem: Problem):
         self.motion, self.rule, self.h = motion, motion.scheme, motion.time_step
-        self.comm = processes_for(motion.scene)
+        self.comm = ranks_for(motion.scene)
         check_same(self.comm, motion.scene)
-        self._scene = motion.scene
         scene = self._scene_at(0)
-        if motion.skin_density.any() and self.comm.size > 1:  # of which other processes may have to know
+        if motion.skin_density.any() and self.comm.size > 1:  # of which other ranks may have to know
             problem = Problem(scene, Numbering(scene, problem.numbering.degree, comm=self.comm, skin=motion.skin))
         else:
             problem.set(scene)
@@ -88,7 +223,7 @@ class March:
         added = self.mass.copy()
         added.scale((1.0 - self.rule.alpha_m) / ((1.0 - self.rule.alpha_f) * beta * self.h**2))
         if self.damper is not None:
-            added.axpy(gamma / (beta * self.h), self.damper, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            added.axpy(gamma / (beta * self.h), self.damper, structure=SAME)
         self.moving = MovingProblem(self.problem, added, float(np.cbrt(scene.volumes).sum()))
         self.chord = Chord(self.moving, np.flatnonzero(self.held), MAX_ITERATIONS)
         total = self.order.nodes.total
@@ -104,47 +239,45 @@ class March:
         damper.scale(by_mass)
         if by_stiffness:
             tangent = self.problem.at(np.zeros_like(self.order.X)).hessian()
-            damper.axpy(by_stiffness, tangent, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+            damper.axpy(by_stiffness, tangent, structure=SAME)
         return damper
 
     def _scene_at(self, step: int) -> Scene:
-        scene = self.motion.scene_at(step) if self.comm.rank == 0 else None
-        if self.comm.bcast(scene is not self._scene):
-            self._scene = self.comm.bcast(scene)
-            self.motion.scene.check_prepared_for(self._scene)
-        return self._scene
+        scene = self.motion.scene_at(step)
+        self.motion.scene.check_prepared_for(scene)
+        return scene
 
     def _set(self, scene: Scene, step: int) -> Floats:
         """Put the problem at a step's scene and forces of the frame; give the latter."""
         if scene is not self.set_scene:
             self.problem.set(scene)
             self.set_scene, self.dead_loads = scene, self.problem.loads
-        acceleration = self.comm.bcast(self.motion.acceleration_at(step))
-        forces = -self.frame_mass[:, None] * acceleration
+        forces = -self.frame_mass[:, None] * self.motion.acceleration_at(step)
         self.problem.loads = self.dead_loads + forces
         return forces
 
-    def _damped(self, v: Floats) -> Floats:
+    def _damp(self, v: Floats) -> Floats:
+        """The damper's forces [mN] at velocities, vectors (owned, 3)."""
         return np.zeros_like(v) if self.damper is None else times(self.damper, v)
 
     def start(self) -> Moment:
-        """The first moment, its acceleration by the balance of forces; held vertices are where they are held."""
+        """Make the first moment, its acceleration by the balance of forces; held vertices are where they are held."""
         motion, order = self.motion, self.order
         scene = self._scene_at(0)
         frame_forces = self._set(scene, 0)
         held, places = scene.dirichlet()
         u = order.to_dofs(np.where(held, places, motion.positions)) - order.X
-        moves = self.comm.bcast(motion.fixed is not None or motion.scenes is not None)
+        moves = motion.fixed is not None or motion.scenes is not None
         v = np.where(self.held & (not moves), 0.0, order.to_dofs(motion.velocities)[: order.nodes.owned])
         state = self.problem.at(u)
         if not np.isfinite(state.energy):
             raise SceneError("march: the energy is not finite at the start; some tet is flat or inverted")
         gradient = state.gradient()
-        a = accelerations(self.mass, -gradient - self._damped(v), ~self.held)
+        a = accelerations(self.mass, -gradient - self._damp(v), ~self.held)
         return Moment(scene, frame_forces, u, v, a, gradient, state.energy + self._work(frame_forces, u))
 
     def run(self) -> Trajectory:
-        """All steps, or those before one that fails."""
+        """Make all steps, or those before one that fails."""
         record = _Record(self)
         now = self.start()
         record.add(now)
@@ -153,7 +286,7 @@ class March:
             scene = self._scene_at(step)
             changed = scene if scene is not now.scene else None
             frame_forces = self._set(scene, step)
-            r, v_still, a_still = self._asked(now)
+            r, v_still, a_still = self._step_forces(now)
             self.moving.begin(self._own(now.u), r)
             scale = max(scale, self._free_norm(now.gradient - r))
             state = self._begin(now, before, scene)
@@ -172,14 +305,14 @@ class March:
                 break
         return record.trajectory(reason)
 
-    def _asked(self, now: Moment) -> tuple[Floats, Floats, Floats]:
+    def _step_forces(self, now: Moment) -> tuple[Floats, Floats, Floats]:
         """Forces r of the step, and the end's velocity and acceleration if nothing moved."""
         rule, h = self.rule, self.h
         a = -(now.v / h + rule.by_acceleration[0] * now.a) / rule.by_acceleration[1]
         v = now.v + h * (rule.to_velocity[0] * now.a + rule.to_velocity[1] * a)
         kept = 1.0 - rule.alpha_f
         pulls = times(self.mass, (1.0 - rule.alpha_m) * a + rule.alpha_m * now.a) / kept
-        pulls += self._damped(v + rule.alpha_f / kept * now.v)
+        pulls += self._damp(v + rule.alpha_f / kept * now.v)
         pulls += rule.alpha_f / kept * now.gradient
         return -pulls, v, a
 
@@ -223,7 +356,7 @@ class March:
     def dissipated(self, before: Moment, now: Moment) -> float:
         """The damper's work in a step [µJ], by the mean velocity."""
         v = 0.5 * (before.v + now.v)
-        return self.h * dot(self.comm, v, self._damped(v))
+        return self.h * dot(self.comm, v, self._damp(v))
 
     def put_in(self, before: Moment, now: Moment) -> float:
         """The work of the frame, held nodes and targets in a step [µJ], by the mean of their forces."""
@@ -241,7 +374,7 @@ class March:
         return self.comm.allreduce(work)
 
     def _reactions(self, now: Moment) -> Floats:
-        return times(self.mass, now.a) + self._damped(now.v) + now.gradient
+        return times(self.mass, now.a) + self._damp(now.v) + now.gradient
 
 
 class _Record:

@@ -1,4 +1,4 @@
-"""A solution as finite-element functions: displacement, its gradient and the pressure inside the tets."""
+"""An answer inside the tets: its functions at quadrature points, its stresses, and the reactions where it is held."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Ints
+from ..scene import Scene
+from ..solution import Stresses
 from . import dolfinx_version as seam
 from .assembly import add_forces
-from .numbering import Numbering
+from .dolfinx_version import ALONE
+from .numbering import Numbering, ranks_for
+from .parallel import gather
+from .problem import Problem
 from .quadrature import Quadrature
-from .shared import gathered
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +33,7 @@ class Fields:
 
 
 class Sampling:
-    """Shape functions of a numbering's nodes at the points of a rule, on all cells of this process."""
+    """Shape functions of a numbering's nodes at the points of a rule, on all cells of this rank."""
 
     def __init__(self, order: Numbering, degree: int):
         points, _ = seam.quadrature_rule(degree)
@@ -38,19 +42,63 @@ class Sampling:
         self.X = (self._linear @ order.X[order.dof[order.cell_vertices]]).reshape(-1, 3)
 
     def load(self, density: Floats) -> Floats:
-        """Nodal forces, a vector (owned, 3), of a force per volume at the points here, shape (q, 3)."""
+        """Integrate a force per volume at the points here, shape (q, 3), to nodal forces, a vector (owned, 3)."""
         nodes = self._order.cell_dofs
         weighted = (density * self._quadrature.volume[:, None]).reshape(len(nodes), -1, 3)
         result = np.zeros(self._order.X.shape)
         add_forces(nodes, np.einsum("qk,mqc->mkc", self._values, weighted), result)
-        return self._order.nodes.summed(result)
+        return self._order.nodes.sum_up(result)
 
     def fields(self, u: Floats, pressure: Floats | None) -> Fields:
-        """Nodal displacements (n, 3) and pressures, shape (cells, 4), at the points of all processes."""
-        at_points = (self._values @ u[self._order.cell_dofs]).reshape(-1, 3)
+        """Evaluate nodal displacements (n, 3) and pressures, shape (cells, 4), at the points of all ranks."""
+        displacement = (self._values @ u[self._order.cell_dofs]).reshape(-1, 3)
         gradient = self._quadrature.deformation_gradient(u) - np.eye(3)
-        X, weights, displacement, by_place = (
-            gathered(self._order.comm, values) for values in (self.X, self._quadrature.volume, at_points, gradient)
-        )
-        pressures = None if pressure is None else gathered(self._order.comm, (pressure @ self._linear.T).ravel())
-        return Fields(X, weights, displacement, by_place, pressures)
+        at_points = (self.X, self._quadrature.volume, displacement, gradient)
+        pressures = None if pressure is None else gather(self._order.comm, (pressure @ self._linear.T).ravel())
+        return Fields(*(gather(self._order.comm, values) for values in at_points), pressures)
+
+
+@dataclass(frozen=True, eq=False)
+class NodalAnswer:
+    """An answer by node, of all ranks.
+
+    Ends (n, 2) of nodes, displacement [mm] (n, 3), a force beside loads [mN] with the ends of its nodes, and a mixed
+    element's pressure [kPa] by scene vertex.
+    """
+
+    ends: Ints
+    u: Floats
+    force: tuple[Ints, Floats] | None
+    pressure: Floats | None
+
+
+def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:
+    """Compute the stresses and reactions of an answer to a scene, by elements of a degree.
+
+    Any rank may ask for them, alone: it integrates over the whole mesh once. Of a scene in parts all ask together.
+    """
+    numbering = Numbering(scene, degree, comm=ranks_for(scene) if scene.in_parts else ALONE)
+    node, pressure = numbering.nodes_between(answer.ends), answer.pressure
+    problem = Problem(scene, numbering, mixed=pressure is not None)
+    if answer.force is not None:
+        problem.loads[numbering.nodes_between(answer.force[0])] += answer.force[1]
+    u = np.empty_like(numbering.X)
+    u[node] = answer.u
+    state = problem.at(u, None if pressure is None else pressure[problem.pressure_vertex])
+    F, P, points = state.stresses()
+    m, q = len(scene.tets), points.per_cell
+    P_of, F_of, volume = np.zeros((m, q, 3, 3)), np.tile(np.eye(3), (m, q, 1, 1)), np.ones((m, q))
+    tets = numbering.tet[points.cells]
+    P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
+    volume[tets] = points.volume.reshape(-1, q)
+    return Stresses.from_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
+
+
+def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:
+    """The gradient [mN] at held components by vertex, shape (n, 3); an edge's node gives half to each of its ends."""
+    nodes = numbering.nodes
+    forces = np.where(numbering.held(scene.dirichlet()[0])[: nodes.owned], gradient, 0.0)
+    shares = np.zeros(numbering.X.shape)
+    for end in numbering.ends[: nodes.owned].T:
+        np.add.at(shares, numbering.dof[end], 0.5 * forces)
+    return numbering.to_scene(nodes.spread(nodes.sum_up(shares)), np.zeros(scene.vertices.shape))

@@ -17,15 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats
+from ...lhm.base.mesh import Floats, Ints
 from ..restraint import has_free_motion
 from ..solution import Reason
 from .dolfinx_version import PETSc
-from .equilibrium import Equilibrium, Point
-from .linear import Factorisation, hold, product, vector
-from .problem import Problem
+from .linear_solvers import Factorisation, hold, multiply, petsc_vector
+from .parallel import anywhere, irregular_vector, largest_size, norm
+from .problem import Problem, State
 from .run import Attempt, Run
-from .shared import anywhere, largest, norm
+from .saddle import SaddleMatrix
 
 MAX_ITERATIONS = 1000
 SMALLEST_DAMPING = 1 / 32
@@ -47,7 +47,87 @@ both; why it stopped; iterations."""
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrated:
+class Point:
+    """Displacement and pressure, a vector, their residual at a share of the loads, and the problem's state there.
+
+    `finite` is whether the laws hold everywhere.
+    """
+
+    z: Floats
+    residual: Floats
+    state: State
+    finite: bool
+
+    @property
+    def share(self) -> float:
+        """The share of the loads."""
+        return self.state.share
+
+
+class Equilibrium:
+    """Residual and derivative of a problem's equations, vectors of forces [mN] first, then volumes [mm³].
+
+    Dead loads and follower pressures are scaled by a share in [0, 1]; the derivative is symmetric without the latter.
+    `held` are displacements of this process that keep their place, flat and sorted, and the pressures that no law has.
+    """
+
+    def __init__(self, problem: Problem, held: Ints):
+        self._problem, self.comm, self.symmetric = problem, problem.comm, problem.symmetric
+        self.displacements = 3 * problem.numbering.nodes.owned
+        self.count = self.displacements + problem.pressures.owned
+        self.held = np.concatenate([held, self.displacements + problem.idle_pressures()])
+        self.free = np.setdiff1d(np.arange(self.count), self.held)
+        self.free_pressures = problem.comm.allreduce(int((self.free >= self.displacements).sum()))
+        self._per_volume = 0.0
+        self._saddle = SaddleMatrix(problem) if problem.mixed else None
+
+    def at(self, z: Floats, share: float) -> Point:
+        """The equations at displacement and pressure z (count,) and a share of the loads."""
+        state = self._problem.at(*self.fields(z), share)
+        residual = np.concatenate([state.gradient().ravel(), state.strain()])
+        return Point(z, residual, state, bool(np.isfinite(state.energy + norm(self.comm, residual))))
+
+    def vector(self, u: Floats, p: Floats | None) -> Floats:
+        """The vector of a displacement, a field, and a pressure, a field or a vector, or none."""
+        m, count = self.displacements, self.count
+        return np.concatenate([u.ravel()[:m], np.zeros(count - m) if p is None else p[: count - m]])
+
+    def fields(self, z: Floats) -> tuple[Floats, Floats]:
+        """The displacement (n, 3) and the pressure (n_p,) of a vector z (count,), as fields."""
+        problem, m = self._problem, self.displacements
+        return problem.numbering.nodes.spread(z[:m].reshape(-1, 3)), problem.pressures.spread(z[m:])
+
+    def derivative(self, point: Point) -> PETSc.Mat:
+        """The residual's derivative; the next call makes it anew in the same matrix."""
+        hessian = point.state.hessian()
+        if self._saddle is None:
+            return hessian
+        self._saddle.assemble(point.state, springs=False)
+        return self._saddle.whole()
+
+    def by_share(self, point: Point) -> Floats:
+        """The residual's derivative by the share of the loads, a vector."""
+        return np.concatenate([point.state.by_share().ravel(), np.zeros(self.count - self.displacements)])
+
+    def irregular(self) -> Floats:
+        """Displacements of no regularity, a vector."""
+        motion = irregular_vector(self.comm, self._problem.numbering.X[: self.displacements // 3])
+        return np.concatenate([motion, np.zeros(self.count - self.displacements)])
+
+    def norm(self, residual: Floats) -> float:
+        """The norm of a residual, a vector [mN]; volumes count by the stiffness of `scale_volumes`."""
+        weighted = np.array(residual)
+        weighted[self.displacements :] *= self._per_volume
+        return norm(self.comm, weighted)
+
+    def scale_volumes(self, derivative: PETSc.Mat):
+        """Measure volumes by the force that a mean node's displacement would cause [mN/mm³]."""
+        if self.free_pressures:
+            self._per_volume = self._problem.force_per_volume(derivative.getDiagonal().array_r[: self.displacements])
+
+
+@dataclass(frozen=True, eq=False)
+class PathStep:
     """A point of the path, whether Newton got there, its iterations, and whether the tangent there is stable."""
 
     point: Point
@@ -80,7 +160,7 @@ class Continuation:
 
     def attempt(self) -> Attempt:
         """Follow the load path to its end."""
-        point, reason = self._followed()
+        point, reason = self._follow()
         record = self._run.record
         record.add(
             self._iterations, linear_solves=self._factored, assemblies=self._problem.assemblies - self._assemblies
@@ -90,9 +170,9 @@ class Continuation:
         return Attempt(reason, self._run.numbering, point.state.u, pressure, point.state.energy)
 
     def _report(self, point: Point, norm: float) -> bool:
-        return self._run.tell(point.state.u, point.state.energy, norm)
+        return self._run.report(point.state.u, point.state.energy, norm)
 
-    def _followed(self) -> tuple[Point, Reason]:
+    def _follow(self) -> tuple[Point, Reason]:
         """All of the load at once or, where that fails or ends unstable, in steps; the last equilibrium and why."""
         begin = self.equations.at(self.start, 0.0)
         if not begin.finite:
@@ -119,7 +199,7 @@ class Continuation:
         self._unstable = self._branched = False
         while here.share < 1.0:
             share = min(1.0, here.share + step)
-            after = self._correct(self._predicted(before, here, share), share, final=share == 1.0)
+            after = self._correct(self._predict(before, here, share), share, final=share == 1.0)
             if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
                 return here, after.reason
             if after.converged and after.stable:
@@ -130,7 +210,7 @@ class Continuation:
             step *= 0.5
             if step in (SNAP_SHARE, SMALLEST_SHARE) and self._descent is not None:
                 share = min(1.0, here.share + step)
-                after = self._snapped(self._predicted(before, here, share), here, share)
+                after = self._snap(self._predict(before, here, share), here, share)
                 if after.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS):
                     return here, after.reason
                 if after.converged and after.stable:
@@ -150,12 +230,12 @@ class Continuation:
         mode = self._free(equations.irregular())
         for _ in range(MODE_ITERATIONS):
             mode = self.factors.solve(mode)
-            mode /= largest(equations.comm, mode)
+            mode /= largest_size(equations.comm, mode)
         mode[equations.held] = 0.0
         in_space = slice(0, equations.displacements)
-        return saddle.z + ASIDE * largest(equations.comm, (saddle.z - self._origin)[in_space]) * mode
+        return saddle.z + ASIDE * largest_size(equations.comm, (saddle.z - self._origin)[in_space]) * mode
 
-    def _snapped(self, guess: Floats, here: Point, share: float) -> Equilibrated:
+    def _snap(self, guess: Floats, here: Point, share: float) -> PathStep:
         """The stable equilibrium at a share to which descent leads from an unstable one or a guess, if that is near."""
         equations, final = self.equations, share == 1.0
         unstable = self._correct(guess, share, final=final)
@@ -169,17 +249,17 @@ class Continuation:
         down = equations.vector(u, p)
         self._iterations += made
         if reason is Reason.INTERRUPTED:
-            return Equilibrated(here, reason, made, False)
+            return PathStep(here, reason, made, False)
         away = min(self._length(down - begin), self._length(down - here.z))
         far, branches = away > SNAP * self._length(here.z - self._origin), away <= BRANCH * self._away
         self._away = max(self._away, away)
         if (far and not branches) or reason not in (Reason.CONVERGED, Reason.STAGNATED):
-            return Equilibrated(here, Reason.LIMIT_POINT, made, False)
+            return PathStep(here, Reason.LIMIT_POINT, made, False)
         after = self._correct(down, share, final=final)
         self._branched |= far and after.converged and after.stable
         return after
 
-    def _predicted(self, before: Point | None, here: Point, share: float) -> Floats:
+    def _predict(self, before: Point | None, here: Point, share: float) -> Floats:
         if before is None:
             return here.z
         guess = here.z + (share - here.share) / (here.share - before.share) * (here.z - before.z)
@@ -194,7 +274,7 @@ class Continuation:
         derivative = equations.derivative(point)
         motion = np.zeros(equations.count)
         motion[equations.held] = (self.goal - self.start)[equations.held]
-        forces = equations.by_share(point) + product(derivative, motion)
+        forces = equations.by_share(point) + multiply(derivative, motion)
         if not self._factor(derivative):
             return np.inf
         forces[equations.held] = 0.0
@@ -212,7 +292,7 @@ class Continuation:
             trace = np.zeros(equations.count)
             free = equations.free[equations.free < equations.displacements]
             trace[free] = DRIFT * derivative.getDiagonal().norm(PETSc.NormType.INFINITY)
-            added = vector(trace, derivative.comm, derivative.getBlockSize())
+            added = petsc_vector(trace, derivative.comm, derivative.getBlockSize())
             derivative.setDiagonal(added, addv=PETSc.InsertMode.ADD_VALUES)
         hold(derivative, equations.held, np.zeros(len(equations.held)), np.zeros(equations.count))
         return self.factors.factor(derivative, symmetric=equations.symmetric)
@@ -223,7 +303,7 @@ class Continuation:
         expected = self.equations.free_pressures
         return self.factors.negative == (expected if self.factors.symmetric else expected % 2)
 
-    def _correct(self, z: Floats, share: float, *, final: bool = False) -> Equilibrated:
+    def _correct(self, z: Floats, share: float, *, final: bool = False) -> PathStep:
         """Newton's method from z at a share of load and motion."""
         equations = self.equations
         held = equations.held
@@ -237,7 +317,7 @@ class Continuation:
             jump = np.zeros(equations.count)
             jump[held] = target - point.z[held]
             moves = anywhere(equations.comm, jump)
-            forces = self._free(point.residual + product(derivative, jump))
+            forces = self._free(point.residual + multiply(derivative, jump))
             norm = equations.norm(forces)
             if iteration == 0:
                 first = max(norm, equations.norm(self._free(point.residual)))
@@ -249,23 +329,23 @@ class Continuation:
                     else max(PATH_TOLERANCE * first, self._run.threshold(first))
                 )
             if self._report(point, norm):
-                return Equilibrated(point, Reason.INTERRUPTED, iteration, False)
+                return PathStep(point, Reason.INTERRUPTED, iteration, False)
             regular = self._factor(derivative)
             if norm <= last and not moves:
-                return Equilibrated(point, Reason.CONVERGED, iteration, regular and self._stable)
+                return PathStep(point, Reason.CONVERGED, iteration, regular and self._stable)
             if not regular:
-                return Equilibrated(point, Reason.LINEAR_SOLVER, iteration, False)
+                return PathStep(point, Reason.LINEAR_SOLVER, iteration, False)
             if self._iterations >= self._limit:
-                return Equilibrated(point, Reason.MAX_ITERATIONS, iteration, False)
+                return PathStep(point, Reason.MAX_ITERATIONS, iteration, False)
             self._iterations += 1
             correction = jump - self.factors.solve(forces)
             damping = min(1.0, 2.0 * damping)
-            following = self._damped(point, correction, damping)
+            following = self._damp(point, correction, damping)
             if following is None:
                 stagnated = norm <= 1e3 * last and not moves
-                return Equilibrated(point, Reason.STAGNATED if stagnated else Reason.LINE_SEARCH, iteration, False)
+                return PathStep(point, Reason.STAGNATED if stagnated else Reason.LINE_SEARCH, iteration, False)
             point, damping = following
-        return Equilibrated(point, Reason.LINE_SEARCH, STEP_ITERATIONS, False)
+        return PathStep(point, Reason.LINE_SEARCH, STEP_ITERATIONS, False)
 
     def _free(self, z: Floats) -> Floats:
         """A vector without what is held."""
@@ -273,7 +353,7 @@ class Continuation:
         result[self.equations.held] = 0.0
         return result
 
-    def _damped(self, point: Point, correction: Floats, damping: float) -> tuple[Point, float] | None:
+    def _damp(self, point: Point, correction: Floats, damping: float) -> tuple[Point, float] | None:
         """The point after as much of a correction as the one that would follow allows, and how much that is."""
         equations = self.equations
         length = self._length(self._free(correction))

@@ -40,7 +40,7 @@ def dead_loads(scene: Scene, order: Numbering) -> Floats:
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
         shares = np.outer(area, FACE_SHARES[order.degree])
         forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
-    return order.nodes.summed(forces)
+    return order.nodes.sum_up(forces)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from ..march import Motion
 from . import dolfinx_version as seam
 from .assembly import Stiffness
 from .dolfinx_version import PETSc
-from .linear import Mumps, hold, product
+from .linear_solvers import Mumps, hold, multiply
 from .numbering import Numbering
-from .shared import anywhere
+from .parallel import anywhere
 
 
 def mass_matrix(motion: Motion, order: Numbering, stiffness: Stiffness) -> PETSc.Mat:
@@ -42,12 +42,12 @@ def mass_matrix(motion: Motion, order: Numbering, stiffness: Stiffness) -> PETSc
         elif anywhere(order.comm, ~stiffness.has_room(nodes)):
             raise SceneError("skin: a triangle is no face of a tet; consistent mass needs its edges")
         stiffness.add(nodes, stiffness.slots(nodes), blocks[..., None, None] * np.eye(3))
-    return stiffness.assembled().copy()
+    return stiffness.assemble().copy()
 
 
 def times(matrix: PETSc.Mat, values: Floats) -> Floats:
     """The product of a matrix (3n, 3n) with a vector (owned, 3)."""
-    return product(matrix, np.ascontiguousarray(values).ravel()).reshape(values.shape)
+    return multiply(matrix, np.ascontiguousarray(values).ravel()).reshape(values.shape)
 
 
 def _shares(degree: int, cell: str) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -11,8 +10,8 @@ from ...lhm.base.mesh import Floats
 from ..restraint import has_free_motion
 from ..solution import Limits, Reason
 from ..terms import Bending, RigidBody, Strain, SurfaceStrain, Traction, Volume
-from .bodies import Pose, RigidProblem
-from .linear import LinearSolver
+from .bodies import RigidProblem
+from .linear_solvers import LinearSolver
 from .load_path import DRIFT, PATH_TOLERANCE
 from .newton import AnyState, Newton, Work
 from .problem import Problem, State
@@ -30,7 +29,7 @@ class Minimisation:
     """From a run's start towards what is held.
 
     `linear` and `direct` are the usual linear solver of the problem's matrix and the one that it falls back to, `rigid`
-    the problem with bodies and its two. Bodies are brought to their first `poses` like held vertices, and set free once
+    the problem with bodies and its two. Bodies are brought to their first poses like held vertices, and set free once
     all that is held is in place.
     """
 
@@ -41,26 +40,26 @@ class Minimisation:
         linear: LinearSolver,
         direct: LinearSolver,
         rigid: tuple[RigidProblem, LinearSolver, LinearSolver] | None = None,
-        poses: list[Pose] | None = None,
     ):
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
-        self._poses = poses or []
+        owned, X = self._nodes.owned, run.numbering.X
+        self._assemblies, self._work = problem.assemblies, Work()
         self._goal = np.array(run.goal)
         held = run.held | problem.unsupported[:, None]
-        self._assemblies = problem.assemblies
-        self._work = Work()
         self._rigid: RigidProblem | None = None
         if rigid is not None:
-            self._rigid = rigid[0]
-            self._freed = Newton(*rigid[:1], rigid[0].held(held), *rigid[1:], self._report, self._work)
-            held[rigid[0].nodes] = True
-            places = run.numbering.X + self._goal
-            rigid[0].place(self._poses, places)
-            self._goal[rigid[0].nodes] = (places - run.numbering.X)[rigid[0].nodes]
-            self._goal = self._nodes.spread(self._own(self._goal))
+            self._rigid = bodies = rigid[0]
+            bodies.set(run.scene)
+            self._poses = bodies.nearest(run.numbering.to_dofs(run.start)) if run.warm else bodies.rest()
+            self._freed = Newton(bodies, bodies.held(held), *rigid[1:], self._report, self._work)
+            held[bodies.nodes] = True
+            places = X + self._goal
+            bodies.place(self._poses, places)
+            self._goal[bodies.nodes] = (places - X)[bodies.nodes]
+            self._goal = self._nodes.spread(self._goal[:owned])
         near = np.abs(self._goal - run.u) <= ROUNDING * np.abs(run.scene.vertices).max(initial=1.0)
         self._goal[near] = run.u[near]
-        self._newton = Newton(problem, np.flatnonzero(self._own(held)), linear, direct, self._report, self._work)
+        self._newton = Newton(problem, np.flatnonzero(held[:owned]), linear, direct, self._report, self._work)
 
     def attempt(self) -> Attempt:
         """Minimise.
@@ -74,18 +73,11 @@ class Minimisation:
         if reason is Reason.CONVERGED:
             end = replace(end, sound=True)
             if scene.of(Traction) and not any(scene.of(kind) for kind in INDEFINITE):
-                stable = self._newton.stable(self._at(state.u), DRIFT if has_free_motion(scene) else 0.0)
+                stable = self._newton.is_stable(self._at(state.u), DRIFT if has_free_motion(scene) else 0.0)
                 many = self._run.record.iterations - before > STRAIGHT_ITERATIONS
                 end = replace(end, sound=stable, doubtful=many or not stable)
-        work = self._work
-        self._run.record.add(
-            0,
-            linear_iterations=work.linear_iterations,
-            linear_solves=work.linear_solves,
-            fallback_solves=work.fallback_solves,
-            assemblies=self._problem.assemblies - self._assemblies,
-            energies=work.energies,
-        )
+        assemblies = self._problem.assemblies - self._assemblies
+        self._run.record.add(0, assemblies=assemblies, **vars(self._work))
         return end
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
@@ -98,40 +90,36 @@ class Minimisation:
         )
         return end.u, p, reason, made
 
-    def _own(self, field):
-        """The vector of a field: see `shared`."""
-        return field[: self._nodes.owned]
-
     def _at(self, u: Floats, share: float = 1.0) -> State:
         self._work.energies += 1
         return self._problem.at(u, share=share)
 
     def _report(self, state: AnyState, norm: float) -> bool:
-        return self._run.tell(state.u, state.energy, norm)
+        return self._run.report(state.u, state.energy, norm)
 
     def _descend(self) -> tuple[AnyState, Reason]:
-        """Lift, take load steps if need be, and minimise."""
-        run = self._run
+        """Bring what is held to its goal, in load steps if need be, and minimise."""
+        run, loose = self._run, Limits(LOAD_STEP_TOLERANCE)
         left = run.record.left(MAX_ITERATIONS)
-        state = self._at(run.u)
-        if not np.isfinite(state.energy):
-            self._report(state, np.inf)
-            return state, Reason.NOT_FINITE
-        while True:
-            lifted, fraction, force = self._newton.lift(state, self._goal, self._nodes, self._at)
-            if lifted is None:
-                return state, Reason.LINE_SEARCH
-            limits = run.limits if fraction == 1.0 else Limits(LOAD_STEP_TOLERANCE)
+        begin = self._at(run.u)
+        if not np.isfinite(begin.energy):
+            self._report(begin, np.inf)
+            return begin, Reason.NOT_FINITE
 
-            def threshold(first: float, force: float = force, limits: Limits = limits) -> float:
-                return limits.threshold(run.scene, max(first, force))
+        def end_step(force: float, first: float) -> float:
+            return loose.threshold(run.scene, max(first, force))
 
-            newton, begin = self._newton, lifted
-            if fraction == 1.0 and self._rigid is not None:
-                newton, begin = self._freed, self._rigid.at(lifted.u, self._poses)
-            end, reason, made = newton.minimise(begin, threshold=threshold, max_iterations=left)
-            left -= made
-            run.record.add(made)
-            if fraction == 1.0 or reason is not Reason.CONVERGED:
-                return end, reason
-            state = cast(State, end)
+        state, force, failure, made = self._newton.approach(
+            begin, self._goal, self._nodes, self._at, threshold=end_step, max_iterations=left
+        )
+        run.record.add(made)
+        if failure is not None:
+            return state, failure
+        newton = self._newton
+        if self._rigid is not None:
+            newton, state = self._freed, self._rigid.at(state.u, self._poses)
+        state, reason, iterations = newton.minimise(
+            state, threshold=lambda first: run.threshold(max(first, force)), max_iterations=left - made
+        )
+        run.record.add(iterations)
+        return state, reason

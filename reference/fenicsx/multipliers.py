@@ -16,13 +16,13 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ..solution import Reason
 from .dolfinx_version import PETSc
-from .linear import product
+from .linear_solvers import multiply
 from .minimise import LOAD_STEP_TOLERANCE
 from .newton import AnyState, Newton, Work
+from .parallel import dot, norm
 from .problem import Problem, State
 from .run import Attempt, Run
-from .saddle import PENALTY, PressureSolver, SaddleMatrix, saddle_of
-from .shared import dot, norm
+from .saddle import PENALTY, PressureSolver, SaddleMatrix, make_saddle_solver
 
 MAX_ITERATIONS = 300
 ROUNDS = 40
@@ -61,7 +61,7 @@ class Condensed:
     def at(self, u: Floats, share: float = 1.0) -> CondensedState:
         """The energy at a displacement [mm], a field (n, 3), and a share of loads; infinite where a law has none."""
         p = np.array(self.centre)
-        static = self._placed(u, p, share)
+        static = self._place(u, p, share)
         self.matrix.assemble(static, springs=True)
         self._pressures.take(self.matrix.D)
         for _ in range(CORRECTIONS):
@@ -70,7 +70,7 @@ class Condensed:
                 break
             correction = self._pressures.solve(away)
             p = p + correction
-            static = self._placed(u, p, share)
+            static = self._place(u, p, share)
             if not norm(self.comm, correction) > SETTLED * norm(self.comm, p):
                 break
         return CondensedState(self, static, p, springs=True)
@@ -78,7 +78,7 @@ class Condensed:
     def beside(self, u: Floats, p: Floats, share: float = 1.0) -> CondensedState:
         """The problem itself, without springs, at a displacement, a field, and a pressure [kPa], a vector: p₀ anew."""
         self.centre = np.array(p)
-        return CondensedState(self, self._placed(u, p, share), p, springs=False)
+        return CondensedState(self, self._place(u, p, share), p, springs=False)
 
     def moved(self, state: CondensedState, step: Floats) -> CondensedState:
         """The energy after a step of all dofs [mm], a vector (3 owned,)."""
@@ -86,9 +86,9 @@ class Condensed:
 
     def stretched(self, p: Floats) -> Floats:
         """What the springs hold back [mm³], a vector: the volumes by which a minimiser is not the problem's own."""
-        return self.matrix.springs * product(self.matrix.mass, p - self.centre)
+        return self.matrix.springs * multiply(self.matrix.mass, p - self.centre)
 
-    def _placed(self, u: Floats, p: Floats, share: float) -> State:
+    def _place(self, u: Floats, p: Floats, share: float) -> State:
         return self.problem.at(u, self.problem.pressures.spread(p), share)
 
 
@@ -125,7 +125,7 @@ class CondensedState:
 class MultiplierDescent:
     """A run on a mixed problem, for energies without follower loads.
 
-    `linear_solver` is as in `saddle_of`.
+    `linear_solver` is as in `make_saddle_solver`.
     """
 
     def __init__(self, run: Run, condensed: Condensed, *, linear_solver: str = "cg"):
@@ -134,7 +134,7 @@ class MultiplierDescent:
         held = (run.held | condensed.problem.unsupported[:, None])[: self._nodes.owned]
         self._held = np.flatnonzero(held)
         self._assemblies = condensed.problem.assemblies
-        self._saddle = saddle_of(linear_solver, condensed.matrix, self._held)
+        self._saddle = make_saddle_solver(linear_solver, condensed.matrix, self._held)
         self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, Work())
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
         self._limit = run.record.left(MAX_ITERATIONS)
@@ -166,40 +166,40 @@ class MultiplierDescent:
             state = self._condensed.at(u, share)
             reason = Reason.NOT_FINITE
             if np.isfinite(state.energy):
-                state, reason = self._rounds(state)
+                state, reason = self._alternate(state)
         finally:
             self._saddle.release()
         made, self._iterations = self._iterations, 0
         return state.u, np.array(state.p), reason, made
 
     def _report(self, state: AnyState, norm: float) -> bool:
-        return self._run.tell(state.u, state.energy, norm)
+        return self._run.report(state.u, state.energy, norm)
 
     def _descend(self) -> tuple[CondensedState, Reason]:
         state = self._condensed.at(self._run.u)
         if not np.isfinite(state.energy):
             self._report(state, np.inf)
             return state, Reason.NOT_FINITE
-        while True:
-            lifted, fraction, force = self._newton.lift(state, self._run.goal, self._nodes, self._condensed.at)
-            if not isinstance(lifted, CondensedState):
-                return state, Reason.LINE_SEARCH
+
+        def end_step(force: float, first: float) -> float:
             self._first = max(self._first, force)
-            if fraction == 1.0:
-                return self._rounds(lifted)
-            state, reason = self._round(lifted, lambda first: LOAD_STEP_TOLERANCE * max(first, self._first))
-            if reason is not Reason.CONVERGED:
-                return state, reason
+            return LOAD_STEP_TOLERANCE * max(first, self._first)
 
-    def _round(self, state: CondensedState, threshold, *, near: bool = False) -> tuple[CondensedState, Reason]:
-        """Minimise the condensed energy."""
-        left = self._limit - self._iterations
-        after, reason, made = self._newton.minimise(state, threshold=threshold, max_iterations=left, near=near)
-        self._iterations += made
-        assert isinstance(after, CondensedState)
-        return after, reason
+        lifted, force, failure, self._iterations = self._newton.approach(
+            state,
+            self._run.goal,
+            self._nodes,
+            self._condensed.at,
+            threshold=end_step,
+            max_iterations=self._limit,
+        )
+        assert isinstance(lifted, CondensedState)
+        if failure is not None:
+            return lifted, failure
+        self._first = max(self._first, force)
+        return self._alternate(lifted)
 
-    def _rounds(self, state: CondensedState) -> tuple[CondensedState, Reason]:
+    def _alternate(self, state: CondensedState) -> tuple[CondensedState, Reason]:
         """Minimise and correct the pressure in turns, until forces and volumes are in balance."""
         condensed = self._condensed
         self._per_volume = condensed.problem.force_per_volume(state.hessian().getDiagonal().array_r)
@@ -213,7 +213,12 @@ class MultiplierDescent:
             def threshold(first: float, share: float = share) -> float:
                 return max(share * first, last / 2)
 
-            state, reason = self._round(state, threshold, near=turn > 0)
+            after, reason, made = self._newton.minimise(
+                state, threshold=threshold, max_iterations=self._limit - begin, near=turn > 0
+            )
+            assert isinstance(after, CondensedState)
+            state = after
+            self._iterations += made
             if reason not in (Reason.CONVERGED, Reason.STAGNATED):
                 return state, reason
             size = self._norm(state.p)
@@ -238,7 +243,7 @@ class MultiplierDescent:
         converged = False  # only after a step: its factors say whether this is a minimum under the constraint
         while not converged and self._iterations < self._limit:
             state.hessian()
-            step = self._saddle.correction(residual)
+            step = self._saddle.newton_step(residual)
             if step is None:
                 return state, None
             u = state.u + self._nodes.spread(step[:m].reshape(-1, 3))
@@ -248,7 +253,7 @@ class MultiplierDescent:
             residual, norm_after = self._residual(after)
             converged = norm_after <= last
             if not (converged or norm_after <= FALL * norm):
-                following = self._saddle.again(residual)
+                following = self._saddle.simplified_step(residual)
                 if not self._norm(following[:m]) <= FALL * self._norm(step[:m]):
                     return state, None
             state, norm = after, norm_after

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,8 +19,8 @@ import numpy as np
 from ...lhm.base.mesh import Floats, Ints
 from ..solution import Reason
 from .dolfinx_version import MPI, PETSc
-from .linear import LinearSolver, hold
-from .shared import Shared, anywhere, dot, norm
+from .linear_solvers import LinearSolver, hold
+from .parallel import IndexMap, anywhere, dot, norm
 
 SMALLEST_FRACTION = 1 / 64  # of the motion of what is held, in one load step
 EXACT_BELOW = 0.03  # of the first gradient norm
@@ -85,7 +86,7 @@ class Work:
 class Newton:
     """A problem, the dofs that are held (sorted, flat), the usual linear solver and the one that it falls back to.
 
-    Steps and gradients are vectors: every process has what it owns, and all decide by the same products and norms.
+    Steps and gradients are vectors: every rank has what it owns, and all decide by the same products and norms.
     `report` is called with state and gradient norm after each iteration and returns whether to stop.
     """
 
@@ -105,7 +106,7 @@ class Newton:
         return gradient
 
     def norm(self, vector: Floats) -> float:
-        """The norm of a vector that the processes share."""
+        """The norm of a vector that the ranks share."""
         return norm(self.problem.comm, vector)
 
     def extension(self, state: AnyState, jump: Floats) -> tuple[Floats, float]:
@@ -132,29 +133,49 @@ class Newton:
         spread[self.held] = values  # an iterative solver leaves its residual there
         return spread.reshape(jump.shape), force
 
-    def lift(
-        self, state: AnyState, goal: Floats, nodes: Shared, at: Callable[[Floats], AnyState]
-    ) -> tuple[AnyState | None, float, float]:
-        """Move what is held as far to a goal [mm], a field (n, 3), as keeps the energy finite that `at` gives a field.
+    def approach(
+        self,
+        state: AnyState,
+        goal: Floats,
+        nodes: IndexMap,
+        at: Callable[[Floats], AnyState],
+        *,
+        threshold: Callable[[float, float], float],
+        max_iterations: int,
+    ) -> tuple[AnyState, float, Reason | None, int]:
+        """Move what is held to a goal [mm], a field (n, 3), in as few load steps as keep the energy finite.
 
-        The state, None where there is none, the share of the way, and the norm of the forces that this causes [mN].
+        `at` gives the state at a field. A step before the last is minimised to the gradient norm that `threshold` gives
+        from its first one and the norm of the forces that its motion causes [mN].
+
+        Returns the state with everything in place, the norm of the last step's forces, the reason where it did not get
+        there (None if it did), and the iterations made.
         """
-        begin, end = (field[: nodes.owned] for field in (state.u, goal))
-        jump = np.zeros_like(begin)
-        jump.flat[self.held] = end.flat[self.held] - begin.flat[self.held]
-        if not anywhere(nodes.comm, jump):
-            return state, 1.0, 0.0
-        spread, force = self.extension(state, jump)
-        fraction = 1.0
-        while fraction >= SMALLEST_FRACTION:
-            u = begin + fraction * spread
+        made = 0
+        while True:
+            begin, end = (field[: nodes.owned] for field in (state.u, goal))
+            jump = np.zeros_like(begin)
+            jump.flat[self.held] = end.flat[self.held] - begin.flat[self.held]
+            if not anywhere(nodes.comm, jump):
+                return state, 0.0, None, made
+            spread, force = self.extension(state, jump)
+            fraction, lifted = 1.0, None
+            while lifted is None:
+                u = begin + fraction * spread
+                if fraction == 1.0:
+                    u.flat[self.held] = end.flat[self.held]
+                lifted = at(nodes.spread(u))
+                if not np.isfinite(lifted.energy):
+                    fraction, lifted = 0.5 * fraction, None
+                if fraction < SMALLEST_FRACTION:
+                    return state, force, Reason.LINE_SEARCH, made
             if fraction == 1.0:
-                u.flat[self.held] = end.flat[self.held]
-            lifted = at(nodes.spread(u))
-            if np.isfinite(lifted.energy):
-                return lifted, fraction, fraction * force
-            fraction *= 0.5
-        return None, 0.0, 0.0
+                return lifted, force, None, made
+            last = partial(threshold, fraction * force)
+            state, reason, iterations = self.minimise(lifted, threshold=last, max_iterations=max_iterations - made)
+            made += iterations
+            if reason is not Reason.CONVERGED:
+                return state, force, reason, made
 
     def minimise(
         self, state: AnyState, *, threshold: Callable[[float], float], max_iterations: int, near: bool = False
@@ -185,7 +206,7 @@ class Newton:
             state, norm = after, norm_after
         return state, Reason.MAX_ITERATIONS, max_iterations
 
-    def stable(self, state: AnyState, shift: float = 0.0) -> bool:
+    def is_stable(self, state: AnyState, shift: float = 0.0) -> bool:
         """Whether the exact Hessian, with a share of its largest diagonal entry added, is positive definite."""
         matrix = self._shifted(state.hessian(), shift)
         b = np.zeros(matrix.getLocalSize()[0])
@@ -221,30 +242,16 @@ class Newton:
             direction = self._try(self.linear, set_up(0.0), relative)
         if direction is None:
             return Reason.LINEAR_SOLVER
-        after, slope = self._along(state, gradient, direction)
-        if after is None and kept == 0.0 and abs(slope) > self._rounding(state):
-            after = self._damped(state, gradient, set_up, relative)
-        if after is not None:
-            return after
-        return Reason.STAGNATED if abs(slope) <= self._rounding(state) else Reason.LINE_SEARCH
-
-    def _along(self, state: AnyState, gradient: Floats, direction: Floats) -> tuple[AnyState | None, float]:
-        """The state after a step along a direction, and the energy's slope along it; None where it leads nowhere."""
-        direction[self.held] = 0.0
-        slope = dot(self.problem.comm, gradient, direction)
-        return (self._line_search(state, direction, slope) if slope < 0.0 else None), slope
-
-    def _damped(
-        self, state: AnyState, gradient: Floats, set_up: Callable[[float], Floats], relative: float
-    ) -> AnyState | None:
-        """The state after a step by the projected Hessian and a growing diagonal: alone it may be singular."""
-        for shift in DAMPINGS:
+        after, slope = self._search(state, gradient, direction)
+        if after is None and abs(slope) <= self._rounding(state):
+            return Reason.STAGNATED
+        for shift in DAMPINGS if kept == 0.0 else ():
+            if after is not None:
+                break
             direction = self._try(self.fallback, set_up(shift), relative)
             if direction is not None:
-                after, _ = self._along(state, gradient, direction)
-                if after is not None:
-                    return after
-        return None
+                after, _ = self._search(state, gradient, direction)
+        return Reason.LINE_SEARCH if after is None else after
 
     def _solve(self, set_up: Callable[[float], Floats], *, relative: float) -> Floats | None:
         """Solve the system that set_up assembles: by the usual solver, then directly, then with growing shifts."""
@@ -260,7 +267,7 @@ class Newton:
         answer = solver.solve(b, relative=relative)
         self.work.linear_solves += 1
         self.work.linear_iterations += answer.iterations
-        return answer.x if answer.found else None
+        return answer.x if answer.converged else None
 
     def _shifted(self, matrix: PETSc.Mat, shift: float) -> PETSc.Mat:
         if shift > 0.0:
@@ -271,27 +278,28 @@ class Newton:
         """The energy [µJ] below which differences are rounding."""
         return 1e-14 * (self.problem.energy_scale + abs(state.energy))
 
-    def _moved(self, state: AnyState, step: Floats) -> AnyState:
-        self.work.energies += 1
-        return self.problem.moved(state, step)
-
-    def _line_search(self, state: AnyState, direction: Floats, slope: float) -> AnyState | None:
-        """The state after a step that lowers the energy enough, or None."""
+    def _search(self, state: AnyState, gradient: Floats, direction: Floats) -> tuple[AnyState | None, float]:
+        """Search along a direction: the state after a step that lowers the energy enough, or None, and the slope."""
+        direction[self.held] = 0.0
+        slope = dot(self.problem.comm, gradient, direction)
+        if slope >= 0.0:
+            return None, slope
         step, rounding = 1.0, self._rounding(state)
         while step >= SMALLEST_STEP:
-            after = self._moved(state, step * direction)
+            self.work.energies += 1
+            after = self.problem.moved(state, step * direction)
             if after.energy <= state.energy + SUFFICIENT * step * slope + rounding:
-                straight = state.energy - after.energy > STRAIGHT * abs(slope) > rounding
-                return self._lengthen(state, direction, after) if straight else after
-            step *= 0.5
-        return None
-
-    def _lengthen(self, state: AnyState, direction: Floats, after: AnyState) -> AnyState:
-        """Double a full step while the energy falls: where tissue buckles, the projected Hessian is far too stiff."""
-        step = 2.0
-        while step <= LONGEST_STEP:
-            longer = self._moved(state, step * direction)
-            if not longer.energy < after.energy:
                 break
-            after, step = longer, 2.0 * step
-        return after
+            step *= 0.5
+        else:
+            return None, slope
+        if state.energy - after.energy > STRAIGHT * abs(slope) > rounding:
+            # Where tissue buckles, the projected Hessian is far too stiff: double a full step while the energy falls.
+            step = 2.0
+            while step <= LONGEST_STEP:
+                self.work.energies += 1
+                longer = self.problem.moved(state, step * direction)
+                if not longer.energy < after.energy:
+                    break
+                after, step = longer, 2.0 * step
+        return after, slope

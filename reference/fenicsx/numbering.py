@@ -1,7 +1,7 @@
 """The scene's mesh in dolfinx, and the maps between both numberings of vertices and tets, and of the nodes on edges.
 
-Of several processes each has the cells that the partitioner gives it, their nodes, and the triangles and rings of
-vertices that it integrates over: a triangle goes to the first process that has all its nodes, a ring to the one that
+Of several ranks each has the cells that the partitioner gives it, their nodes, and the triangles and rings of
+vertices that it integrates over: a triangle goes to the first rank that has all its nodes, a ring to the one that
 owns the vertex in its middle, which takes other nodes as ghosts for it.
 """
 
@@ -16,9 +16,14 @@ from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Bending, Pressure, SurfaceStrain, Traction
 from . import dolfinx_version as seam
-from .dolfinx_version import ALONE, MPI
+from .dolfinx_version import ALL, ALONE, MPI
+from .parallel import IndexMap, gather
 from .parts import FACES, PartScene
-from .shared import Shared, gathered
+
+DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
+"""The degree of each element's displacement."""
+FEW = 300
+"""Tets per rank, below which dividing them costs more than it saves."""
 
 CORNERS = np.repeat(np.arange(4)[:, None], 2, axis=1)
 EDGES = np.array([[2, 3], [1, 3], [1, 2], [0, 3], [0, 2], [0, 1]])
@@ -28,13 +33,23 @@ CELL_SHARES = {1: np.full(4, 1 / 4), 2: np.repeat([-1 / 20, 1 / 5], [4, 6])}
 FACE_SHARES = {1: np.full(3, 1 / 3), 2: np.repeat([0.0, 1 / 3], 3)}
 
 
+def ranks_for(scene: Scene) -> MPI.Intracomm:
+    """Give the ranks that divide a scene: all that mpirun has started, or that have it in parts.
+
+    A small one is not divided: each rank has it alone.
+    """
+    if isinstance(scene, PartScene):
+        return scene.part.comm
+    return ALL if len(scene.tets) >= FEW * ALL.size else ALONE
+
+
 class Numbering:
     """A space of degree 1 or 2 on the scene's tets, and on `skin`, triangles (k, 3) that no term has.
 
     `ends` (n, 2) are the scene's vertices between which a node lies in the middle, twice the same at a corner;
     `corners` (k,) are the nodes at vertices, `vertex` (k,) theirs, and `dof` (scene vertices,) the inverse, -1 for a
     vertex in no tet; `tet` (m,) is the scene's tet per cell, `cell` its inverse; `X` [mm], shape (n, 3), are rest
-    positions by node. Of several processes these are what each knows of, -1 what it does not; `nodes` says what it
+    positions by node. Of several ranks these are what each knows of, -1 what it does not; `nodes` says what it
     owns, and `function_nodes` counts the nodes of its cells.
     """
 
@@ -64,14 +79,14 @@ class Numbering:
         if self.divided:
             self._own_vertices = self.vertex[self.corners < owned]
             ids = self._with_distant(scene, skin, ids, owned)
-        self.nodes = Shared(comm, owned, ids[owned:], 3)
+        self.nodes = IndexMap(comm, owned, ids[owned:], 3)
         self.X: Floats = self.to_dofs(scene.vertices)
-        self._all_vertices = gathered(self.asked, self._own_vertices)
+        self._all_vertices = gather(self.asked, self._own_vertices)
         self.own_corners = self.dof[self._own_vertices]
 
     @property
     def asked(self) -> MPI.Intracomm:
-        """The processes whose parts together answer for the scene's vertices: of one in parts each for its own."""
+        """The ranks whose parts together answer for the scene's vertices: of one in parts each for its own."""
         return self.comm if self.divided else ALONE
 
     def _number(self, ends: Ints):
@@ -86,12 +101,12 @@ class Numbering:
         self._keys = keys[self._by_key]
 
     def _with_distant(self, scene: Scene, skin: Ints | None, ids: Ints, owned: int) -> Ints:
-        """Take vertices of triangles and rings that no cell here has; the numbers over all processes, theirs too."""
-        vertices = gathered(self.comm, self._own_vertices)
+        """Take vertices of triangles and rings that no cell here has; the numbers over all ranks, theirs too."""
+        vertices = gather(self.comm, self._own_vertices)
         owner = np.full(len(self.dof), -1)
         owner[vertices] = np.repeat(np.arange(self.comm.size), self.comm.allgather(len(self._own_vertices)))
         number = np.full(len(self.dof), -1, dtype=np.int64)
-        number[vertices] = gathered(self.comm, ids[self.dof[self._own_vertices]])
+        number[vertices] = gather(self.comm, ids[self.dof[self._own_vertices]])
         self._owner = owner
         needed = [np.empty(0, dtype=np.int64)]
         triangles = [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Traction, Pressure))]
@@ -107,14 +122,14 @@ class Numbering:
         return np.concatenate([ids, number[distant]])
 
     def _here(self, triangles: Ints) -> Ints:
-        """Those of triangles (k, 3) that this process integrates over; every process asks at once."""
+        """Those of triangles (k, 3) that this rank integrates over; every rank asks at once."""
         if not self.divided:
             return np.arange(len(triangles))
         first = self._first_with(triangles)
         return np.flatnonzero(np.where(first < self.comm.size, first, self._owner[triangles[:, 0]]) == self.comm.rank)
 
     def _first_with(self, triangles: Ints) -> Ints:
-        """The first process whose cells have all nodes of triangles (k, 3); how many there are where none has."""
+        """The first rank whose cells have all nodes of triangles (k, 3); how many there are where none has."""
         dofs = self.dof[triangles]
         known = ((dofs >= 0) & (dofs < self.function_nodes)).all(axis=1)
         if self.degree == 2:
@@ -131,13 +146,13 @@ class Numbering:
         return self.dof[vertices]
 
     def own_dofs(self, name: str, vertices: Ints) -> tuple[Ints, Ints]:
-        """Those of a term's vertices (k,) whose nodes this process owns, and the nodes; errors as of `dofs_of`."""
+        """Those of a term's vertices (k,) whose nodes this rank owns, and the nodes; errors as of `dofs_of`."""
         dofs = self.dofs_of(name, vertices)
         mine = np.flatnonzero((dofs >= 0) & (dofs < self.nodes.owned))
         return mine, dofs[mine]
 
     def faces(self, name: str, triangles: Ints) -> tuple[Ints, Ints]:
-        """Those of a term's triangles (k, 3) that this process integrates over, and their nodes; see `face_dofs`."""
+        """Those of a term's triangles (k, 3) that this rank integrates over, and their nodes; see `face_dofs`."""
         self.dofs_of(name, triangles)
         if self.divided and self.degree == 2:
             self._check_faces(name, self._first_with(triangles) < self.comm.size)
@@ -189,13 +204,13 @@ class Numbering:
         on_held = np.zeros_like(result)
         for c in range(3):
             on_held[sides[held[boundary, c].all(axis=1)], c] = True
-            on_held[:, c] = self.nodes.marked(on_held[:, c])  # of a face in another process there may be an edge here
+            on_held[:, c] = self.nodes.spread_mask(on_held[:, c])  # of a face in another rank there may be an edge here
         on_held[self.corners] = True
         return result & on_held
 
     @cached_property
     def _boundary(self) -> tuple[Ints, Ints]:
-        """The scene's vertices of this process' faces of the boundary, shape (k, 3), and the nodes on their sides."""
+        """The scene's vertices of this rank's faces of the boundary, shape (k, 3), and the nodes on their sides."""
         _, beside, local = seam.boundary(self.space.mesh)
         triangles = self.cell_vertices[beside[:, None], FACES[local]]
         return triangles, self._by_key[self._slots(triangles)[0]]
@@ -203,14 +218,14 @@ class Numbering:
     def to_scene(self, values: Floats, elsewhere: Floats) -> Floats:
         """Values by node (n, 3) per scene vertex, and `elsewhere`'s (scene vertices, 3) for vertices in no tet.
 
-        Every process gives those that it owns at least, and all of them have the whole; of a scene in parts each gives
+        Every rank gives those that it owns at least, and all of them have the whole; of a scene in parts each gives
         a field and has its own.
         """
         result = np.array(elsewhere)
-        result[self._all_vertices] = gathered(self.asked, values[self.own_corners])
+        result[self._all_vertices] = gather(self.asked, values[self.own_corners])
         return result
 
     def all_nodes(self, values: Floats) -> tuple[Ints, Floats]:
-        """The ends (n, 2) and values (n, 3) of the scene's nodes, from those that each process owns."""
+        """The ends (n, 2) and values (n, 3) of the scene's nodes, from those that each rank owns."""
         mine = self.nodes.owned if self.divided else len(values)
-        return gathered(self.asked, self.ends[:mine]), gathered(self.asked, values[:mine])
+        return gather(self.asked, self.ends[:mine]), gather(self.asked, values[:mine])

@@ -1,6 +1,6 @@
-"""A scene that processes read from an XDMF file together: each has its part of the mesh, and none the whole.
+"""A scene that ranks read from an XDMF file together: each has its part of the mesh, and none the whole.
 
-DOLFINx reads and divides the mesh. What acts on it is named by a function that every process calls with its own part:
+DOLFINx reads and divides the mesh. What acts on it is named by a function that every rank calls with its own part:
 by place, by the tags of cells and facets, or both. All else is as of any scene: a part is a Scene of its own, which
 says what the others have where a number is about the whole.
 """
@@ -19,13 +19,12 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Ints, tet_volumes
-from ..ranks import followers
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Term
 from . import dolfinx_version as seam
 from .dolfinx_version import ALL, MPI
-from .shared import Shared, gathered
+from .parallel import IndexMap, gather
 
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """The corners of the face opposite to each corner of a tet."""
@@ -35,7 +34,7 @@ OUTWARD = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What a process has of a mesh; indices are its own.
+    """What a rank has of a mesh; indices are its own.
 
     vertices [mm] (n, 3), those that it shares with others among them, tets (m, 4) that it alone has, and their `tags`
     (m,); `boundary` (k, 3) are the triangles of the whole mesh's surface that are faces of these tets, seen
@@ -51,23 +50,23 @@ class Part:
     numbers: Ints
     domain: object = field(repr=False)
     cells: Ints = field(repr=False)
-    shared: Shared = field(repr=False)
+    shared: IndexMap = field(repr=False)
 
     @property
     def comm(self) -> MPI.Intracomm:
-        """The processes that have the mesh together."""
+        """The ranks that have the mesh together."""
         return self.shared.comm
 
     def corners(self, triangles: Ints) -> Ints:
-        """The vertices of triangles (k, 3), here and in all other processes, that this one has; all of them ask."""
+        """The vertices of triangles (k, 3), here and in all other ranks, that this one has; all of them ask."""
         marked = np.zeros(len(self.vertices), dtype=bool)
         marked[triangles] = True
-        return np.flatnonzero(self.shared.marked(marked))
+        return np.flatnonzero(self.shared.spread_mask(marked))
 
 
 @dataclass(frozen=True, eq=False)
 class PartScene(Scene):
-    """A scene of which this process has a part; see Scene, whose arrays are this part's, and `read_scene`."""
+    """A scene of which this rank has a part; see Scene, whose arrays are this part's, and `read_scene`."""
 
     part: Part
     in_parts: ClassVar[bool] = True
@@ -79,10 +78,10 @@ class PartScene(Scene):
 
     def together(self, rows: np.ndarray) -> np.ndarray:
         """See Scene."""
-        return gathered(self.part.comm, rows)
+        return gather(self.part.comm, rows)
 
     def whole(self, values: Floats) -> Floats:
-        """Values per vertex (n, ...) of all processes, by the file's vertices and in each process; NaN in no tet."""
+        """Values per vertex (n, ...) of all ranks, by the file's vertices and in each rank; NaN in no tet."""
         owned = self.part.shared.owned
         numbers, known = self.together(self.part.numbers[:owned]), self.together(values[:owned])
         result = np.full((numbers.max() + 1, *values.shape[1:]), np.nan)
@@ -90,7 +89,7 @@ class PartScene(Scene):
         return result
 
     def write(self, path: str | os.PathLike[str], solution: Solution):
-        """Write an .xdmf file, and .h5 beside it, by all processes together: `displacement` [mm] and `J`, det F.
+        """Write an .xdmf file, and .h5 beside it, by all ranks together: `displacement` [mm] and `J`, det F.
 
         Raises InputError for another suffix or a folder that is not there.
         """
@@ -110,17 +109,15 @@ def read_scene(
     *,
     facets: str | os.PathLike[str] | None = None,
 ) -> PartScene:
-    """The scene of tets [mm] in an XDMF file with HDF5, read in parts by all processes that mpirun has started.
+    """The scene of tets [mm] in an XDMF file with HDF5, read in parts by all ranks that mpirun has started.
 
-    `terms` gives what acts on a process' part: the same kinds of terms in the same order everywhere, with no elements
+    `terms` gives what acts on a rank's part: the same kinds of terms in the same order everywhere, with no elements
     where the part has none. The tets' tags are the first grid of tets with values per cell, their surface's the first
     of triangles in `facets`, default the same file. The body counts as one part where it is looked whether it is held.
     Raises InputError for a file that is missing, is no XDMF or has no tets, SceneError for a part that has none, for
-    terms that differ between processes, and as Scene does.
+    terms that differ between ranks, and as Scene does.
     """
     path, facets = Path(path), Path(path if facets is None else facets)
-    if followers() is not None:
-        raise SceneError(f"{path}: a command reads whole scenes; read this one by a script under mpirun")
     grids = _grids(path)
     solids = [name for name, corners, _ in grids if corners == 4]
     if not solids:
@@ -134,11 +131,11 @@ def read_scene(
         raise InputError(f"{path}: {str(error).strip().splitlines()[0]}") from None
     part = _part(domain, tags, found)
     if min(ALL.allgather(len(part.tets))) == 0:
-        raise SceneError(f"{path}: too few tets for {ALL.size} processes: one of them would have none")
+        raise SceneError(f"{path}: too few tets for {ALL.size} ranks: one of them would have none")
     made = tuple(terms(part))
     kinds = ALL.allgather([type(term).__name__ for term in made])
     if any(other != kinds[0] for other in kinds):
-        raise SceneError(f"{path}: terms: {', '.join(kinds[0])} in the first process, another list in some other")
+        raise SceneError(f"{path}: terms: {', '.join(kinds[0])} on rank 0, another list on some other")
     return PartScene(part.vertices, part.tets, made, part)
 
 
@@ -165,7 +162,7 @@ def _grids(path: Path) -> list[tuple[str, int, bool]]:
 
 
 def _part(domain, tags: Ints, facet_tags: tuple[Ints, Ints] | None) -> Part:
-    """A process' part of DOLFINx' mesh, with its tets turned to positive volumes, which DOLFINx does not ask for."""
+    """A rank's part of DOLFINx' mesh, with its tets turned to positive volumes, which DOLFINx does not ask for."""
     vertices, cells, numbers, owned, ghosts = seam.geometry(domain)
     tets = cells.copy()
     turned = tet_volumes(vertices, tets) < 0.0
@@ -178,5 +175,5 @@ def _part(domain, tags: Ints, facet_tags: tuple[Ints, Ints] | None) -> Part:
         at = np.searchsorted(facet_tags[0], facets)
         known = np.flatnonzero(np.isin(facets, facet_tags[0]))
         boundary_tags[known] = facet_tags[1][at[known]]
-    shared = Shared(domain.comm, owned, ghosts, 1)
+    shared = IndexMap(domain.comm, owned, ghosts, 1)
     return Part(vertices, tets, tags, boundary, boundary_tags, numbers, domain, cells, shared)

@@ -28,8 +28,8 @@ from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
 from .loads import FollowerPressure, Springs, dead_loads
 from .numbering import Numbering
+from .parallel import IndexMap, anywhere
 from .quadrature import DEGREES, Quadrature
-from .shared import Shared, anywhere
 from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at
 from .surface_strain import Membrane
 
@@ -40,8 +40,8 @@ Law = tuple[Ints, HasStretches]
 class Problem:
     """What does not change within a sequence (mesh, forms, matrix), and the present scene's numbers.
 
-    Fields are of shape (n, 3), by node, vectors (owned, 3): see `shared`. The laws of a mixed problem have the pressure
-    [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
+    Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the
+    pressure [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
     `pressure_vertex`; of another one there are none. `softness` is the sum of their 1/mu [1/kPa] per cell.
     """
 
@@ -57,7 +57,7 @@ class Problem:
             self.pressure = seam.function(space)
             self.pressure_dofs = seam.cell_dofs(space, 4)
             owned, ids = seam.dof_counts(space)[0], seam.global_dofs(space)
-        self.pressures = Shared(self.comm, owned, ids[owned:], 1)
+        self.pressures = IndexMap(self.comm, owned, ids[owned:], 1)
         self.pressure_vertex: Ints = np.empty(len(ids), dtype=np.int64)
         if mixed:
             self.pressure_vertex[self.pressure_dofs] = numbering.cell_vertices
@@ -91,7 +91,7 @@ class Problem:
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
-        self.unsupported = ~numbering.nodes.marked(supported)
+        self.unsupported = ~numbering.nodes.spread_mask(supported)
         for body in scene.of(RigidBody):
             dofs = numbering.own_dofs(body.name, body.vertices)[1]
             self.unsupported[dofs] = not anywhere(self.comm, ~self.unsupported[dofs])
@@ -198,7 +198,7 @@ class Problem:
         used = np.zeros(self.pressures.count, dtype=bool)
         for forms in self.mixed_forms:
             used[self.pressure_dofs[forms.cells]] = True
-        return np.flatnonzero(~self.pressures.marked(used)[: self.pressures.owned])
+        return np.flatnonzero(~self.pressures.spread_mask(used)[: self.pressures.owned])
 
     def at(self, u: Floats, p: Floats | None = None, share: float = 1.0) -> State:
         """The problem at a displacement [mm] and a pressure [kPa], fields (n, 3) and (n_p,), and a share of loads."""
@@ -245,7 +245,7 @@ class State:
 
     @cached_property
     def energy(self) -> float:
-        """The energy [µJ], of all processes; not finite where a law does not hold."""
+        """The energy [µJ], of all ranks; not finite where a law does not hold."""
         problem = self._problem
         self.place()
         energy = -self.share * float(np.sum(problem.loads * self.u[: len(problem.loads)]))
@@ -275,7 +275,7 @@ class State:
             follower.add_gradient(self._x, total, self.share)
         for spring in problem._springs:
             spring.add_gradient(self._x, total)
-        return problem.numbering.nodes.summed(total)
+        return problem.numbering.nodes.sum_up(total)
 
     def strain(self) -> Floats:
         """The energy's derivative by the pressure [mm³], a vector."""
@@ -283,7 +283,7 @@ class State:
         parts = np.zeros(self._problem.pressures.count)
         for forms in self._problem.mixed_forms:
             seam.add_vector(forms.by_pressure, parts)
-        return self._problem.pressures.summed(parts)
+        return self._problem.pressures.sum_up(parts)
 
     def by_share(self) -> Floats:
         """The gradient's derivative by the share of the loads [mN], a vector (owned, 3)."""
@@ -291,10 +291,10 @@ class State:
         forces = np.zeros_like(self.u)
         for follower in problem._followers:
             follower.add_gradient(self._x, forces)
-        return problem.numbering.nodes.summed(forces) - problem.loads
+        return problem.numbering.nodes.sum_up(forces) - problem.loads
 
     def stresses(self) -> tuple[Floats, Floats, Quadrature]:
-        """F and P [kPa] at the points of this process, shape (k q, 3, 3), of all laws together, and the quadrature."""
+        """F and P [kPa] at the points of this rank, shape (k q, 3, 3), of all laws together, and the quadrature."""
         problem = self._problem
         self.place()
         F = problem._quadrature.deformation_gradient(self.u)
@@ -343,7 +343,7 @@ class State:
             stiffness.add(follower.nodes, slots, self.share * follower.tangent(self._x))
         for spring in problem._springs:
             stiffness.add(spring.nodes, stiffness.slots(spring.nodes), spring.hessian())
-        return stiffness.assembled()
+        return stiffness.assemble()
 
     def _curvature(self) -> tuple[Floats, Floats]:
         """Gradient and Hessian of all laws of the singular values."""

@@ -12,15 +12,15 @@ from ..clock import Seconds
 from ..scene import Scene
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, volume_ratio
 from .numbering import Numbering
-from .shared import anywhere
+from .parallel import anywhere
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
     """Where a strategy ended, and why: displacement [mm] and pressure [kPa] by node of a numbering, energy [µJ].
 
-    `sound` is whether it is worth keeping where the next strategy finds nothing, `doubtful` whether the next one has to
-    look in spite of its reason.
+    `sound` says whether it is worth keeping where the next strategy finds nothing, `doubtful` whether the next one has
+    to look in spite of its reason.
     """
 
     reason: Reason
@@ -33,20 +33,19 @@ class Attempt:
 
 
 class Record:
-    """Who is told of each iteration, and what all attempts may spend and have spent.
+    """What all attempts have spent, and whom an iteration is told to.
 
-    `limit` are the iterations that the caller allows, None for what each strategy takes as its own; `detail` counts
-    what `Solution.detail` says.
+    `limit` are the iterations that the caller allows, None for each strategy's own; `detail` is `Solution.detail`.
     """
 
     def __init__(self, limit: int | None, on_iteration: OnIteration | None):
         self.recorder, self.limit = Recorder(on_iteration), limit
-        self.told = on_iteration is not None
+        self.has_listener = on_iteration is not None
         self.iterations = 0
         self.detail: Counter[str] = Counter()
 
     def left(self, most: int) -> int:
-        """How many iterations a strategy may make, which by itself would make `most`."""
+        """Give the iterations that a strategy may make, which by itself would make `most`."""
         return most if self.limit is None else self.limit - self.iterations
 
     def add(self, iterations: int, **counts: float):
@@ -58,8 +57,8 @@ class Record:
 class Run:
     """A scene to be solved on a numbering, from start [mm], shape (scene vertices, 3), and its record.
 
-    `held` says which components of nodes (n, 3) keep their place; `u` is the displacement [mm] by node at the start,
-    which may be `before`, where another solve ended, and `goal` the one that what is held has to reach. `warm` is
+    `held` says which components of nodes (n, 3) keep their place. `u` is the displacement [mm] by node at the start,
+    or that of `before`, where another solve ended; `goal` is the one that held components have to reach. `warm` says
     whether the start is near the answer rather than rest.
     """
 
@@ -82,28 +81,27 @@ class Run:
         self.held = numbering.held(held)
         self.u = numbering.to_dofs(start) - numbering.X if before is None else before.u
         self.goal = np.where(self.held, numbering.to_dofs(positions) - numbering.X, self.u)
-        self._watched = anywhere(numbering.comm, record.told)
+        self._has_listener = anywhere(numbering.comm, record.has_listener)
 
-    def from_start(self, start: Floats) -> Run:
-        """The same from elsewhere."""
+    def restart(self, start: Floats) -> Run:
+        """Give the same run from elsewhere."""
         return Run(self.scene, self.numbering, start, self.limits, self.record)
 
     def threshold(self, first: float) -> float:
-        """The gradient norm [mN] at which to stop, from the first one."""
+        """Give the gradient norm [mN] at which to stop, from the first one."""
         return self.limits.threshold(self.scene, first)
 
-    def tell(self, u: Floats, energy: float, norm: float) -> bool:
-        """Record an iteration; whether any process' caller asks to stop."""
-        positions = self.positions(u) if self._watched else u
+    def report(self, u: Floats, energy: float, norm: float) -> bool:
+        """Record an iteration; whether any rank's caller asks to stop."""
+        positions = self._positions(self.numbering, u) if self._has_listener else u
         return anywhere(self.numbering.comm, self.record.recorder.record(positions, energy, norm))
 
-    def positions(self, u: Floats) -> Floats:
-        """Positions [mm], shape (scene vertices, 3), of a displacement by node."""
-        return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
+    def _positions(self, numbering: Numbering, u: Floats) -> Floats:
+        return numbering.to_scene(numbering.X + u, self._elsewhere)
 
     def solution(self, end: Attempt, preparation: Seconds, *, remember: bool = False) -> Solution:
-        """The answer that an attempt has found, which another solve may start from if it is to be remembered."""
-        positions = end.numbering.to_scene(end.numbering.X + end.u, self._elsewhere)
+        """Give an attempt's answer, which another solve may start from if it is to be remembered."""
+        positions = self._positions(end.numbering, end.u)
         held, values = self.scene.dirichlet()
         if end.reason is Reason.CONVERGED:
             positions[held] = values[held]

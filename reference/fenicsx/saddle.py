@@ -14,9 +14,18 @@ import ufl
 from ...lhm.base.mesh import Floats, Ints
 from . import dolfinx_version as seam
 from .dolfinx_version import PETSc, SLEPc, free_dropped
-from .linear import MULTIGRID, Factorisation, LinearAnswer, hold, product, set_options, solved, vector
+from .linear_solvers import (
+    MULTIGRID,
+    Factorisation,
+    LinearAnswer,
+    hold,
+    multiply,
+    petsc_vector,
+    set_options,
+    solve_with,
+)
+from .parallel import dot, irregular_vector
 from .problem import Problem, State
-from .shared import dot, irregular
 
 PENALTY = 30.0
 """kappa by the shear modulus: the error of p₀ falls to a tenth or less per minimisation, in two or three steps each."""
@@ -51,7 +60,7 @@ _SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 class SaddleMatrix:
     """[H, B; Bᵀ, D] of a mixed problem: its energy's second derivatives by displacement and pressure.
 
-    Rows are of each process first its displacements, then its pressures. H is what the problem's matrix holds; B [mm²]
+    Rows are of each rank first its displacements, then its pressures. H is what the problem's matrix holds; B [mm²]
     and D [mm³/kPa], negative semi-definite, are what `assemble` has put there. `mass` is the pressure's mass matrix by
     1/mu [mm³/kPa], that of the springs of `Condensed` a share `springs` of it, and `idle` are the pressures that no law
     has.
@@ -64,8 +73,8 @@ class SaddleMatrix:
         space = problem.pressure.function_space
         p, q, v = ufl.TrialFunction(space), ufl.TestFunction(space), ufl.TestFunction(problem.numbering.space)
         softness = seam.cell_numbers(space.mesh, np.arange(len(problem.softness)), problem.softness)
-        self.B = _assembled(ufl.div(v) * p * ufl.dx)
-        self.mass = _assembled(softness * p * q * ufl.dx)
+        self.B = _assemble_form(ufl.div(v) * p * ufl.dx)
+        self.mass = _assemble_form(softness * p * q * ufl.dx)
         self.D, self.springs = self.mass.copy(), 1.0 / PENALTY
         self._transposed = self.B.transpose(PETSc.Mat())
         self._whole = PETSc.Mat()
@@ -93,7 +102,7 @@ class SaddleMatrix:
         return self._whole
 
 
-def _assembled(form) -> PETSc.Mat:
+def _assemble_form(form) -> PETSc.Mat:
     compiled = seam.compile_form(form)
     matrix = seam.empty_matrix(compiled)
     seam.add_matrix(compiled, matrix)
@@ -123,24 +132,24 @@ class PressureSolver:
 
     def solve(self, volumes: Floats) -> Floats:
         """The pressures [kPa], a vector, of volumes [mm³]; not a number where they are not found."""
-        x, why = solved(self._ksp, volumes, 1)
+        x, why = solve_with(self._ksp, volumes, 1)
         return np.full_like(x, np.nan) if why else x
 
 
 def _set_diagonal(matrix: PETSc.Mat, rows: Ints, value: float):
-    """Give empty rows of this process their diagonal entry."""
+    """Give empty rows of this rank their diagonal entry."""
     first = matrix.getOwnershipRange()[0]
     matrix.zeroRows((first + rows).astype(PETSc.IntType), diag=value)
 
 
-def saddle_of(kind: str, matrix: SaddleMatrix, held: Ints) -> Saddle | BlockSaddle:
+def make_saddle_solver(kind: str, matrix: SaddleMatrix, held: Ints) -> FactoredSaddle | BlockSaddle:
     """The solver of a name in SADDLES: "mumps" by factors, "block" by GMRES, "cg" either by the number of unknowns."""
     size = 3 * matrix.problem.numbering.nodes.total + matrix.problem.pressures.total
     iterative = kind == "block" or (kind == "cg" and size >= LARGE_SADDLE)
-    return BlockSaddle(matrix, held) if iterative else Saddle(matrix, held)
+    return BlockSaddle(matrix, held) if iterative else FactoredSaddle(matrix, held)
 
 
-class Saddle:
+class FactoredSaddle:
     """A saddle matrix with held displacements (k,), flat and sorted, by MUMPS' LDLᵀ.
 
     H - B D⁻¹ Bᵀ is positive definite, or without springs H is wherever B does no work, if there are as many negative
@@ -158,28 +167,28 @@ class Saddle:
         """See LinearSolver; exact whatever `relative` is. The pressures' equations have nothing on the right."""
         values = b[self._displacements] / self._matrix.H.getDiagonal().array_r[self._displacements]
         known = np.concatenate([b, np.zeros(self._matrix.pressures)])
-        x, why = self._solved(known, np.concatenate([values, np.zeros(len(self._matrix.idle))]))
+        x, why = self._solve(known, np.concatenate([values, np.zeros(len(self._matrix.idle))]))
         return LinearAnswer(x[: len(b)], not why, 1, why)
 
-    def correction(self, residual: Floats) -> Floats | None:
+    def newton_step(self, residual: Floats) -> Floats | None:
         """Newton's step of displacement and pressure, a vector, from forces and volumes that are zero where held.
 
         None where the tangent is not that of a minimum under the constraint.
         """
-        x, why = self._solved(-residual, np.zeros(len(self._held)))
+        x, why = self._solve(-residual, np.zeros(len(self._held)))
         return None if why else x
 
-    def again(self, residual: Floats) -> Floats:
-        """The `correction` from another residual by the same factors."""
+    def simplified_step(self, residual: Floats) -> Floats:
+        """The `newton_step` from another residual by the same factors."""
         self.iterations += 1
         return self._factors.solve(-residual)
 
     @property
-    def direct(self) -> Saddle:
+    def direct(self) -> FactoredSaddle:
         """Itself: see BlockSaddle."""
         return self
 
-    def _solved(self, known: Floats, values: Floats) -> tuple[Floats, str]:
+    def _solve(self, known: Floats, values: Floats) -> tuple[Floats, str]:
         """The solution, and why it is none or not that of a minimum."""
         whole = self._matrix.whole()
         hold(whole, self._held, values, known)
@@ -199,14 +208,14 @@ class BlockSaddle:
     """See Saddle: the same system, the same questions.
 
     Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
-    along the answer, which then is no descent direction. `correction` looks further, for it ends a solve: at the
+    along the answer, which then is no descent direction. `newton_step` looks further, for it ends a solve: at the
     softest motions, which SLEPc finds by the inverse. Where these curve the energy downwards,
     `Saddle` takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
     """
 
     def __init__(self, matrix: SaddleMatrix, held: Ints):
         self._matrix, self._held, self._comm = matrix, held, matrix.comm
-        self.direct = Saddle(matrix, held)
+        self.direct = FactoredSaddle(matrix, held)
         self._set_ups, self._last, self._iterations, self._scale = 0, 0, 0, 1.0
         self._by_factors = self._lost = False
         self._softest: list[Floats] | None = None
@@ -232,28 +241,28 @@ class BlockSaddle:
         given = np.zeros_like(b)
         given[self._held] = b[self._held] / matrix.H.getDiagonal().array_r[self._held]
         moved = np.zeros(matrix.pressures)
-        matrix.B.multTranspose(*(vector(part, matrix.comm) for part in (given, moved)))
+        matrix.B.multTranspose(*(petsc_vector(part, matrix.comm) for part in (given, moved)))
         self._set_up()
         known = np.concatenate([b, -moved])
         known[self._held] = 0.0
-        z, why = self._solved(known, relative)
+        z, why = self._solve(known, relative)
         x = z[: len(b)]
         if not (why or dot(self._comm, x, b) > 0.0 or dot(self._comm, given, given) > 0.0):
             why = "negative curvature"
         x[self._held] = given[self._held]
         return LinearAnswer(x, not why, self._last, why)
 
-    def correction(self, residual: Floats) -> Floats | None:
+    def newton_step(self, residual: Floats) -> Floats | None:
         """See Saddle."""
         if self._lost:
-            return self.direct.correction(residual)
+            return self.direct.newton_step(residual)
         H = self._matrix.H
         hold(H, self._held, np.zeros(len(self._held)), np.zeros(self._matrix.displacements))
         self._set_up()
-        step, why = self._solved(-residual, STEP)
+        step, why = self._solve(-residual, STEP)
         self._by_factors = bool(why)
         if why:
-            return self.direct.correction(residual)
+            return self.direct.newton_step(residual)
         if self._softest is None:
             self._softest = self._softest_motions()
         if self._bends_down([step[: self._matrix.displacements], *self._softest]):
@@ -261,9 +270,9 @@ class BlockSaddle:
             return None
         return step
 
-    def again(self, residual: Floats) -> Floats:
+    def simplified_step(self, residual: Floats) -> Floats:
         """See Saddle; by the same preconditioner."""
-        return self.direct.again(residual) if self._by_factors else self._solved(-residual, FOLLOWING)[0]
+        return self.direct.simplified_step(residual) if self._by_factors else self._solve(-residual, FOLLOWING)[0]
 
     def _free(self, motion: Floats) -> Floats:
         """A displacement as forces on what is not held, and no volumes."""
@@ -273,7 +282,7 @@ class BlockSaddle:
 
     def mult(self, _matrix: PETSc.Mat, forces: PETSc.Vec, motion: PETSc.Vec):
         """The inverse of what is set up, as SLEPc asks for it: displacements by forces, zero where GMRES finds none."""
-        step, why = self._solved(self._free(forces.array_r), MODE)
+        step, why = self._solve(self._free(forces.array_r), MODE)
         motion.array[:] = 0.0 if why else step[: self._matrix.displacements]
 
     def _softest_motions(self) -> list[Floats]:
@@ -285,7 +294,7 @@ class BlockSaddle:
         inverse = PETSc.Mat().createPython(((matrix.displacements, None),) * 2, self, comm=self._comm)
         inverse.setUp()
         begin, mode = inverse.createVecs()
-        begin.array[:] = self._free(irregular(self._comm, nodes.X[: nodes.nodes.owned]))[: matrix.displacements]
+        begin.array[:] = self._free(irregular_vector(self._comm, nodes.X[: nodes.nodes.owned]))[: matrix.displacements]
         solver = SLEPc.EPS().create(self._comm)
         solver.setOperators(inverse)
         solver.setProblemType(SLEPc.EPS.ProblemType.HEP)
@@ -308,15 +317,15 @@ class BlockSaddle:
         values, turned = np.linalg.eigh(self._comm.allreduce(vectors @ vectors.T))
         kept = values > ALIKE * values[-1]
         basis = (turned[:, kept] / np.sqrt(values[kept])).T @ vectors
-        bent = np.array([product(matrix.H, motion) for motion in basis])
+        bent = np.array([multiply(matrix.H, motion) for motion in basis])
         stiffened = matrix.D.copy()
         stiffened.axpy(-matrix.springs, matrix.mass, structure=_SAME)
         pressures = PressureSolver(matrix)
         pressures.take(stiffened)
         for row, motion in enumerate(basis):
             volumes, forces = np.zeros(matrix.pressures), np.zeros(matrix.displacements)
-            matrix.B.multTranspose(*(vector(part, matrix.comm) for part in (motion, volumes)))
-            matrix.B.mult(*(vector(part, matrix.comm) for part in (pressures.solve(volumes), forces)))
+            matrix.B.multTranspose(*(petsc_vector(part, matrix.comm) for part in (motion, volumes)))
+            matrix.B.mult(*(petsc_vector(part, matrix.comm) for part in (pressures.solve(volumes), forces)))
             forces[self._held] = 0.0
             bent[row] += forces
         products = self._comm.allreduce(basis @ bent.T)
@@ -357,13 +366,13 @@ class BlockSaddle:
         self._ksp.setFromOptions()
         self._set_ups += 1
 
-    def _solved(self, known: Floats, relative: float) -> tuple[Floats, str]:
+    def _solve(self, known: Floats, relative: float) -> tuple[Floats, str]:
         """Displacements and pressures from forces and volumes, a vector, and why they are none."""
         assert self._ksp is not None
         known = np.array(known)
         known[self._matrix.displacements :] *= self._scale
         self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=MAX_LINEAR_ITERATIONS)
-        answer, why = solved(self._ksp, known, 1)
+        answer, why = solve_with(self._ksp, known, 1)
         answer[self._matrix.displacements :] *= self._scale
         answer[self._held] = 0.0  # GMRES leaves its residual there
         self._last = self._ksp.its

@@ -119,7 +119,7 @@ ELSEWHERE = {
     "softdeca corpus status corpus": CORPUS,
     "softdeca corpus verify corpus": CORPUS,
     "softdeca corpus sample corpus --count 12": CORPUS,
-    "mpirun --bind-to none -n 2 softdeca study": "test_harness.py::test_under_mpirun_the_first_process_measures_itself",
+    "mpirun --bind-to none -n 2 softdeca study": "test_harness.py::test_under_mpirun_every_rank_measures_itself",
 }
 NOT_HERE = {
     "make study": "minutes, and set-up as root",

@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix
 pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, materials, terms
-from softdeca.reference.fenicsx.linear import LINEAR_SOLVERS, SETUP, hold
+from softdeca.reference.fenicsx.linear_solvers import LINEAR_SOLVERS, SETUP, hold
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.surface_strain import _planar_svd
@@ -43,7 +43,7 @@ def test_residual_is_what_was_asked_while_the_matrix_changes(box, kind):
     for stretch in (1.0, 1.01, 1.02, 1.5, 4.0, 0.3, 1.0, 1.0):
         for relative in (1e-2, 1e-8):
             answer, residual = solved(solver, box[0], box[1], stretch, 0.0, box[2], relative)
-            assert answer.found and residual <= 1.01 * relative, (stretch, relative, answer.why)
+            assert answer.converged and residual <= 1.01 * relative, (stretch, relative, answer.why)
 
 
 @pytest.mark.parametrize("kind", LINEAR_SOLVERS)
@@ -51,11 +51,11 @@ def test_residual_is_what_was_asked_while_the_matrix_changes(box, kind):
 def test_indefinite_matrices_are_told_and_forgotten(box, kind, first):
     solver = LINEAR_SOLVERS[kind](box[0].matrix)
     if not first:
-        assert solved(solver, box[0], box[1], 1.0, 0.0, box[2], 1e-6)[0].found
+        assert solved(solver, box[0], box[1], 1.0, 0.0, box[2], 1e-6)[0].converged
     for _ in range(3):
-        assert not solved(solver, box[0], box[1], 1.0, 0.1, box[2], 1e-6)[0].found
+        assert not solved(solver, box[0], box[1], 1.0, 0.1, box[2], 1e-6)[0].converged
     answer, residual = solved(solver, box[0], box[1], 1.1, 0.0, box[2], 1e-6)
-    assert answer.found and residual <= 1.01e-6
+    assert answer.converged and residual <= 1.01e-6
 
 
 def test_a_kept_set_up_costs_little(box):

@@ -242,8 +242,8 @@ import pickle, sys
 import numpy as np
 from softdeca.lhm.base.errors import SceneError
 from softdeca.reference import march, prepare, ranks
-ranks.lead()
-scene = pickle.load(open(sys.argv[1], "rb"))
+ranks.begin()
+scene = ranks.first(pickle.load(open(sys.argv[1], "rb")))
 prepared = prepare(scene, solver="fenicsx")
 refused = []
 for wrong in ({"tolerance": 2.0}, {"start": scene.vertices[1:]}):
@@ -253,9 +253,10 @@ for wrong in ({"tolerance": 2.0}, {"start": scene.vertices[1:]}):
         refused.append(str(error))
 seen = []
 solution = prepared.solve(tolerance=1e-12, on_iteration=lambda i, x, e, g: seen.append(i))
-stopped = prepared.solve(on_iteration=lambda i, x, e, g: i == 1)
+rank = ranks._command.rank if ranks.size() > 1 else 0
+stopped = prepared.solve(on_iteration=lambda i, x, e, g: rank == 0 and i == 1)
 prepared.set_body_force(lambda places: 3.0 * places)
-pressed = prepared.solve(tolerance=1e-12)
+pressed = prepared.solve(tolerance=1e-12, start=scene.vertices + 1e-9 * rank)  # rank 0's counts
 values = scene.dirichlet()[1][scene.terms[1].vertices]
 part = scene.__class__(scene.vertices, scene.tets, scene.terms[:2])
 course = {"density": 1e-6, "time_step": 1e-2, "steps": 2, "fixed": lambda t: values + [t, 0.0, 0.0]}
@@ -263,13 +264,14 @@ moved, again = march(part, **course), prepare(part, solver="fenicsx").march(**co
 assert np.abs(moved.positions - again.positions).max() < 1e-12
 answer = (refused, seen, str(stopped.reason), solution.positions, pressed.positions, moved.positions,
           prepared.fields(1).u.shape)
-pickle.dump(answer, open(sys.argv[2], "wb"))
-print(ranks.followers().size if ranks.followers() else 1)
+if rank == 0:
+    pickle.dump(answer, open(sys.argv[2], "wb"))
+print(ranks.size())
 """
 
 
 @needs_mpirun
-def test_a_command_of_the_first_process_is_followed_by_the_others(cases, tmp_path):
+def test_a_command_s_ranks_have_the_serial_answers_and_rank_0_prints(cases, tmp_path):
     (tmp_path / "in").write_bytes(pickle.dumps(cases["neo-Hookean"][0]))
     answers = []
     for count in (1, 2):
@@ -281,6 +283,45 @@ def test_a_command_of_the_first_process_is_followed_by_the_others(cases, tmp_pat
     assert together[1] == list(range(len(together[1]))) and alone[6] == together[6]
     for one, two in zip(alone[3:6], together[3:6], strict=True):
         assert np.abs(one - two).max() <= 1e-10
+
+
+OUT_OF_STEP = """
+import sys
+from pathlib import Path
+from softdeca.reference import ranks
+ranks.DRIFT = 3.0
+ranks.begin()
+rank, how = ranks._command.rank, sys.argv[1]
+folder = ranks.writable(Path(sys.argv[2]))
+assert (folder / "kept").read_text() == "row" and (folder == Path(sys.argv[2])) == (rank == 0)
+(folder / f"of {rank}").touch()
+assert ranks.first(rank) == 0
+ranks.check_in_step("begun", failed=False)
+if how == "other words":
+    ranks.check_in_step(f"task {rank}", failed=False)
+if how == "one alone":
+    if rank == 1:
+        ranks.check_in_step("task, failed", failed=True)
+    ranks._command.Barrier()  # as in a solve
+"""
+
+
+@needs_mpirun
+@pytest.mark.parametrize(
+    ("how", "status", "error"),
+    [
+        ("in step", 0, ""),
+        ("other words", 1, "the ranks of mpirun fell out of step: task 0, task 1"),
+        ("one alone", 1, "rank 1 alone came to: task, failed"),
+    ],
+)
+def test_ranks_above_0_write_into_copies_and_a_command_ends_where_they_part(how, status, error, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "kept").write_text("row")
+    done = run_together(tmp_path, OUT_OF_STEP, how, out, timeout=60)
+    assert done.returncode == status and error in done.stderr, done.stderr
+    assert sorted(path.name for path in out.iterdir()) == ["kept", "of 0"]
 
 
 FAILING = """
@@ -309,7 +350,7 @@ solve(scene, solver="fenicsx")
     ("how", "status", "error"),
     [
         ("same error", 1, "softdeca: error: tolerance must lie between 0 and 1, got 2.0"),
-        ("other scenes", 1, "softdeca: error: the processes of mpirun were given different scenes"),
+        ("other scenes", 1, "softdeca: error: the ranks of mpirun were given different scenes"),
         ("refused", 1, "softdeca: error: one process alone"),
         ("broken", 1, "RuntimeError: one process alone"),
         ("dead", 137, ""),
@@ -350,18 +391,18 @@ def test_processes_of_a_program_may_solve_each_on_their_own(tmp_path):
 SLEEPING = """
 import sys, time
 from softdeca.reference import ranks
-ranks.lead()
+ranks.begin()
 try:
     print("ready", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
-    open("interrupted", "w").close()
+    open(f"interrupted {ranks._command.rank}", "w").close()
     sys.exit(130)
 """
 
 
 @needs_mpirun
-def test_an_interruption_reaches_the_first_process_and_ends_all(tmp_path):
+def test_an_interruption_reaches_rank_0_and_ends_all(tmp_path):
     (tmp_path / "script.py").write_text(SLEEPING)
     command = ["mpirun", "-n", "2", sys.executable, "script.py"]
     with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as run:
@@ -369,7 +410,7 @@ def test_an_interruption_reaches_the_first_process_and_ends_all(tmp_path):
         begin = time.monotonic()
         run.send_signal(signal.SIGINT)
         run.communicate(timeout=30)
-    assert (tmp_path / "interrupted").exists()  # printed, it would not come through Open MPI 5
+    assert (tmp_path / "interrupted 0").exists()  # printed, it would not come through Open MPI 5
     assert run.returncode != 0
     assert time.monotonic() - begin < 20
 
@@ -403,11 +444,20 @@ def test_a_study_of_ranks_begins_with_one_process(counts):
         Ranks(processes=counts).tasks()
 
 
-def test_a_process_alone_has_no_followers(monkeypatch):
+@needs_mpirun
+def test_a_command_that_solves_nothing_by_fenicsx_is_refused_under_mpirun(tmp_path):
+    command = [sys.executable, "-c", "from softdeca.cli import main; main()", "head", "check", "none.npz"]
+    done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.returncode == 1
+    error = "softdeca: error: softdeca head: solves nothing by FEniCSx; run it without mpirun"
+    assert without_notices(done.stderr).strip() == error
+
+
+def test_a_process_alone_is_the_only_rank(monkeypatch, tmp_path):
     for name in ranks.SIZES:
         monkeypatch.delenv(name, raising=False)
-    ranks.lead()
-    assert ranks.followers() is None
+    ranks.begin()
+    assert ranks.size() == 1 and ranks.first("mine") == "mine" and ranks.writable(tmp_path) == tmp_path
 
 
 def test_mpirun_of_another_mpi_is_refused(monkeypatch):
@@ -415,7 +465,4 @@ def test_mpirun_of_another_mpi_is_refused(monkeypatch):
     monkeypatch.setenv("PMI_RANK", "0")
     monkeypatch.setenv("OMPI_MCA_mpi_yield_when_idle", "1")
     with pytest.raises(MissingDependencyError, match="mpirun has started 4 processes, but mpi4py knows 1"):
-        ranks.lead()
-    monkeypatch.setenv("PMI_RANK", "1")
-    with pytest.raises(SystemExit):
-        ranks.lead()
+        ranks.begin()

@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix, random
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
 from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx import prepared
-from softdeca.reference.fenicsx.linear import Factorisation
+from softdeca.reference.fenicsx.linear_solvers import Factorisation
 from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
@@ -105,7 +105,7 @@ def test_a_large_scene_descends_from_linear_tets(monkeypatch):
     monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
     seen = []
     large = solve(scene, on_iteration=lambda i, x, e, g: seen.append(np.array(x)), **options)
-    softer = prepared.compressible(scene)
+    softer = prepared.soften(scene)
     assert [term.material for term in softer.of(terms.Hyperelastic)] == [materials.NeoHookean(2.0, 20.0)]
     near = solve(softer, solver="fenicsx", element="P1", tolerance=1e-9)
     assert np.abs(seen[0] - near.positions).max() < 1e-3 < np.abs(seen[0] - scene.vertices).max()

@@ -118,15 +118,15 @@ def test_what_cannot_be_had_in_parts_is_refused(file, tmp_path):
         return [terms.Strain(1.0), terms.Fixed(part.vertices[:, 2] < 1e-6)]
 
     scene = read_scene(file, plain)
-    with pytest.raises(SceneError, match="solver 'projective' cannot take a scene that processes have in parts"):
+    with pytest.raises(SceneError, match="solver 'projective' cannot take a scene that ranks have in parts"):
         solve(scene)
     with pytest.raises(InputError, match="its own method write"):
         write_solution(tmp_path / "answer.vtu", scene, solve(scene, solver="fenicsx"))
-    with pytest.raises(SceneError, match="march: processes have this scene in parts"):
+    with pytest.raises(SceneError, match="march: ranks have this scene in parts"):
         march(scene, time_step=1e-3, steps=1, density=1e-6)
     for term in (terms.RigidBody([0, 1, 2, 3]), terms.Bending([[0, 1, 2]], 1.0), terms.Inertia(1e-6, 1e-3)):
         bad = read_scene(file, lambda part, term=term: [terms.Strain(1.0), term])
-        with pytest.raises(SceneError, match=f"cannot model {term.name} of a scene that processes have in parts"):
+        with pytest.raises(SceneError, match=f"cannot model {term.name} of a scene that ranks have in parts"):
             prepare(bad, solver="fenicsx")
     with pytest.raises(SceneError, match="nothing holds translation along x, .* rotation about z; hold it"):
         solve(read_scene(file, lambda part: [terms.Strain(1.0), terms.Gravity((1.0, 1.0, 1.0), 1.0)]), solver="fenicsx")

@@ -11,12 +11,12 @@ from scipy.sparse.linalg import spsolve
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx import prepared, saddle
-from softdeca.reference.fenicsx.linear import hold
+from softdeca.reference.fenicsx.linear_solvers import hold
 from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.run import Record, Run
-from softdeca.reference.fenicsx.saddle import BlockSaddle, Saddle, saddle_of
+from softdeca.reference.fenicsx.saddle import BlockSaddle, FactoredSaddle, make_saddle_solver
 from softdeca.reference.problems import meshes
 from softdeca.reference.solution import Limits
 
@@ -61,11 +61,11 @@ def condensed_residual(condensed, held, x, b):
 @pytest.mark.parametrize("relative", [1e-2, 1e-6, 1e-10])
 def test_what_newton_asks_of_the_residual(law, relative):
     condensed, state, held = strained(law)
-    solver = saddle_of("block", condensed.matrix, held)
+    solver = make_saddle_solver("block", condensed.matrix, held)
     b = -state.gradient().ravel()
     hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
     answer = solver.solve(b, relative=relative)
-    assert answer.found and 1 < answer.iterations < 80
+    assert answer.converged and 1 < answer.iterations < 80
     assert condensed_residual(condensed, held, answer.x, b) <= relative
     solver.release()
 
@@ -78,10 +78,10 @@ def test_held_motions_spread_as_by_factors(law):
     for kind in ("mumps", "block"):
         b = np.zeros(state.u.size)
         hold(state.softened_hessian(0.0), held, values, b)
-        solver = saddle_of(kind, condensed.matrix, held)
+        solver = make_saddle_solver(kind, condensed.matrix, held)
         answers.append(solver.solve(b, relative=1e-10))
         solver.release()
-    assert answers[0].found and answers[1].found
+    assert answers[0].converged and answers[1].converged
     assert np.allclose(answers[1].x[held], values, rtol=1e-14)
     assert np.abs(answers[0].x - answers[1].x).max() < 1e-7
 
@@ -92,13 +92,13 @@ def test_steps_at_once_are_those_by_factors(law):
     state = condensed.beside(state.u, state.p)
     steps = []
     for kind in ("mumps", "block"):
-        solver = saddle_of(kind, condensed.matrix, held)
+        solver = make_saddle_solver(kind, condensed.matrix, held)
         state.hessian()
         forces = state.gradient().ravel()
         forces[held] = 0.0
-        step = solver.correction(np.concatenate([forces, state.strain()]))
+        step = solver.newton_step(np.concatenate([forces, state.strain()]))
         assert step is not None
-        after = solver.again(np.concatenate([2.0 * forces, state.strain()]))
+        after = solver.simplified_step(np.concatenate([2.0 * forces, state.strain()]))
         steps.append((step[: len(forces)], step[len(forces) :], after[: len(forces)]))
         solver.release()
     for direct, iterative, share in zip(*steps, (3e-3, 1e-3, 0.2), strict=True):
@@ -109,7 +109,7 @@ def test_iterations_grow_slowly_with_the_mesh():
     counts = []  # on 48, 384 and 3072 tets
     for cells in (2, 4, 8):
         condensed, state, held = strained(LAWS["incompressible"], cells)
-        solver = saddle_of("block", condensed.matrix, held)
+        solver = make_saddle_solver("block", condensed.matrix, held)
         b = -state.gradient().ravel()
         hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
         counts.append(solver.solve(b, relative=1e-6).iterations)
@@ -119,18 +119,18 @@ def test_iterations_grow_slowly_with_the_mesh():
 
 def test_energies_that_curve_downwards_are_told():
     condensed, state, held = strained(LAWS["incompressible"])
-    solver = saddle_of("block", condensed.matrix, held)
+    solver = make_saddle_solver("block", condensed.matrix, held)
     for shift, found in ((-0.5, False), (0.0, True)):
         hessian = state.softened_hessian(0.0)
         hessian.shift(shift * hessian.getDiagonal().norm())
         b = -state.gradient().ravel()
         hold(hessian, held, np.zeros(len(held)), b)
-        assert solver.solve(b, relative=1e-6).found is found
+        assert solver.solve(b, relative=1e-6).converged is found
     hessian = condensed.beside(state.u, state.p).hessian()
     hessian.shift(-0.5 * hessian.getDiagonal().norm())
     forces = state.gradient().ravel()
     forces[held] = 0.0
-    assert solver.correction(np.concatenate([forces, state.strain()])) is None
+    assert solver.newton_step(np.concatenate([forces, state.strain()])) is None
     solver.release()
 
 
@@ -195,10 +195,10 @@ def test_the_size_chooses(monkeypatch):
     condensed, _, held = strained(LAWS["incompressible"])
     problem = condensed.problem
     size = 3 * len(problem.numbering.X) + problem.pressures.count
-    for large, expected in ((size, BlockSaddle), (size + 1, Saddle)):
+    for large, expected in ((size, BlockSaddle), (size + 1, FactoredSaddle)):
         monkeypatch.setattr(saddle, "LARGE_SADDLE", large)
-        assert type(saddle_of("cg", condensed.matrix, held)) is expected
-    assert type(saddle_of("mumps", condensed.matrix, held)) is Saddle
+        assert type(make_saddle_solver("cg", condensed.matrix, held)) is expected
+    assert type(make_saddle_solver("mumps", condensed.matrix, held)) is FactoredSaddle
     scene = standing(LAWS["incompressible"])
     monkeypatch.setattr(prepared, "LARGE", len(scene.tets))
     for large, iterative in ((size, True), (size + 1, False)):

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -13,35 +12,13 @@ pytest.importorskip("dolfinx")
 from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.reference import Reason, Scene, SceneError, materials, prepare, solve, terms
 from softdeca.reference.fenicsx.dolfinx_version import parse_version
+from softdeca.reference.fenicsx.loads import dead_loads
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.problems import meshes
 
 NEO_HOOKE = terms.Hyperelastic(materials.NeoHookean.from_young(1.0, 0.45))
 SOFT = terms.Hyperelastic(materials.NeoHookean.from_young(1.0, 0.3))
-
-
-def box(n, size=(1.0, 1.0, 1.0)):
-    """Vertices and tets of a box of n cubes along each axis, each split into six tets round its diagonal."""
-    count = np.broadcast_to(n, 3)
-    vertices = np.stack(np.meshgrid(*[np.arange(c + 1) for c in count], indexing="ij"), -1).reshape(-1, 3)
-    corner = np.stack(np.meshgrid(*[np.arange(c) for c in count], indexing="ij"), -1).reshape(-1, 3)
-    strides = np.array([(count[1] + 1) * (count[2] + 1), count[2] + 1, 1])
-    tets = []
-    for order in permutations(range(3)):
-        path = [corner]
-        for axis in order:
-            path.append(path[-1] + np.eye(3, dtype=int)[axis])
-        tet = np.stack([p @ strides for p in path], axis=1)
-        odd = np.linalg.det(np.eye(3)[list(order)]) < 0
-        tets.append(tet[:, [0, 1, 3, 2]] if odd else tet)
-    return vertices / count * size, np.concatenate(tets)
-
-
-def shaken_box(n, amount=0.2, seed=0):
-    X, tets = box(n)
-    inner = ((X > 0) & (X < 1)).all(axis=1)
-    return X + inner[:, None] * np.random.default_rng(seed).uniform(-amount / n, amount / n, X.shape), tets, inner
 
 
 def rollers(X, axis_lengths=None):
@@ -55,107 +32,66 @@ def rollers(X, axis_lengths=None):
     return held
 
 
+ENERGIES = {
+    "neo-Hookean": [SOFT],
+    "projective": [terms.Strain(1.0), terms.Volume(10.0)],
+    "a strain limit": [terms.Strain(1.0, limit=1.02)],
+    "corotated and Mooney-Rivlin": [
+        terms.Hyperelastic(materials.Corotated(1.0, 2.0)),
+        terms.Hyperelastic(materials.MooneyRivlin(0.3, 0.1, 2.0, 0.1)),
+    ],
+}
+
+
 @pytest.mark.parametrize("linear_solver", ["cg", "mumps"])
-@pytest.mark.parametrize("energy", [[SOFT], [terms.Strain(1.0), terms.Volume(10.0)], [terms.Strain(1.0, limit=1.02)]])
-def test_patch(energy, linear_solver):
+@pytest.mark.parametrize("energies", ENERGIES)
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_patch(element, energies, linear_solver):
     """V1: an affine motion of the boundary moves the interior alike."""
-    X, tets, inner = shaken_box(3)
+    X, tets = meshes.unstructured({"P1": 3, "P2": 2}[element])
     A = np.array([[1.1, 0.05, 0.0], [0.0, 0.95, 0.1], [0.02, 0.0, 1.03]])
     goal = X @ A.T + [0.3, -0.2, 0.1]
-    scene = Scene(X, tets, [*energy, terms.Fixed(~inner, goal[~inner])])
-    solution = solve(scene, solver="fenicsx", linear_solver=linear_solver, tolerance=1e-12)
-    assert solution.converged
-    assert np.abs(solution.positions - goal).max() < 1e-12
-    assert np.allclose(solution.volume_ratio, np.linalg.det(A), atol=1e-12)
+    skin = np.unique(meshes.boundary_triangles(tets))
+    scene = Scene(X, tets, [*ENERGIES[energies], terms.Fixed(skin, goal[skin])])
+    solution = solve(scene, solver="fenicsx", element=element, linear_solver=linear_solver, tolerance=1e-12)
+    assert solution.converged, solution.reason
+    assert np.abs(solution.positions - goal).max() < {"P1": 1e-12, "P2": 1e-11}[element]
+    assert np.allclose(solution.volume_ratio, np.linalg.det(A), atol=1e-11)
 
 
-@pytest.mark.parametrize(
-    "stretch, lateral", [(0.5, 1.3508697467), (1.5, 0.8306789808), (2.0, 0.7259350056), (3.0, 0.5983147092)]
-)
-def test_uniaxial(stretch, lateral):
-    """V2, E = 1, nu = .45; also its energy, the integral of the published law at the published stretches."""
-    X, tets, _ = shaken_box(2)
+def test_the_energy_of_a_stretched_bar():
+    """V2, E = 1, nu = .45: the integral of the published law at the published stretches."""
+    X, tets = meshes.unstructured(2)
+    stretch, lateral = 2.0, 0.7259350056
     solution = solve(Scene(X, tets, [NEO_HOOKE, *rollers(X, {0: stretch})]), solver="fenicsx", tolerance=1e-12)
-    assert solution.converged
-    assert np.allclose(solution.positions, X * [stretch, lateral, lateral], atol=2e-10)
     mu, lmbda, J = NEO_HOOKE.material.mu, NEO_HOOKE.material.lmbda, stretch * lateral**2
     psi = mu / 2 * (stretch**2 + 2 * lateral**2 - 3) - mu * np.log(J) + lmbda / 2 * np.log(J) ** 2
     assert abs(solution.energy - psi) < 1e-9
 
 
-@pytest.mark.parametrize("stretch, force", [(0.5, -1.0861028086), (1.5, 0.3586143519), (2.0, 0.5987962703)])
-def test_uniaxial_under_traction(stretch, force):
-    """V2's nominal stress P as a dead load gives the stretch back."""
-    X, tets = box(2)
-    triangles = np.array([t for t in faces(tets) if (X[t, 0] == 1).all()])
-    start = X * [1 + 0.5 * (stretch - 1), 1, 1]
-    scene = Scene(X, tets, [NEO_HOOKE, *rollers(X), terms.Traction(triangles, (force, 0, 0))])
-    solution = solve(scene, solver="fenicsx", tolerance=1e-10, start=start)
-    assert solution.converged
-    assert np.allclose(solution.positions[:, 0], X[:, 0] * stretch, atol=1e-8)
-
-
-@pytest.mark.parametrize("stretch, thickness", [(1.5, 0.4839184956), (2.0, 0.2770079198)])
-def test_equibiaxial(stretch, thickness):
-    X, tets, _ = shaken_box(2)
-    scene = Scene(X, tets, [NEO_HOOKE, *rollers(X, {0: stretch, 1: stretch})])
-    solution = solve(scene, solver="fenicsx", tolerance=1e-11)
-    assert solution.converged
-    assert np.allclose(solution.positions, X * [stretch, stretch, thickness], atol=2e-10)
-
-
-@pytest.mark.parametrize(
-    "volume, stretch, lateral",
-    [(0, 0.5, 1.0), (0, 2.0, 1.0), (10, 0.5, 1.296099), (10, 1.5, 0.835426), (10, 2.0, 0.735254)],
-)
-def test_projective_energy_uniaxial(volume, stretch, lateral):
-    """V3, ws = 1 and wv = volume: lateral stretches to the six digits that are published."""
-    X, tets, _ = shaken_box(2)
-    energy = [terms.Strain(1.0)] + ([terms.Volume(float(volume))] if volume else [])
-    solution = solve(Scene(X, tets, [*energy, *rollers(X, {0: stretch})]), solver="fenicsx", tolerance=1e-11)
-    assert solution.converged
-    assert np.allclose(solution.positions, X * [stretch, lateral, lateral], atol=6e-7)
-
-
-def test_strain_limit():
-    """V3: P = ws (l - L) beyond the limit L, so a dead load P stretches to l = L + P/ws."""
-    X, tets = box(2)
-    triangles = np.array([t for t in faces(tets) if (X[t, 0] == 1).all()])
-    terms_ = [terms.Strain(2.0, limit=1.2), *rollers(X), terms.Traction(triangles, (0.5, 0, 0))]
-    solution = solve(Scene(X, tets, terms_), solver="fenicsx", tolerance=1e-10, start=X * [1.5, 1, 1])
-    assert solution.converged
-    assert np.allclose(solution.positions[:, 0], X[:, 0] * (1.2 + 0.5 / 2.0), atol=1e-9)
-
-
-@pytest.mark.parametrize("linear_solver", ["cg", "mumps"])
-def test_bar_under_its_own_weight(linear_solver):
-    """V3: tip = rho g L² / (2 ws) at any size; L = 1, rho = 1000, g = 9.81, ws = 1e5."""
-    X, tets = box((8, 1, 1), (1.0, 0.1, 0.1))
-    still = [terms.Fixed(np.arange(len(X)), components=(1, 2)), terms.Fixed(X[:, 0] == 0, components=0)]
-    scene = Scene(X, tets, [terms.Strain(1e5), *still, terms.Gravity((9.81, 0, 0), density=1000.0)])
-    solution = solve(scene, solver="fenicsx", tolerance=1e-11, linear_solver=linear_solver)
-    tip = solution.positions[X[:, 0] == 1, 0] - 1.0
-    assert solution.converged
-    assert np.allclose(tip.mean(), 0.04905, rtol=2e-3)  # six tets per cube share the end's load unevenly
-
-
-def faces(tets):
-    """Boundary triangles, oriented outwards or not."""
-    sides = np.concatenate([tets[:, list(side)] for side in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))])
-    _, first, count = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
-    return sides[first[count == 1]]
+def short_bar():
+    """A clamped bar of few tets, for quadratic elements."""
+    X, tets = meshes.box((3, 1, 1), (3.0, 1.0, 1.0))
+    end, skin = meshes.vertices_at(X, 0, 3.0), meshes.boundary_triangles(tets)
+    others = [
+        terms.SurfaceStrain(skin, np.linspace(1.0, 2.0, len(skin)), growth=1.1, rest=X * [1.0, 1.1, 0.9]),
+        terms.Target(end, X[end] + [0.2, 0.3, 0.1], 0.7),
+        terms.Fixed(meshes.vertices_at(X, 0, 0.0)),
+        terms.Gravity((0, -1.0, 0.2), density=0.05),
+    ]
+    return X, tets, others
 
 
 def soft_bar():
     """A clamped bar that bends under gravity, with springs at its end, a stiff skin, and a membrane inside."""
-    X, tets = box((12, 2, 2), (6.0, 1.0, 1.0))
+    X, tets = meshes.box((12, 2, 2), (6.0, 1.0, 1.0))
     mid = np.array([[a, b, c] for a, b, c in all_triangles(tets) if (X[[a, b, c], 2] == 0.5).all()])
     end = np.flatnonzero(X[:, 0] == 3.0)
     return (
         X,
         tets,
         [
-            terms.SurfaceStrain(faces(tets), 2.0, growth=1.1),
+            terms.SurfaceStrain(meshes.boundary_triangles(tets), 2.0, growth=1.1),
             terms.SurfaceStrain(mid, np.linspace(1.0, 2.0, len(mid))),
             terms.Target(end, X[end] + [0.3, 0.6, 0.2], np.linspace(0.5, 1.0, len(end))),
             terms.Fixed(X[:, 0] == 0),
@@ -172,17 +108,19 @@ def all_triangles(tets):
 BULK = {
     "neo-hooke": lambda m: [SOFT],
     "pd": lambda m: [terms.Strain(np.linspace(1, 3, m), limit=1.05), terms.Strain(0.5), terms.Volume(5.0, target=1.1)],
+    "corotated and Mooney-Rivlin": lambda m: ENERGIES["corotated and Mooney-Rivlin"],
     "both": lambda m: [terms.Hyperelastic(SOFT.material, np.arange(m // 2)), terms.Strain(1.0), terms.Volume(5.0)],
 }
 
 
 @pytest.mark.parametrize("bulk", BULK)
-def test_gradient_and_hessian_are_derivatives_of_the_assembled_energy(bulk):
-    X, tets, rest = soft_bar()
-    scene = Scene(X, tets, [*BULK[bulk](len(tets)), *rest])
-    problem = Problem(scene, Numbering(scene))
+@pytest.mark.parametrize("degree", [1, 2])
+def test_gradient_and_hessian_are_derivatives_of_the_assembled_energy(degree, bulk):
+    X, tets, others = soft_bar() if degree == 1 else short_bar()
+    scene = Scene(X, tets, [*BULK[bulk](len(tets)), *others])
+    problem = Problem(scene, Numbering(scene, degree))
     rng = np.random.default_rng(0)
-    u, d = rng.normal(size=(2, *problem.numbering.X.shape)) * [[[0.03]], [[1.0]]]
+    u, d = rng.normal(size=(2, *problem.numbering.X.shape)) * [[[0.03 if degree == 1 else 0.02]], [[1.0]]]
     h = 1e-6 if bulk == "pd" else 1e-4  # the strain limit has kinks
 
     def differences(f):
@@ -198,8 +136,25 @@ def test_gradient_and_hessian_are_derivatives_of_the_assembled_energy(bulk):
     assert np.linalg.eigvalsh(projected).min() > -1e-10 * np.abs(projected).max()
 
 
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_a_sequence_prepares_once(element):
+    """Other targets, held positions and loads in a prepared scene give what a new preparation gives."""
+    X, tets, others = soft_bar() if element == "P1" else short_bar()
+    scene = Scene(X, tets, [SOFT, *others])
+    prepared = prepare(scene, solver="fenicsx", element=element, linear_solver="mumps")
+    prepared.solve()
+    (target,) = scene.of(terms.Target)
+    other = scene.with_targets(target.positions + [0.1, -0.4, 0.0]).with_fixed(X[X[:, 0] == 0] + [0.0, 0.1, 0.0])
+    again = prepared.solve(other, tolerance=1e-10)
+    assert again.converged
+    fresh = solve(other, solver="fenicsx", element=element, tolerance=1e-10)
+    assert np.abs(again.positions - fresh.positions).max() < 1e-8
+    with pytest.raises(SceneError, match="Hyperelastic.material differs"):
+        prepared.solve(Scene(X, tets, [NEO_HOOKE, *others]))
+
+
 def test_neo_hooke_in_principal_stretches_equals_ufl():
-    X, tets, _ = shaken_box(2)
+    X, tets = meshes.unstructured(2)
     scene = Scene(X, tets, [NEO_HOOKE])
     problem = Problem(scene, Numbering(scene))
     state = problem.at(0.02 * np.random.default_rng(3).normal(size=X.shape))
@@ -236,23 +191,8 @@ def test_convergence_is_quadratic_at_the_end():
     assert order > 1.5
 
 
-def test_a_sequence_prepares_once():
-    """Other targets, held positions and loads in a prepared scene give what a new preparation gives."""
-    X, tets, rest = soft_bar()
-    scene = Scene(X, tets, [SOFT, *rest])
-    prepared = prepare(scene, solver="fenicsx", linear_solver="mumps")
-    prepared.solve()
-    target = next(term for term in rest if isinstance(term, terms.Target))
-    other = scene.with_targets(target.positions + [0.1, -0.4, 0.0]).with_fixed(X[X[:, 0] == 0] + [0.0, 0.1, 0.0])
-    again = prepared.solve(other, tolerance=1e-10)
-    assert again.converged
-    assert np.abs(again.positions - solve(other, solver="fenicsx", tolerance=1e-10).positions).max() < 1e-8
-    with pytest.raises(SceneError, match="Hyperelastic.material differs"):
-        prepared.solve(Scene(X, tets, [NEO_HOOKE, *rest]))
-
-
 def test_numbering():
-    X, tets, _ = shaken_box(3)
+    X, tets = meshes.unstructured(3)
     spare = np.concatenate([[[9.0, 9.0, 9.0]], X])  # a vertex in no tet
     scene = Scene(spare, tets + 1, [SOFT])
     order = Numbering(scene)
@@ -267,7 +207,7 @@ def test_numbering():
 
 
 def test_a_vertex_in_no_tet_stays_or_is_held():
-    X, tets, _ = shaken_box(2)
+    X, tets = meshes.unstructured(2)
     spare = np.concatenate([X, [[5.0, 5.0, 5.0], [6.0, 6.0, 6.0]]])
     n = len(X)
     face = np.flatnonzero(X[:, 0] == 0)
@@ -279,7 +219,7 @@ def test_a_vertex_in_no_tet_stays_or_is_held():
 
 def test_a_large_motion_of_the_boundary_is_taken_in_load_steps():
     """A face turned by 150 degrees: a direct lift, and its elastic spread too, would invert tets."""
-    X, tets = box((3, 2, 2))
+    X, tets = meshes.box((3, 2, 2))
     faces_ = [np.flatnonzero(X[:, 0] == end) for end in (0.0, 1.0)]
     turned = np.array(X[faces_[1]])
     c, d = np.cos(np.deg2rad(150.0)), np.sin(np.deg2rad(150.0))
@@ -294,7 +234,7 @@ def test_a_large_motion_of_the_boundary_is_taken_in_load_steps():
 
 
 def test_reasons():
-    X, tets, _ = shaken_box(2)
+    X, tets = meshes.unstructured(2)
     scene = Scene(X, tets, [SOFT, *rollers(X, {0: 2.0})])
     inverted = np.array(X)
     inverted[13] += 2.0
@@ -309,7 +249,7 @@ def test_reasons():
 
 
 def test_refusals():
-    X, tets, _ = shaken_box(2)
+    X, tets = meshes.unstructured(2)
     scene = Scene(X, tets, [SOFT, terms.Fixed([0])])
 
     class Wind(terms.Term):
@@ -394,3 +334,92 @@ def test_a_column_bends_under_a_dead_load_beyond_its_buckling():
     end = solution.positions[np.unique(tip)].mean(axis=0)
     assert end[0] / 10.0 == pytest.approx(0.560, abs=0.03)
     assert abs(end[1] - 0.5) / 10.0 == pytest.approx(0.719, abs=0.03)
+
+
+def test_numbering_of_quadratic_elements():
+    """Nodes lie where dolfinx has them, one per vertex and edge; faces find those on their sides."""
+    X, tets = meshes.unstructured(2)
+    order = Numbering(Scene(X, tets, []), 2)
+    assert np.allclose(order.X, order.space.tabulate_dof_coordinates(), atol=1e-14)
+    edges = np.unique(np.sort(tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1), axis=0)
+    assert len(order.X) == len(X) + len(edges)
+    assert np.array_equal(order.X[order.dof], X)
+    triangles = meshes.boundary_triangles(tets)
+    nodes = order.face_dofs("faces", triangles)
+    corners = X[triangles]
+    for a in range(3):
+        assert np.allclose(order.X[nodes[:, a]], corners[:, a])
+        assert np.allclose(order.X[nodes[:, 3 + a]], (corners.sum(axis=1) - corners[:, a]) / 2)
+    with pytest.raises(SceneError, match="faces: triangle 0 is no face of a tet"):
+        order.face_dofs("faces", np.array([[0, 1, 26]]))
+
+
+def test_what_is_held():
+    """All of a clamped face; not the edge through the inside of a corner's tet that joins two held faces."""
+    X, tets = meshes.block(1)
+    order = Numbering(Scene(X, tets, []), 2)
+    held = np.zeros(X.shape, dtype=bool)
+    held[X[:, 0] == 0] = True
+    held[X[:, 1] == 0, 1] = True
+    nodes = order.held(held)
+    assert np.array_equal(nodes[:, 0], order.X[:, 0] == 0)
+    assert np.array_equal(nodes[:, 1], (order.X[:, 0] == 0) | (order.X[:, 1] == 0))
+    nodes = order.held(np.ones(X.shape, dtype=bool))
+    inner = (order.X == 0.5).all(axis=1)
+    assert inner.sum() == 1
+    assert np.array_equal(nodes, np.repeat(~inner[:, None], 3, axis=1))
+
+
+def test_loads_integrate_quadratic_fields():
+    """The work of gravity and traction on u = x² e: integrals of x², 1/3 over the cube and the face."""
+    X, tets = meshes.unstructured(2)
+    face = meshes.triangles_at(X, tets, 2, 1.0)
+    order = Numbering(Scene(X, tets, []), 2)
+    gravity = Scene(X, tets, [terms.Gravity((0, 0, -3.0), density=2.0)])
+    traction = Scene(X, tets, [terms.Traction(face, (0.5, 0.0, 4.0))])
+    squares = order.X[:, 0] ** 2
+    assert squares @ dead_loads(gravity, order) == pytest.approx([0, 0, -2.0], abs=1e-13)
+    assert squares @ dead_loads(traction, order) == pytest.approx([0.5 / 3, 0, 4.0 / 3], abs=1e-13)
+
+
+def test_a_membrane_is_that_of_its_quadratic_triangles():
+    """An affine motion costs what linear triangles cost; a bump between vertices, unseen by those, more."""
+    scene = Scene(*short_bar()[:2], short_bar()[2])
+    surface = Scene(scene.vertices, scene.tets, [t for t in scene.terms if isinstance(t, terms.SurfaceStrain)])
+    linear, quadratic = (Problem(surface, Numbering(surface, degree)) for degree in (1, 2))
+    A = np.array([[1.1, 0.2, 0.0], [0.0, 0.9, 0.1], [0.1, 0.0, 1.2]]) - np.eye(3)
+    energies = [problem.at(problem.numbering.X @ A.T).energy for problem in (linear, quadratic)]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-12)
+    bump = np.array(quadratic.numbering.X @ A.T)
+    ends = quadratic.numbering.ends
+    bump[ends[:, 0] != ends[:, 1], 1] += 0.05
+    assert quadratic.at(bump).energy > energies[1] * 1.001
+
+
+def test_a_bar_under_its_own_weight_is_quadratic():
+    """Laterally held, its displacement g ρ (L x - x²/2) / (λ + 2μ) lies in the element's space, at small strain."""
+    X, tets = meshes.box((3, 1, 1), (3.0, 1.0, 1.0))
+    density = 1e-6
+    walls = [terms.Fixed(meshes.vertices_at(X, c, end), components=c) for c in (1, 2) for end in (0.0, 1.0)]
+    held = [terms.Fixed(meshes.vertices_at(X, 0, 0.0), components=0), *walls]
+    scene = Scene(X, tets, [SOFT, terms.Gravity((1.0, 0, 0), density=density), *held])
+    solution = solve(scene, solver="fenicsx", element="P2", tolerance=1e-10)
+    law = SOFT.material
+    expected = density * (3.0 * X[:, 0] - X[:, 0] ** 2 / 2) / (law.lmbda + 2 * law.mu)
+    moved = solution.positions - X
+    assert np.abs(moved[:, 0] - expected).max() < 1e-4 * expected.max()
+    assert np.abs(moved[:, 1:]).max() < 1e-4 * expected.max()
+
+
+@pytest.mark.parametrize("poisson", [0.4999, 0.49999])
+def test_a_nearly_incompressible_block_is_solved_to_the_end(poisson):
+    """By factors, whatever the usual solver is: CG's steps creep there."""
+    X, tets = meshes.box((3, 3, 3))
+    low, high = (meshes.vertices_at(X, 2, at) for at in (0.0, 1.0))
+    law = terms.Hyperelastic(materials.NeoHookean.from_young(10.0, poisson))
+    scene = Scene(X, tets, [law, terms.Fixed(low), terms.Fixed(high, X[high] + [0.1, 0.05, 0.2])])
+    answer = solve(scene, solver="fenicsx", element="P2", tolerance=1e-9)
+    assert answer.converged and answer.iterations < 40
+    assert answer.detail["linear_iterations"] == answer.detail["linear_solves"]
+    other = solve(scene, solver="skfem", element="P2", start=answer.positions, tolerance=1e-9)
+    assert other.converged and np.abs(other.positions - answer.positions).max() < 1e-6

@@ -14,6 +14,7 @@ from softdeca.benchmarks.harness.results_file import read_results
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
+from softdeca.reference import ranks
 
 # Another process has to import what it measures.
 TOYS = """
@@ -238,9 +239,9 @@ def test_no_study_has_an_option_twice():
     assert "--processes" in [option for parameter in command_of(study_of("ranks")).params for option in parameter.opts]
 
 
-def test_under_mpirun_the_first_process_measures_itself(toys, tmp_path, monkeypatch):
-    """The others follow this process, and none that it would start."""
-    monkeypatch.setattr(lanes, "followers", object)
+def test_under_mpirun_every_rank_measures_itself(toys, tmp_path, monkeypatch):
+    """Ranks share each solve of FEniCSx, and a process that one of them started would not."""
+    monkeypatch.setattr(ranks, "size", lambda: 2)
     monkeypatch.setattr(lanes, "_Lane", None)
     results = run(toys.Toy(folder=str(tmp_path), cases=("1", "bad", "2")), tmp_path / "out")
     assert [row.status for row in results.rows] == ["done", "failed", "done"]
@@ -281,7 +282,7 @@ def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_pat
     picture = io.BytesIO()
     Image.new("RGB", (40, 30), "white").save(picture, "PNG")
     drawn = {"a picture": picture.getvalue(), "turn it": b"<!doctype html><p>round</p>"}
-    monkeypatch.setattr(lanes, "followers", object)
+    monkeypatch.setattr(ranks, "size", lambda: 2)
     monkeypatch.setattr(toys.Toy, "measure", lambda self, task: {"twice": 2.0, **drawn})
     (row,) = run(toys.Toy(folder=str(tmp_path), cases=("1",)), tmp_path / "out").rows
     kept = {key: (tmp_path / "out" / row.values[key]).read_bytes() for key in drawn}

@@ -118,9 +118,8 @@ def test_energy_gradient_and_hessian_agree_far_from_rest(spheres, element, subdi
     """At one disturbed state; every Hessian by its products with the same changes of the unknowns."""
     pytest.importorskip("dolfinx")
     from softdeca.reference.fenicsx.bodies import RigidProblem
-    from softdeca.reference.fenicsx.numbering import Numbering
+    from softdeca.reference.fenicsx.numbering import DEGREE_OF, Numbering
     from softdeca.reference.fenicsx.problem import Problem
-    from softdeca.reference.fenicsx.scope import DEGREE_OF
     from softdeca.reference.skfem.discretisation import Discretisation
     from softdeca.reference.skfem.energy import Energy
     from softdeca.reference.skfem.unknowns import Body, Unknowns

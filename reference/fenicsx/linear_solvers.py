@@ -1,7 +1,4 @@
-"""Linear solvers for a symmetric matrix with held dofs: conjugate gradients with algebraic multigrid, and MUMPS.
-
-MUMPS' factors also say how many directions lose stiffness: by LDLᵀ, or by LU where a matrix is not symmetric.
-"""
+"""Linear solvers by name: conjugate gradients with algebraic multigrid, and MUMPS' factors."""
 
 from __future__ import annotations
 
@@ -32,33 +29,20 @@ INDEFINITE = ("DIVERGED_INDEFINITE_MAT", "DIVERGED_INDEFINITE_PC")  # CG blames 
 
 @dataclass(frozen=True, eq=False)
 class LinearAnswer:
-    """x, a vector, whether it was found, the iterations it took, and a word on why not."""
+    """x, a vector, whether it solves the system, the iterations it took, and a word on why not."""
 
     x: Floats
-    found: bool
+    converged: bool
     iterations: int
     why: str = ""
 
 
 class LinearSolver(Protocol):
-    """Solves A x = b with the present values of the matrix that it was made for, by all processes that share it."""
+    """Solves A x = b with the present values of the matrix that it was made for, by all ranks that share it."""
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
         """Give x with a residual below `relative` times b's norm, if A is positive definite."""
         ...
-
-
-def vector(values: Floats, comm, size: int = 1) -> PETSc.Vec:
-    """PETSc's vector of the values that this process owns, in blocks."""
-    return PETSc.Vec().createWithArray(values, bsize=size, comm=comm)
-
-
-def set_options(prefix: str, values: Mapping[str, object]):
-    """Put options into PETSc's database; each counts as used, for at its end PETSc warns of what it had no need of."""
-    options = PETSc.Options()
-    for key, value in values.items():
-        options[prefix + key] = value
-        options.hasName(prefix + key)
 
 
 class ConjugateGradients:
@@ -71,9 +55,9 @@ class ConjugateGradients:
     def __init__(self, matrix: PETSc.Mat):
         self._matrix = matrix
         set_options(_PREFIX, MULTIGRID)
-        self._begin_anew()
+        self._start_over()
 
-    def _begin_anew(self):
+    def _start_over(self):
         self._ksp = PETSc.KSP().create(self._matrix.comm)
         self._ksp.setOptionsPrefix(_PREFIX)
         self._ksp.setType(PETSc.KSP.Type.CG)
@@ -81,49 +65,45 @@ class ConjugateGradients:
         self._ksp.setOperators(self._matrix)
         self._ksp.getPC().setType(PETSc.PC.Type.GAMG)
         self._ksp.setFromOptions()
-        self._worn_out()
+        self._discard_setup()
 
-    def _worn_out(self):
+    def _discard_setup(self):
         """Have GAMG set up anew at the next solve."""
         self._per_decade, self._wear, self._doubtful = 0.0, 0.0, False
 
     def solve(self, b: Floats, *, relative: float) -> LinearAnswer:
-        """See LinearSolver; a direction of negative curvature counts as not found."""
+        """See LinearSolver; a direction of negative curvature counts as no solution."""
         before = 0
         if self._per_decade:
-            answer = self._kept(b, relative)
-            if answer.found or self._per_decade:
+            answer = self._solve_by_kept_setup(b, relative)
+            if answer.converged or self._per_decade:
                 return answer
             before = answer.iterations
-        answer = self._new(b, relative)
+        self._ksp.getPC().setReusePreconditioner(False)
+        answer = self._solve(b, relative, MAX_LINEAR_ITERATIONS)
+        if answer.converged:
+            self._ksp.getPC().setReusePreconditioner(True)
+            self._per_decade = max(answer.iterations, 1) / -np.log10(relative)
+        else:
+            self._start_over()  # GAMG does not recover from values that were indefinite, or that it failed for
         return replace(answer, iterations=before + answer.iterations)
 
-    def _kept(self, b: Floats, relative: float) -> LinearAnswer:
-        """Solve by the last set-up; not much longer than another one would take."""
+    def _solve_by_kept_setup(self, b: Floats, relative: float) -> LinearAnswer:
+        """Solve by the last set-up, in not many more iterations than another one would take."""
         expected = self._per_decade * -np.log10(relative)
-        answer = self._tried(b, relative, int(expected + 2 * SETUP))
+        answer = self._solve(b, relative, int(expected + 2 * SETUP))
         if answer.why in INDEFINITE and not self._doubtful:
             self._doubtful = True  # twice in a row, and the set-up is to blame
             return answer
         self._doubtful = False
         self._wear = max(self._wear + answer.iterations - expected, 0.0)
-        if self._wear > SETUP or not answer.found:
-            self._worn_out()
+        if self._wear > SETUP or not answer.converged:
+            self._discard_setup()
         return answer
 
-    def _new(self, b: Floats, relative: float) -> LinearAnswer:
-        self._ksp.getPC().setReusePreconditioner(False)
-        answer = self._tried(b, relative, MAX_LINEAR_ITERATIONS)
-        if not answer.found:
-            self._begin_anew()  # GAMG does not recover from values that were indefinite, or that it failed for
-            return answer
-        self._ksp.getPC().setReusePreconditioner(True)
-        self._per_decade = max(answer.iterations, 1) / -np.log10(relative)
-        return answer
-
-    def _tried(self, b: Floats, relative: float, limit: int) -> LinearAnswer:
+    def _solve(self, b: Floats, relative: float, limit: int) -> LinearAnswer:
         self._ksp.setTolerances(rtol=relative, atol=0.0, max_it=limit)
-        x, why = solved(self._ksp, b)
+        x, why = solve_with(self._ksp, b)
         return LinearAnswer(x, not why, self._ksp.its, why)
 
 
@@ -140,41 +120,23 @@ class Factorisation:
         self.symmetric = True
 
     def factor(self, matrix: PETSc.Mat, *, symmetric: bool) -> bool:
-        """Factor a matrix that processes share; give whether it is regular.
+        """Factor a matrix that ranks share; give whether it is regular.
 
-        If it need not be `symmetric`, it is looked whether it is.
+        One that need not be `symmetric` is tested for it.
         """
         size = matrix.norm(PETSc.NormType.FROBENIUS)
         if not np.isfinite(size):
             return False
         if not symmetric:
-            away = matrix.transpose(PETSc.Mat())
-            away.axpy(-1.0, matrix)
-            symmetric = away.norm(PETSc.NormType.FROBENIUS) <= ASYMMETRY * size
-            away.destroy()
-        # Of several processes MUMPS gives the determinant's sign for the first factors alone.
-        again = symmetric or matrix.comm.size == 1
-        if self._ksp is None or symmetric != self.symmetric or not again:
+            difference = matrix.transpose(PETSc.Mat())
+            difference.axpy(-1.0, matrix)
+            symmetric = difference.norm(PETSc.NormType.FROBENIUS) <= ASYMMETRY * size
+            difference.destroy()
+        # Of several ranks MUMPS gives the determinant's sign for the first factors alone.
+        can_refactor = symmetric or matrix.comm.size == 1
+        if self._ksp is None or symmetric != self.symmetric or not can_refactor:
             self.release()
-            self._begin(matrix, symmetric)
-        return self._numeric(matrix)
-
-    def _begin(self, matrix: PETSc.Mat, symmetric: bool):
-        self.symmetric = symmetric
-        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-        self._ksp = PETSc.KSP().create(matrix.comm)
-        self._ksp.setType(PETSc.KSP.Type.PREONLY)
-        self._ksp.setOperators(matrix)
-        preconditioner = self._ksp.getPC()
-        preconditioner.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
-        preconditioner.setFactorSolverType("mumps")
-        preconditioner.setFactorSetUpSolverType()
-        factors = preconditioner.getFactorMatrix()
-        factors.setMumpsIcntl(14, ROOM)
-        if not symmetric:
-            factors.setMumpsIcntl(33, 1)
-
-    def _numeric(self, matrix: PETSc.Mat) -> bool:
+            self._analyse(matrix, symmetric)
         assert self._ksp is not None
         self._ksp.setOperators(matrix)  # else values that change twice between solves go unseen
         factors = self._ksp.getPC().getFactorMatrix()
@@ -189,11 +151,26 @@ class Factorisation:
         self.negative = factors.getMumpsInfog(12) if self.symmetric else int(factors.getMumpsRinfog(12) < 0)
         return True
 
+    def _analyse(self, matrix: PETSc.Mat, symmetric: bool):
+        self.symmetric = symmetric
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._ksp = PETSc.KSP().create(matrix.comm)
+        self._ksp.setType(PETSc.KSP.Type.PREONLY)
+        self._ksp.setOperators(matrix)
+        preconditioner = self._ksp.getPC()
+        preconditioner.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+        preconditioner.setFactorSolverType("mumps")
+        preconditioner.setFactorSetUpSolverType()
+        factors = preconditioner.getFactorMatrix()
+        factors.setMumpsIcntl(14, ROOM)
+        if not symmetric:
+            factors.setMumpsIcntl(33, 1)  # the determinant
+
     def solve(self, b: Floats) -> Floats:
         """Give x of A x = b, a vector."""
         x = np.zeros_like(b)
         assert self._ksp is not None
-        right, left = (PETSc.Vec().createWithArray(values, comm=self._ksp.comm) for values in (b, x))
+        right, left = (petsc_vector(values, self._ksp.comm) for values in (b, x))
         self._ksp.solve(right, left)
         right.destroy()
         left.destroy()
@@ -220,45 +197,55 @@ class Mumps:
         return LinearAnswer(self._factors.solve(b), negative == 0, 1, f"{negative} negative pivots" if negative else "")
 
 
-def solved(ksp: PETSc.KSP, b: Floats, size: int = 3) -> tuple[Floats, str]:
-    """x, and why it is no solution (empty if it is). A KSP that has failed stays so: its owner makes another."""
+LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}
+
+
+def set_options(prefix: str, values: Mapping[str, object]):
+    """Put options into PETSc's database; each counts as used, for at its end PETSc warns of what it had no need of."""
+    options = PETSc.Options()
+    for key, value in values.items():
+        options[prefix + key] = value
+        options.hasName(prefix + key)
+
+
+def petsc_vector(values: Floats, comm, size: int = 1) -> PETSc.Vec:
+    """Give PETSc's vector of the values that this rank owns, in blocks."""
+    return PETSc.Vec().createWithArray(values, bsize=size, comm=comm)
+
+
+def solve_with(ksp: PETSc.KSP, b: Floats, size: int = 3) -> tuple[Floats, str]:
+    """Give x, and why it is no solution (empty if it is).
+
+    Every reason to stop is checked. A KSP that has failed stays so: its owner makes another.
+    """
     free_dropped(ksp.comm)
     x = np.zeros_like(b)
-    found = vector(x, ksp.comm, size)
+    answer = petsc_vector(x, ksp.comm, size)
     try:
-        ksp.solve(vector(b, ksp.comm, size), found)
+        ksp.solve(petsc_vector(b, ksp.comm, size), answer)
     except PETSc.Error as error:
         return x, f"PETSc error {error.ierr}"
-    return x, why_not(ksp, found)
-
-
-def why_not(ksp: PETSc.KSP, x: PETSc.Vec) -> str:
-    """Why x is no solution, by the solver's reason to stop; empty if it is."""
-    if ksp.reason > 0 and np.isfinite(x.norm()):  # of all processes that share it
-        return ""
+    if ksp.reason > 0 and np.isfinite(answer.norm()):  # of all ranks that share it
+        return x, ""
     names = {value: name for name, value in vars(PETSc.KSP.ConvergedReason).items() if isinstance(value, int)}
-    return names.get(ksp.reason, str(ksp.reason))
-
-
-LINEAR_SOLVERS: dict[str, Callable[[PETSc.Mat], LinearSolver]] = {"cg": ConjugateGradients, "mumps": Mumps}
+    return x, names.get(ksp.reason, str(ksp.reason))
 
 
 def hold(matrix: PETSc.Mat, held: Ints, values: Floats, b: Floats):
     """Replace held dofs' equations (k,) by x = values (k,), in matrix and right-hand side, symmetrically.
 
-    Each process names those that it owns, counted from its first.
+    Each rank names those that it owns, counted from its first.
     """
     x = np.zeros_like(b)
     x[held] = values
     scale = matrix.getDiagonal().norm(PETSc.NormType.INFINITY) or 1.0
     rows = (matrix.getOwnershipRange()[0] + held).astype(PETSc.IntType)
-    known, right = (vector(each, matrix.comm, matrix.getBlockSize()) for each in (x, b))
-    matrix.zeroRowsColumns(rows, diag=scale, x=known, b=right)
+    given, right = (petsc_vector(each, matrix.comm, matrix.getBlockSize()) for each in (x, b))
+    matrix.zeroRowsColumns(rows, diag=scale, x=given, b=right)
 
 
-def product(matrix: PETSc.Mat, x: Floats) -> Floats:
-    """A matrix times a vector."""
+def multiply(matrix: PETSc.Mat, x: Floats) -> Floats:
+    """Multiply a matrix by a vector."""
     result = np.zeros(matrix.getLocalSize()[0])
-    size = matrix.getBlockSize()
-    matrix.mult(vector(x, matrix.comm, size), vector(result, matrix.comm, size))
+    matrix.mult(*(petsc_vector(values, matrix.comm, matrix.getBlockSize()) for values in (x, result)))
     return result
