@@ -43,8 +43,8 @@ from . import corpus_size
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
 from .corpus_size import errors_over_size
+from .harness.page import markdown
 from .harness.study import Table
-from .harness.tables import markdown
 from .surrogate_frames import frames_png
 from .surrogate_gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED, defeats
 

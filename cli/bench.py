@@ -55,7 +55,7 @@ def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
     of a random person by exact points, which is transfer's share; by registered ones; and of the other head, whose
     artist had other shapes in mind.
     """
-    from ..benchmarks.registrations import median, run_registrations
+    from ..benchmarks.studies.heads.registration import median, run_registrations
     from ..lhm.identities import from_text
 
     with shown() as progress:
@@ -92,7 +92,7 @@ def closures(
     On the mean of the default people; some minutes a hundred frames. Each row: the opening, the method, largest and
     mean difference of its width from PD's, and the least width of both.
     """
-    from ..benchmarks.closures import closures as run
+    from ..benchmarks.studies.heads.closures import closures as run
     from .take_options import load_take
 
     recorded = load_take(take, None, chosen, False)

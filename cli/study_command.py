@@ -73,7 +73,7 @@ def changes(before: Path, after: Path) -> int:
     BEFORE and AFTER are folders of a study, or their results.json. Exit status 1 if a cost rose, a task is not done any
     more, or a statement not reached.
     """
-    from ..benchmarks.harness.compare import compared, study_in
+    from ..benchmarks.harness.results import compared, study_in
 
     name = study_in(before)
     if name not in names():

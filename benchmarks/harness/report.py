@@ -12,13 +12,11 @@ from ...animation.plots import narrow_figures
 from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.provenance import is_dirty
-from .. import first_screen
-from .page import drawn, machine_rows, panels_of, rendered, rows_table
+from . import first_screen
+from .page import drawn, latex, machine_rows, markdown, panels_of, rendered, rows_table
 from .page import shown as shown_study
-from .results_file import of_this_version, read_results
-from .runner import Results, Row
-from .study import Study, Table
-from .tables import latex, markdown
+from .results import of_this_version, read_results
+from .study import Results, Row, Study, Table
 
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "Is the fast simulator right?": ("agreement", "verification", "effects", "dynamics"),

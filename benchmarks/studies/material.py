@@ -17,9 +17,7 @@ from ...reference.problems.homogeneous import Row as Cube
 from ...reference.problems.homogeneous import held
 from ...reference.problems.meshes import unstructured
 from ...reference.terms import Hyperelastic, Strain, Term, Volume
-from ..harness.gates import at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
+from ..harness.study import Column, Row, Study, Task, Values, at_most
 
 LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
     "neo-Hookean": NeoHookean.from_young,

@@ -17,12 +17,8 @@ from ...reference import FacialModel, Parameters, smallest_facial_scene
 from ...reference.face.connecting import bone_points
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation
-from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, timed
-from ..differences import distances
-from ..harness.gates import at_least, at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Task, Values
-from ..traces import Stopwatch
+from ..harness.study import Column, Row, Task, Values, at_least, at_most
+from .measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, counts, distances, megabytes, timed
 from .person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {

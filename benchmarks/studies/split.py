@@ -25,11 +25,8 @@ from ...surrogate import Surrogate
 from ...surrogate.corpus.plan import CorpusPlan
 from ...surrogate.linear import linearised_face
 from ...surrogate.ruler import measure
-from ..differences import distances
-from ..harness.gates import at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Table, Task, Values
-from ..richardson import limit_of_two
+from ..harness.study import Column, Row, Table, Task, Values, at_most
+from .measures import distances, limit_of_two
 from .person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {

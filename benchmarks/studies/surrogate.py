@@ -16,8 +16,7 @@ from ...surrogate.corpus.reading import Faces
 from ...surrogate.evaluate import ALL, Score, evaluate
 from ...surrogate.heads import BindCosts, Heads
 from ...surrogate.ruler import MOVES
-from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
+from ..harness.study import Column, Row, Study, Task, Values
 from ..surrogate_gates import NETWORK, surrogate_gates
 from ..surrogates import READY, bind_costs, faces_of, learning, plotted, split_of, told_first
 

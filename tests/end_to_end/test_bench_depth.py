@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.depth import BETTER, PUBLISHED, Depth
+from softdeca.benchmarks.studies.heads.depth import BETTER, PUBLISHED, Depth
 from softdeca.lhm import Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.regressor import DepthRegressor, inward_normals, moved_wrap, prior_pairs

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.richardson import limit_of_three, limit_of_two
-from softdeca.benchmarks.studies.convergence import ACCEPTED, Convergence
+from softdeca.benchmarks.studies.measures import limit_of_three, limit_of_two
+from softdeca.benchmarks.studies.mesh.convergence import ACCEPTED, Convergence
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError
 

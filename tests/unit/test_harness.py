@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from softdeca.benchmarks.harness import Asked, Task, compared, lanes, run, run_together, runner
-from softdeca.benchmarks.harness.lanes import Job
-from softdeca.benchmarks.harness.results_file import read_results
+from softdeca.benchmarks.harness import Asked, Task, compared, processes, run, run_together, runner
+from softdeca.benchmarks.harness.processes import Job
+from softdeca.benchmarks.harness.results import read_results
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
@@ -22,7 +22,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from softdeca.benchmarks.harness.gates import at_most
+from softdeca.benchmarks.harness.study import at_most
 from softdeca.benchmarks.harness import Column, Study, Task
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 
@@ -240,15 +240,15 @@ def test_no_study_has_an_option_twice():
 
 def test_under_mpirun_the_first_process_measures_itself(toys, tmp_path, monkeypatch):
     """The others follow this process, and none that it would start."""
-    monkeypatch.setattr(lanes, "followers", object)
-    monkeypatch.setattr(lanes, "_Lane", None)
+    monkeypatch.setattr(processes, "followers", object)
+    monkeypatch.setattr(processes, "_Lane", None)
     results = run(toys.Toy(folder=str(tmp_path), cases=("1", "bad", "2")), tmp_path / "out")
     assert [row.status for row in results.rows] == ["done", "failed", "done"]
 
 
 def test_a_process_goes_on_with_its_case(toys, tmp_path):
     """What it has kept of a case serves the rest of it; another begins with a case of its own."""
-    lane = lanes._Lane()
+    lane = processes._Lane()
     jobs = [Job(toys.Toy(), Task(case, method)) for case in "123" for method in "ab"]
     ones, twos = ("toy", "1"), ("toy", "2")
     assert lane.next_of(jobs, {ones}) == jobs[2]
@@ -263,7 +263,7 @@ def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_
 
     def seen(jobs, count):
         lanes_used.append(count)
-        return lanes.measured(jobs, count)
+        return processes.measured(jobs, count)
 
     monkeypatch.setattr(runner, "measured", seen)
     good, more = (toys.Toy(folder=str(tmp_path), cases=(case,)) for case in "12")
@@ -281,7 +281,7 @@ def test_pictures_and_pages_of_a_row_are_files_that_its_page_holds(toys, tmp_pat
     picture = io.BytesIO()
     Image.new("RGB", (40, 30), "white").save(picture, "PNG")
     drawn = {"a picture": picture.getvalue(), "turn it": b"<!doctype html><p>round</p>"}
-    monkeypatch.setattr(lanes, "followers", object)
+    monkeypatch.setattr(processes, "followers", object)
     monkeypatch.setattr(toys.Toy, "measure", lambda self, task: {"twice": 2.0, **drawn})
     (row,) = run(toys.Toy(folder=str(tmp_path), cases=("1",)), tmp_path / "out").rows
     kept = {key: (tmp_path / "out" / row.values[key]).read_bytes() for key in drawn}
