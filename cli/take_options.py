@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import SEED
 from ..lhm.base.mesh import Floats
@@ -97,11 +97,9 @@ class HeadChoice:
 
 def load_take(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:
     """The frames of a take that are asked for; its remarks go to stderr."""
-    from ..animation.takes import cut_take, take_from_text
+    from ..animation.takes import read_frames
 
-    take = take_from_text(text)
-    take = expressions.resampled(take, take.rate if fps is None else fps)
-    take = take if chosen is None else cut_take(take, chosen)
+    take = read_frames(text, chosen or "", fps)
     if turned and take.head is None:
         raise InputError(f"--turned: {text} has no head rotation")
     if take.remarks():

@@ -24,7 +24,7 @@ QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "How far is the network from it?": ("surrogate", "split"),
     "What does each method cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
     "What can a scene leave out?": ("minimal",),
-    "Which heads work?": ("heads", "depth"),
+    "Which heads work?": ("heads", "registration", "depth", "closures"),
 }
 """A reader's questions, and the studies that answer each, in the report's order."""
 OTHER = "What else was measured?"

@@ -1,7 +1,5 @@
 """`bench registration`: slides and cosines follow from what registration gives, and the command tells them."""
 
-import json
-
 import numpy as np
 import pytest
 from scipy.sparse import identity
@@ -9,7 +7,6 @@ from scipy.sparse import identity
 from softdeca.benchmarks.studies.heads import registration
 from softdeca.lhm import identities
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.registration import registered_by
 from softdeca.lhm.registration.registration import Registration
 
@@ -62,18 +59,18 @@ def test_slides_and_shapes_are_measured_and_told(space, command, monkeypatch):
         return registered_by(template, parts, (ids, np.tile([1 - 2 * away, away, away], (len(ids), 1))), skin)
 
     monkeypatch.setattr(registration, "register", register)
-    ended = command("bench", "registration", "--upon", "anny", "--json")
-    results = json.loads(ended.out)
-    assert ended.status == 0 and len(asked) == 4
-    assert set(list_missing(results)) <= {"clean tree", "commit"} and results["options"]["seed"] == 0
-    assert [row["mean_mm"] < 1e-6 for row in results["slide"]] == [True, True]
-    for group in results["shapes"]:
-        cosines = {what: registration.median(rows)[0] for what, rows in group["rows"].items()}
-        assert cosines["another rig"] == pytest.approx(1.0, abs=1e-4)
-        assert 0.97 < cosines["a person, exact points"] <= 1.0
-        assert cosines["a person, registered"] < cosines["a person, exact points"]
-    lines = command("bench", "registration", "--upon", "anny").out.splitlines()
-    assert lines[0].startswith("anny to anny and back [mm]: mean 0.000") and len(lines) == 8
-    assert sum("cosine, median" in line for line in lines) == 6
-    ended = command("bench", "registration", "--upon", "nobody")
+    study = registration.Registrations(upon="anny")
+    (task,) = study.tasks()
+    values = study.measure(task)
+    assert len(asked) == 4
+    slides = [line for line in values["rows"] if line["compared"].startswith("slide")]
+    assert len(slides) == 2 and all(line["mean_mm"] < 1e-6 for line in slides)
+    cosines = [line["cosine"] for line in values["rows"] if "cosine" in line]
+    for another, exact, registered in (cosines[:3], cosines[3:]):
+        assert another == pytest.approx(1.0, abs=1e-4)
+        assert 0.97 < exact <= 1.0 and registered < exact
+    assert {line["compared"] for line in values["shapes"]} <= {line["compared"] for line in values["rows"]}
+    ended = command("bench", "heads", "--cases", "registration", "--upon", "nobody")
     assert ended.status != 0 and "nobody" in ended.errors[-1]
+    ended = command("bench", "heads", "--cases", "registration")
+    assert ended.status == 2 and "--upon is missing" in ended.errors[-1]

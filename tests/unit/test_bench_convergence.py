@@ -91,7 +91,7 @@ def test_the_head_of_the_level_below_fails_and_ours_passes_with_little_to_spare(
 def test_expressions_that_cannot_be_read_are_told(command, tmp_path):
     with pytest.raises(InputError, match="none"):
         Convergence(expressions=()).tasks()
-    ended = command("bench", "convergence", "--expression", "grin", "--out", tmp_path / "out")
+    ended = command("bench", "mesh", "--expression", "grin", "--out", tmp_path / "out")
     assert ended.status != 0 and len(ended.errors) == 1 and "grin" in ended.errors[0]
 
 

@@ -1,31 +1,29 @@
-"""softdeca bench closures: how far lids and lips are apart over a take, by blendshapes, simulator and surrogate.
-
-No study of the common runner: it plays one take, and its rows are curves of all methods at the same frames.
-"""
+"""How far lids and lips are apart over a take, by blendshapes, simulator and surrogate."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ....animation import plots
 from ....animation.play import blend_linearly
+from ....animation.takes import read_frames
 from ....lhm import expressions, fit_head, identities, load_template
-from ....lhm.base.files.atomic import replaced
 from ....lhm.base.mesh import Floats, Ints, Surface
-from ....lhm.base.progress import OnProgress
-from ....lhm.base.provenance import describe_machine
 from ....lhm.expressions import Take
+from ....lhm.template import DEFAULT_LEVEL
 from ....lhm.wraps.landmarks import landmarks
 from ....reference import Parameters, settled
 from ....reference import Sequence as Simulation
+from ....reference.face.parameter_file import read_parameters
 from ....surrogate import Surrogate
+from ...harness.study import Column, Row, Study, Task, Values
+from ..person import check_person
 
-TRUTH = "PD"
+TRUTH, NETWORK = "PD", "network"
 FOLLOWS = 0.5
 """Of the largest motion among a rim's vertices, from which on one belongs to the part that moves."""
 CORNERS = 0.2
@@ -43,18 +41,6 @@ class Gap:
     def width(self, skin: np.ndarray) -> float:
         """The mean height [mm] of upper over lower vertices of a skin (n, 3); negative where they cross."""
         return float((skin[self.upper, 1] - skin[self.lower, 1]).mean())
-
-
-@dataclass(frozen=True)
-class Closure:
-    """One opening by one method: largest and mean difference of its width from PD's [mm], and its least widths."""
-
-    gap: str
-    method: str
-    largest: float
-    mean: float
-    least: float
-    least_simulated: float
 
 
 def gaps(skin: Surface, parts: Ints, shapes: Floats) -> list[Gap]:
@@ -79,57 +65,89 @@ def _gap(name: str, skin: Surface, rim: Ints, shape: Floats, *, moves: str) -> G
     return Gap(name, upper, lower[np.argmin(np.abs(across), axis=1)])
 
 
-def closures(
-    take: Take, out: Path, parameters: Parameters, *, level: int, dynamic: bool, progress: OnProgress
-) -> tuple[list[Closure], list[Path]]:
-    """Play a take on the mean of the default people by all methods; gaps.json and gaps.png in `out`."""
-    space, surrogate = identities.Anny(), Surrogate.load()
-    skin, code = space.mean, np.zeros(space.code_size)
-    head = fit_head(load_template(space, level=level, progress=progress), skin)
-    openings = gaps(skin, space.parts, space.expressions)
-    network = surrogate.bind(skin, code, parameters)
-    exact = surrogate.bind(skin, code, parameters, exact=True, head=head)
-    neutral = settled(head, parameters)
-    simulation = Simulation.of(neutral, time_step=1.0 / take.rate, dynamic=dynamic)
-    rigs = {"network": network, "network + simulator at bind": exact}
-    playing = {name: rig.dynamic(1.0 / take.rate) if dynamic else rig for name, rig in rigs.items()}
-    widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
-    for number, weights in enumerate(take.weights):
-        drawn = blend_linearly(skin, space.expressions, weights)
-        skins: dict[str, np.ndarray] = {"blendshapes": drawn, TRUTH: simulation.skin(drawn, simulation.frame(drawn))}
-        skins |= {name: rig.frame(weights) for name, rig in playing.items()}
-        for name, one in skins.items():
-            widths[name].append([gap.width(one) for gap in openings])
-        progress(f"gaps: frame {number + 1} of {len(take.times)}", (number + 1) / len(take.times))
-    found = {name: np.array(rows) for name, rows in widths.items()}
-    results = [
-        Closure(
-            gap=gap.name,
-            method=name,
-            largest=float(np.abs(values[:, k] - found[TRUTH][:, k]).max()),
-            mean=float(np.abs(values[:, k] - found[TRUTH][:, k]).mean()),
-            least=float(values[:, k].min()),
-            least_simulated=float(found[TRUTH][:, k].min()),
-        )
-        for k, gap in enumerate(openings)
-        for name, values in found.items()
-        if name != TRUTH
-    ]
-    written = [out / "gaps.json", out / "gaps.png"]
-    with replaced(written[0]) as path:
-        options = {"frames": len(take.times), "rate": take.rate, "level": level, "dynamic": dynamic}
-        content = {
-            "machine": describe_machine(),
-            "options": options | {"parameters": asdict(parameters)},
-            "rows": [asdict(row) for row in results],
+@dataclass(frozen=True)
+class Closures(Study):
+    """Openings of the mean of the default people over a take."""
+
+    name = "closures"
+    heading = "Do lids and lips close as simulated?"
+    question = "How far are lids and lips apart over a take, by blendshapes, PD and the surrogate?"
+    columns = (
+        Column("gap", "opening"),
+        Column("by", "method"),
+        Column("largest", "largest difference of its width from PD's [mm]"),
+        Column("mean", "mean difference [mm]"),
+        Column("least", "least width [mm]"),
+        Column("least_simulated", "least width by PD [mm]"),
+    )
+    note = "On the mean of the default people. A width is negative where lids or lips cross."
+
+    take: str = field(default="conversation:3", metadata={"help": "a take, as `softdeca simulate` reads it"})
+    frames: str = field(default="", metadata={"help": "A:B, only these frames of the take, B left out"})
+    parameters: str = field(default="", metadata={"help": "TOML of named parameters p"})
+    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
+    dynamic: bool = field(default=False, metadata={"help": "with inertia, simulated and by the surrogate"})
+
+    def tasks(self) -> Sequence[Task]:
+        """The take; InputError for one that cannot be read."""
+        check_person(0, self.level)
+        take = read_frames(self.take, self.frames)
+        return [Task(f"{self.take}, {len(take.times)} frames", "lids and lips")]
+
+    def measure(self, task: Task) -> Values:
+        """Play the take by all methods, some minutes a hundred frames; differences, and all widths."""
+        take = read_frames(self.take, self.frames)
+        p = read_parameters(Path(self.parameters)) if self.parameters else Parameters()
+        openings, widths = self._widths(take, p)
+        lines = [
+            {
+                "gap": gap.name,
+                "by": name,
+                "largest": float(np.abs(values[:, k] - widths[TRUTH][:, k]).max()),
+                "mean": float(np.abs(values[:, k] - widths[TRUTH][:, k]).mean()),
+                "least": float(values[:, k].min()),
+                "least_simulated": float(widths[TRUTH][:, k].min()),
+            }
+            for k, gap in enumerate(openings)
+            for name, values in widths.items()
+            if name != TRUTH
+        ]
+        return {
+            "rows": lines,
             "times": take.times.tolist(),
             "gaps": [gap.name for gap in openings],
-            "widths_mm": {name: values.tolist() for name, values in found.items()},
+            "widths_mm": {name: values.tolist() for name, values in widths.items()},
+            "widths": _curves(take.times, openings, widths),
         }
-        path.write_text(json.dumps(content, indent=1, default=np.ndarray.tolist))
-    with replaced(written[1]) as path:
-        path.write_bytes(_curves(take.times, openings, found))
-    return results, written
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """The largest difference of the network."""
+        lines = [line for row in rows for line in row.values["rows"] if line["by"] == NETWORK]
+        worst = max(lines, key=lambda line: line["largest"])
+        return f"The network's {worst['gap']} are at most {worst['largest']:.2f} mm wider or narrower than simulated."
+
+    def _widths(self, take: Take, parameters: Parameters) -> tuple[list[Gap], dict[str, Floats]]:
+        """The openings, and their widths [mm], shape (frames, openings), by method."""
+        space, surrogate = identities.Anny(), Surrogate.load()
+        skin, code = space.mean, np.zeros(space.code_size)
+        head = fit_head(load_template(space, level=self.level), skin)
+        openings = gaps(skin, space.parts, space.expressions)
+        step = 1.0 / take.rate
+        rigs = {
+            NETWORK: surrogate.bind(skin, code, parameters),
+            "network + simulator at bind": surrogate.bind(skin, code, parameters, exact=True, head=head),
+        }
+        simulation = Simulation.of(settled(head, parameters), time_step=step, dynamic=self.dynamic)
+        playing = {name: rig.dynamic(step) if self.dynamic else rig for name, rig in rigs.items()}
+        widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
+        for weights in take.weights:
+            drawn = blend_linearly(skin, space.expressions, weights)
+            skins: dict[str, np.ndarray] = {"blendshapes": drawn}
+            skins[TRUTH] = simulation.skin(drawn, simulation.frame(drawn))
+            skins |= {name: rig.frame(weights) for name, rig in playing.items()}
+            for name, shown in skins.items():
+                widths[name].append([gap.width(shown) for gap in openings])
+        return openings, {name: np.array(rows) for name, rows in widths.items()}
 
 
 def _curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -> bytes:
