@@ -8,7 +8,7 @@ import numpy as np
 
 from ..lhm.base.mesh import Floats32
 from ..lhm.expressions import conversation
-from ..lhm.expressions.combinations import combinations
+from ..lhm.expressions.made_up import combinations
 
 APART = 8
 """Frames of a conversation: those in a row hardly differ."""

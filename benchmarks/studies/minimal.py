@@ -14,7 +14,6 @@ from ...lhm import expressions
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import FacialModel, Parameters, smallest_facial_scene
-from ...reference.face.connecting import bone_points
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation
 from ..harness.study import Column, Row, Task, Values, at_least, at_most

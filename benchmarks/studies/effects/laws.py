@@ -37,7 +37,7 @@ class LawAnswer:
     minimum; the answer is then the one next to PD's.
     """
 
-    neutral: Settled
+    neutral: SettledFace
     solution: Solution
     skin: Floats
     another_minimum: float | None = None
@@ -51,7 +51,7 @@ def answer_by(
     The same energy starts at its own settled face, another law at PD's answer, or at its own settled face where PD's
     answer has inverted tets.
     """
-    neutral = settled(head, effect.with_it(head), law=law, solver=solver, tolerance=TOLERANCE)
+    neutral = settle(head, effect.with_it(head), law=law, solver=solver, tolerance=TOLERANCE)
     prepared = prepare(neutral.scene(expression), solver=solver)
     by_pd = result.solution
     same = law == PD
@@ -62,7 +62,7 @@ def answer_by(
     return LawAnswer(neutral, solution, neutral.skin_after(expression, solution.positions), another)
 
 
-def rule_skins(head: LayeredHead, expression: Floats, neutral: Settled) -> dict[str, Floats]:
+def rule_skins(head: LayeredHead, expression: Floats, neutral: SettledFace) -> dict[str, Floats]:
     """Return the skins [mm] of two rules that solve no expression: a method that loses to one of them is no use."""
     carried = expression + carry_skin(head, neutral.parameters)
     return {CARRIED: carried, BLENDED: expression + neutral.displacement}
@@ -93,7 +93,7 @@ def compare_laws(
     answers = (same.neutral, law.neutral, same, law)
     return {
         "solver": solver,
-        "done": all(a.converged if isinstance(a, Settled) else a.solution.converged for a in answers),
+        "done": all(a.converged if isinstance(a, SettledFace) else a.solution.converged for a in answers),
         "same_mm": float(distances(same.solution.positions, result.solution.positions).max()),
         "another_minimum_mm": same.another_minimum,
         "to_pd": distances_by_method(by_solver, result.with_it, carried),

@@ -19,10 +19,12 @@ from ....lhm.regressor import (
     DepthErrors,
     DepthRegressor,
     MeasuredDepths,
-    default_regressor,
+    check_inside,
     inward_normals,
-    measured_depths,
-    moved_wrap,
+    measure_depths,
+    move_wrap,
+    read_skin,
+    read_skull,
 )
 from ....lhm.regressor.evaluation import SKULL_PLACES
 from ....lhm.regressor.files import check_inside, read_skin, read_skull
@@ -207,9 +209,9 @@ class DepthCheck:
         Raises InputError for a skull that lies outside the skin or is met from less than a tenth of the face, and
         FitError for a skin that no head can be fitted to.
         """
-        wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
+        wrap = template.skin_wrap.with_vertices(move_wrap(template, skin.vertices))
         check_inside("skull", template, wrap, skull)
-        measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
+        measured = measure_depths(wrap.vertices, inward_normals(wrap), [skull])
         met = float(measured.met[template.regions["face"]].mean())
         if met < LEAST_MEASURED:
             raise InputError(

@@ -83,7 +83,7 @@ class Convergence(OfPerson):
     def measure(self, task: Task) -> Values:
         """The solves on every mesh, and the errors of the head's own."""
         of = self.person()
-        head, shape, split = of.head, of.shape(task.case), refined_head(of.head)
+        head, shape, split = of.head, of.shape(task.case), refine_head(of.head)
         solves, skins = [], {}
         for surface, count in MESHES:
             mesh, layers = (head, count) if surface == 0 else (split, 1)

@@ -185,7 +185,7 @@ class Scaling(OfPerson):
 
 
 def _neo_hookean(make: Callable[[], Scene]) -> Scene:
-    return neo_hookean_scene(make())
+    return apply_law(make(), "neo-Hookean")
 
 
 def _per_iteration(times: Sequence[float] | Floats) -> float:

@@ -74,7 +74,7 @@ class Ranks(OfPerson):
         """A row per count of processes."""
         of = self.person()
         scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
-        return {"rows": compared(neo_hookean_scene(scene) if task.case == NEO_HOOKEAN else scene, self)}
+        return {"rows": compared(apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene, self)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All agree and converge."""

@@ -173,7 +173,7 @@ class Unknowns(OfPerson):
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
     """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
     forget_peak()
-    of = (lambda scene: scene) if law == PD_ENERGY else neo_hookean_scene
+    of = (lambda scene: scene) if law == PD_ENERGY else apply_law
     start, watch = None, Stopwatch()
     if coarse is not None:
         near = prepare(of(coarse[0]), solver="fenicsx").solve(tolerance=NEAR)

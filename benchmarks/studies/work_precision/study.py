@@ -129,7 +129,7 @@ class WorkPrecision(OfPerson):
 
     def _learned(self, text: str, label: str) -> dict:
         of, problem = self.person(), _problem(self, text, FACE)
-        weights, shape = expressions.parsed(text), of.shape(text)
+        weights, shape = expressions.parse_weights(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
         bind = _binds(of)[label]
         bind()  # not counted, like the first solve
@@ -324,7 +324,7 @@ def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
     scene = face if handles is None else handles.scene(face)
     of_law = next((added.of_moduli for name, added in added_laws().items() if law_energy(name) == energy), None)
     if of_law is not None:
-        scene = hyperelastic_scene(face, of_law)
+        scene = apply_law(face, of_law)
     solution = prepare(scene, solver="projective" if of_law is None else "fenicsx").solve(tolerance=TIGHT)
     if not solution.converged:
         raise SoftdecaError(f"the tight run: {solution.reason}")
