@@ -16,6 +16,7 @@ from ...lhm.base.mesh import Floats
 from ...reference import FacialModel, Parameters, smallest_facial_scene
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation
+from ...reference.face.tissue import bone_points
 from ..harness.study import Column, Row, Task, Values, at_least, at_most
 from .measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, counts, distances, megabytes, timed
 from .person import OfPerson

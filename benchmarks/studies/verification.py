@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from ...lhm.base.errors import MissingDependencyError, SceneError, SoftdecaError
 from ...lhm.base.mesh import Floats, Ints
-from ...reference import Parameters, Scene, facial_scene, materials, neo_hookean_scene, problems, solve, terms
+from ...reference import Parameters, Scene, apply_law, facial_scene, materials, problems, solve, terms
 from ..harness.study import Column, Row, Study, Table, Task, Values, at_most
 from .measures import farthest
 from .person import person, solvers_asked

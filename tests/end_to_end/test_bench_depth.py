@@ -1,4 +1,4 @@
-"""softdeca bench heads --cases depth: a skin and its skull in, a report out; skulls made so that the errors are known."""
+"""The study of depths: a skin and its skull in, a report out; skulls made so that the errors are known."""
 
 import json
 import re

@@ -7,7 +7,7 @@ from scipy.sparse import identity
 from softdeca.benchmarks.studies.heads import registration
 from softdeca.lhm import identities
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.registration import registered_by
+from softdeca.lhm.registration import register_by_mapping
 from softdeca.lhm.registration.registration import Registration
 
 

@@ -80,7 +80,9 @@ ELSEWHERE = {
     "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench minimal": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench verification --cases hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
-    "softdeca bench verification --cases hard --laws": "test_laws_recovery.py::test_a_collapsed_or_inverted_block_comes_back",
+    "softdeca bench verification --cases hard --laws": (
+        "test_laws_recovery.py::test_a_collapsed_or_inverted_block_comes_back"
+    ),
     "softdeca bench mesh": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
     "softdeca bench dynamics": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
     "softdeca bench heads --cases closures --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
@@ -104,7 +106,9 @@ ELSEWHERE = {
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mesh --cases locking": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling --cases mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
-    "softdeca bench scaling --cases parts": "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory",
+    "softdeca bench scaling --cases parts": (
+        "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory"
+    ),
     "softdeca bench scaling --cases ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
     "softdeca corpus plan --preset small --takes takes/": CORPUS,

@@ -1,4 +1,4 @@
-"""Every hard case by projective dynamics, and by Newton where it is quick; `softdeca bench verification --cases hard` runs all."""
+"""Every hard case by projective dynamics, and by Newton where it is quick; the case "hard" of a study runs all."""
 
 import json
 from dataclasses import replace

@@ -10,8 +10,8 @@ import numpy as np
 
 from ....animation.pictures import Panel, draw_strip
 from ....lhm.base.mesh import Floats
-from ....reference import Parameters, Scene, Settled, Solution, prepare, settled, solve
-from ....reference.face.facial import scene_under
+from ....reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
+from ....reference.face.facial import apply_law
 from ....surrogate import Surrogate
 from ..insides import compare_insides, load_on_mandible
 from ..measures import ACCURACY, TIGHT, Trace, difference, distances, traced, traced_to_itself

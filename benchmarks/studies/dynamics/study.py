@@ -13,9 +13,9 @@ from ....lhm import LayeredHead
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....reference import Trajectory, march, solve, terms
-from ....reference.face.dynamics import coefficients, implicit_euler
+from ....reference.face.dynamics import Recurrence
 from ....reference.face.parameters import TISSUE_DENSITY
-from ....reference.schemes import SCHEMES
+from ....reference.march import SCHEMES
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..person import OfPerson
 from .release import FEWEST, FINE, FRAME, TIGHT, Frames, Release, Swing, swing

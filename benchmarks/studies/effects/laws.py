@@ -11,8 +11,8 @@ from ....lhm import expressions
 from ....lhm.base.mesh import Floats
 from ....lhm.head import LayeredHead
 from ....lhm.identities.space import LinearSpace
-from ....reference import Parameters, Settled, Solution, prepare, settled
-from ....reference.face.settling import carry_skin
+from ....reference import Parameters, SettledFace, Solution, prepare, settle
+from ....reference.face.settle import carry_skin
 from ....surrogate import Surrogate
 from ....surrogate.local import around_vertices
 from ....surrogate.ruler import Ruler, measure

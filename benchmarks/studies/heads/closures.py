@@ -15,10 +15,10 @@ from ....lhm import expressions, fit_head, identities, load_template
 from ....lhm.base.mesh import Floats, Ints, Surface
 from ....lhm.expressions import Take
 from ....lhm.template import DEFAULT_LEVEL
-from ....lhm.wraps.landmarks import landmarks
-from ....reference import Parameters, settled
+from ....lhm.wraps.landmarks import find_landmarks
+from ....reference import Parameters, settle
 from ....reference import Sequence as Simulation
-from ....reference.face.parameter_file import read_parameters
+from ....reference.face.parameters import read_parameters
 from ....surrogate import Surrogate
 from ...harness.study import Column, Row, Study, Task, Values
 from ..person import check_person
@@ -45,7 +45,7 @@ class Gap:
 
 def gaps(skin: Surface, parts: Ints, shapes: Floats) -> list[Gap]:
     """Both eyes' lids and the lips of a neutral skin whose parts are known; shapes (52, n, 3) [mm]."""
-    marks = landmarks(skin, parts)
+    marks = find_landmarks(skin, parts)
     x = skin.vertices[:, 0]
     middle = 0.5 * (x.min() + x.max())
     lids = {"left lids": marks.lids[x[marks.lids] > middle], "right lids": marks.lids[x[marks.lids] <= middle]}
@@ -137,7 +137,7 @@ class Closures(Study):
             NETWORK: surrogate.bind(skin, code, parameters),
             "network + simulator at bind": surrogate.bind(skin, code, parameters, exact=True, head=head),
         }
-        simulation = Simulation.of(settled(head, parameters), time_step=step, dynamic=self.dynamic)
+        simulation = Simulation.of(settle(head, parameters), time_step=step, dynamic=self.dynamic)
         playing = {name: rig.dynamic(step) if self.dynamic else rig for name, rig in rigs.items()}
         widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
         for weights in take.weights:

@@ -15,9 +15,8 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.files.surface_file import MILLIMETRES
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.mesh import Floats
-from ....lhm.regressor import (
-    DepthErrors,
-    DepthRegressor,
+from ....lhm.regressor.depths import SKULL_PLACES, DepthErrors, DepthRegressor
+from ....lhm.regressor.pairs import (
     MeasuredDepths,
     check_inside,
     inward_normals,
@@ -26,8 +25,7 @@ from ....lhm.regressor import (
     read_skin,
     read_skull,
 )
-from ....lhm.regressor.evaluation import SKULL_PLACES
-from ....lhm.regressor.files import check_inside, read_skin, read_skull
+from ....lhm.regressor.prior import default_regressor
 from ....lhm.wraps.depth import LANDMARKS
 from ....lhm.wraps.landmarks import Mask
 from ...harness.study import Column, Row, Study, Table, Task, Values, at_most

@@ -19,11 +19,11 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.geometry.rays import visible_sky
 from ....lhm.base.mesh import Floats, Floats32, Surface
 from ....lhm.expressions.transfer import transfer_expressions
-from ....lhm.fit import transferred_rig
+from ....lhm.fit import transfer_rig
 from ....lhm.identities import LinearSpace
 from ....lhm.identities.space import OUTSIDE
-from ....lhm.registration.matching import Target
-from ....lhm.registration.registration import Registration, face_of, register
+from ....lhm.registration.alignment import Target
+from ....lhm.registration.registration import Registration, find_face, register
 from ....lhm.wraps.landmarks import Mask
 from ...harness.study import Column, Row, Study, Task, Values
 
@@ -80,7 +80,7 @@ class Registrations(Study):
                 | {"median_mm": float(np.median(away)), "p95_mm": float(np.quantile(away, 0.95))}
                 | {"points": len(away), "crossings": forth.crossings}
             )
-            rig = transferred_rig(space, forth).deltas
+            rig = transfer_rig(space, forth).deltas
             groups = {f"shapes, {space.name} to {upon.name}": agreement(rig, upon.expressions, upon.parts == OUTSIDE)}
             groups |= {f"shapes, {space.name}, {what}": rows for what, rows in _of_a_person(space, self.seed).items()}
             for compared, rows in groups.items():
@@ -109,7 +109,7 @@ def slide(space: LinearSpace, forth: Registration, upon: LinearSpace, home: Regi
 
 def visible_face(space: LinearSpace) -> Mask:
     """The vertices (n,) of a mean head's face that see the sky."""
-    return face_of(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
+    return find_face(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
 
 
 def agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
@@ -132,7 +132,7 @@ def _of_a_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, Any]
     # Other numbers for its vertices, so that nothing can be known of the points.
     order = np.random.default_rng(seed).permutation(len(skin.vertices))
     other = Surface(skin.vertices[order], np.argsort(order)[skin.triangles])
-    found = transferred_rig(space, register(space.mean, space.parts, other)).deltas
+    found = transfer_rig(space, register(space.mean, space.parts, other)).deltas
     return {
         "a person, exact points": agreement(exact, space.expressions, visible),
         "a person, registered": agreement(found, space.expressions[:, order], visible[order]),

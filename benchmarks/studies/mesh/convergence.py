@@ -16,7 +16,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....lhm.head import LayeredHead
-from ....lhm.refine import refined_head
+from ....lhm.remesh import refine_head
 from ....reference import Parameters, Scene, Solution, facial_scene, prepare, solve
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import difference, limit_of_three, limit_of_two

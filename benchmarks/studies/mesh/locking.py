@@ -18,7 +18,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.head import LayeredHead
-from ....lhm.remesh import remeshed
+from ....lhm.remesh import remesh
 from ....lhm.template import DEFAULT_LEVEL
 from ....reference import Scene, solve
 from ....surrogate.ruler import measure

@@ -15,7 +15,7 @@ from ....lhm import expressions
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....lhm.template import LEVELS
-from ....reference import Parameters, Scene, Solution, facial_scene, neo_hookean_scene, prepare, projective
+from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, prepare, projective
 from ....reference.face.sequence import Sequence as Simulation
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import (

@@ -14,7 +14,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
 from ....lhm.head import LayeredHead
-from ....reference import Parameters, Scene, Solution, facial_scene, materials, neo_hookean_scene, prepare, solve, terms
+from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, materials, prepare, solve, terms
 from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import distances
 from ..person import OfPerson

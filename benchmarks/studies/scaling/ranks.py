@@ -14,7 +14,7 @@ import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
-from ....reference import Parameters, Scene, facial_scene, neo_hookean_scene
+from ....reference import Parameters, Scene, apply_law, facial_scene
 from ...harness.mpirun import by_mpirun
 from ...harness.processes import peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_most

@@ -17,7 +17,7 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
-from ....reference import Parameters, Scene, facial_scene, neo_hookean_scene, nested_start, prepare
+from ....reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
 from ...harness.processes import forget_peak, peak_megabytes
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, Stopwatch, load_kernels, slope, timed, unfinished

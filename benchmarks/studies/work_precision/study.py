@@ -12,9 +12,9 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ....lhm.base.mesh import Floats
-from ....reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
+from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import added_laws, added_solvers
-from ....reference.face.settling import carry_skin
+from ....reference.face.settle import carry_skin
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import ACCURACY, TIGHT, Stopwatch, Trace, again, distances, farthest, traced
 from ..person import OfPerson, Person
