@@ -55,10 +55,10 @@ class Material(Study):
         Column("large", "at 50 % [%]"),
     )
     note = (
-        "A unit cube on rollers of PD's energy, w_str/2 |F - R|² + w_vol/2 min |F - T|² over det T = 1, and of a law "
-        "with the same small-strain moduli: w_str = 2 mu, w_vol = 3 lmbda, E = 1 kPa. Nominal stresses (the energy's "
-        "derivative) at the same stretch, their difference over the law's; the other axes are free, or one of them "
-        "keeps its length in pure shear. By scikit-fem, which has every law and PD's energy."
+        "A unit cube on rollers of PD's energy, w_str/2 |F - R|² + w_vol/2 min |F - T|² over det T = 1. Beside it a "
+        "law with the same small-strain moduli: w_str = 2 mu, w_vol = 3 lmbda, E = 1 kPa. Nominal stresses (the "
+        "energy's derivative) at the same stretch; their difference is over the law's. The other axes are free; in "
+        "pure shear one keeps its length. Solved by scikit-fem, which has every law and PD's energy."
     )
 
     poisson: tuple[str, ...] = field(

@@ -68,8 +68,8 @@ class Split(OfPerson):
     version = 2
     heading = "Where does the network's error come from?"
     question = (
-        "Where does the surrogate's error to a refined hyperelastic reference come from: the network, the tolerance of "
-        "what it learned from, projective dynamics' energy in place of a hyperelastic law, or the mesh?"
+        "Which part of the surrogate's error to a refined hyperelastic reference comes from the network, the training "
+        "tolerance, PD's energy and the mesh?"
     )
     columns = (
         Column("moved", "|T - carried(S)|, mean [mm]"),
@@ -83,11 +83,11 @@ class Split(OfPerson):
         Column("fenicsx", "check: PD - FEniCSx, same energy, max [mm]"),
     )
     note = (
-        "T is PD's converged skin, S the blendshapes; shares are taken where a vertex moves by more than 0.05 mm. Each "
-        f"law and element settles the neutral face by itself. Quadratic tets are solved on level {COARSE} for every "
-        "row, and on the study's own level for the rows that say so, where `refined` is the distance to the limit of "
-        "the two levels' quadratic tets (Richardson, order 1 assumed; its bound is the GCI). The part of the mesh of "
-        "the other rows is estimated; its band is that of the ratios measured."
+        "T is PD's converged skin, S are the blendshapes. Shares are taken where a vertex moves by more than 0.05 mm. "
+        "Each law and element settles the neutral face by itself. Every row solves quadratic tets on level 1; the "
+        "rows named `refined` solve them on the study's own level too. There `refined` is the distance to the limit "
+        "of both levels' quadratic tets (Richardson, order 1 assumed; its bound is the GCI). The other rows estimate "
+        "the part of the mesh; its band is that of the measured ratios."
     )
 
     expressions: tuple[str, ...] = field(

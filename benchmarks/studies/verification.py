@@ -120,7 +120,7 @@ class Hard(Study):
 
     name = "hard"
     heading = "Do the solvers survive hard cases?"
-    question = "Where solvers are pushed hard: are they right, do they say why they stop, or are they silently wrong?"
+    question = "Are hard-pushed solvers right, do they say why they stop, or are they silently wrong?"
     columns = (
         Column("criterion", "what is compared"),
         Column("outcome", "outcome"),

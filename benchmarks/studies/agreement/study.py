@@ -53,8 +53,8 @@ class Agreement(Study):
     name = "agreement"
     heading = "Does the fast simulator agree with finite elements?"
     question = (
-        "Do projective dynamics, FEniCSx and scikit-fem find the same face, and how far from it are a hyperelastic "
-        "law, the surrogate and plain blendshapes?"
+        "Do projective dynamics, FEniCSx and scikit-fem find the same face, and how far are a hyperelastic law, the "
+        "surrogate and blendshapes from it?"
     )
     columns = (
         Column("compared", "compared"),
@@ -71,12 +71,12 @@ class Agreement(Study):
         Column("reason", "ended"),
     )
     note = (
-        "PD, FEniCSx and scikit-fem on PD's energy and the same tets; the neo-Hookean law has the same small-strain "
-        "moduli, and settles the neutral face itself. Distances of vertices. No target holds the skin where a bone "
-        "opens the jaw or a load pushes the cheek; springs hold the lining of mouth and eyes there, behind which is no "
-        "bone. Iterations to 0.01 mm: until no vertex is farther from the answer. Where "
-        "FEniCSx, which starts at rest, ends in another minimum than PD, it is started at PD's answer too: PD is right "
-        "if FEniCSx stays there. Seconds are in the study `work-precision`, where nothing runs beside them."
+        "PD, FEniCSx and scikit-fem solve PD's energy on the same tets. The neo-Hookean law has the same small-strain "
+        "moduli and settles the neutral face itself. Distances are those of vertices. No target holds the skin where "
+        "a bone opens the jaw or a load pushes the cheek. Springs hold the lining of mouth and eyes there, since no "
+        "bone lies behind it. Iterations to 0.01 mm count until no vertex is farther from the answer. FEniCSx starts "
+        "at rest. Where it ends in another minimum than PD, it also starts at PD's answer: PD is right if FEniCSx "
+        "stays there. The study `work-precision` has the seconds, measured with nothing beside them."
     )
     version = 2
 

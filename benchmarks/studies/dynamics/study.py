@@ -55,15 +55,15 @@ class Dynamics(OfPerson):
         Column("stopped", "stopped"),
     )
     note = (
-        "Bones held. Frequency (undamped) and damping ratio of a damped cosine fitted to the motion. No model here has "
-        "a damper but Eq. 9 with p's damping: what implicit Euler loses is numerical. Eq. 9 gives mass to skin alone: "
-        "what the springs of the expression need to swing at the frequency that p names. The tissue's own mass: 1040 "
-        "kg/m³, with Rayleigh damping 19 /s and 0.055 s where it says so; a third of the mass below each point of the "
-        "skin is what a displacement that grows linearly from the bone gives it. Without springs the tissue hangs on "
-        "its bones, and on the lining of mouth and lids, which is held as no bone is behind it; it is let go from its "
-        "sag under 1 g, which is many modes: without a damper the decay is that of modes that fall out of step, over 4 "
-        "frames. Shaken: 5 mm to either side at 2 Hz; Eq. 9 alone sees no acceleration of the head. A march that "
-        "stopped is compared up to there."
+        "Bones are held. Frequency (undamped) and damping ratio are those of a damped cosine fitted to the motion. "
+        "Only Eq. 9 with p's damping has a damper; what implicit Euler loses is numerical. Eq. 9 gives mass to the "
+        "skin alone: what the springs of the expression need to swing at p's frequency. The tissue's own mass is 1040 "
+        "kg/m³, where it says so with Rayleigh damping 19 /s and 0.055 s. A displacement that grows linearly from the "
+        "bone gives each point of the skin a third of the mass below it. Without springs the tissue hangs on its "
+        "bones and on the held lining of mouth and lids. It is let go from its sag under 1 g, which excites many "
+        "modes. Without a damper the decay is that of modes that fall out of step, over 4 frames. Shaken: 5 mm to "
+        "either side at 2 Hz; only Eq. 9 sees no acceleration of the head. A march that stopped is compared up to "
+        "there."
     )
 
     level: int = field(default=1, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})

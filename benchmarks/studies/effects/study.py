@@ -46,7 +46,7 @@ class Effects(OfPerson):
 
     name = "effects"
     heading = "What do palsy, weight and the other effects do to a face?"
-    question = "Palsy, weight, jaw, zombie, gravity, wrinkles: what do they do to a face, and is the answer the answer?"
+    question = "What do palsy, weight, jaw, zombie, gravity and wrinkles do to a face, and is the answer unique?"
     columns = (
         Column("shown", "what the paper shows"),
         Column("neutral_change_mm", "neutral face moves, max [mm]"),
@@ -63,15 +63,15 @@ class Effects(OfPerson):
         Column("spread_mm", "farthest answer of the starts [mm]"),
     )
     note = (
-        "Each expression is solved by PD with and without its effect, from the neutral face that has come to rest, the "
-        "mandible a free rigid body. The other start: all wraps moved by the skin's way to its targets, which inverts "
-        "tets. The paper is silent about targets of a face that has changed: where an effect changes the neutral face, "
-        "the targets of what is fleshy let go of it, bones stay at their scaled rest, and it comes to rest; its "
-        "displacement is then added to the targets of the expression. Flesh is the neck and the face below the brow, "
-        "but for lips, lids, mouth, eyes, teeth and ears, and fades in over 12 mm along the skin. Each law settles the "
-        "neutral face itself. Shares are of T less blendshapes that bones carry, over vertices that this moves by more "
-        "than 0.05 mm. The mandible is free in an expression: the law's load on it is that which holds it where PD has "
-        "it. In the settled neutral face bones are prescribed, and each law has its load."
+        "PD solves each expression with and without its effect, from the settled neutral face, with a free rigid "
+        "mandible. The other start moves all wraps by the skin's way to its targets, which inverts tets. The paper "
+        "does not say what targets a changed face has. Where an effect changes the neutral face, fleshy targets let "
+        "go of it, bones stay at their scaled rest, and it settles. Its displacement is then added to the targets of "
+        "the expression. Flesh is the neck and the face below the brow, except lips, lids, mouth, eyes, teeth and "
+        "ears; it fades in over 12 mm along the skin. Each law settles the neutral face itself. Shares are of T less "
+        "blendshapes that bones carry, over vertices that this moves by more than 0.05 mm. In an expression the "
+        "mandible is free: the law's load on it is the one that holds it where PD has it. In the settled neutral face "
+        "bones are prescribed, and each law has its load."
     )
     version = 2
 

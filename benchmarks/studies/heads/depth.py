@@ -64,13 +64,13 @@ class Depth(Study):
     )
     version = 2
     note = (
-        "One head is no statistics: it shows what this regressor does on this head, not how large its errors are on "
-        "others. Measured: along the skin wrap's smoothed inward normals to the first bone. Vertices whose ray meets "
-        "none (eye sockets, the nose's tip, the mouth), or only bone far behind the closest, are left out, and grey in "
-        "pictures, whose colours end at the 99 % quantile. Bias: predicted minus measured; below zero the prediction "
-        "is too shallow. The scalp is all above the face. Each vertex counts once but for the mean by area; the wrap "
-        "is densest at lips and lids. Two rivals give every vertex one depth: the published landmarks' mean, and the "
-        "region's own median, which nobody knows without the skull."
+        "One head is no statistics: it shows what this regressor does here, not how large its errors are on others. "
+        "Depths are measured along the skin wrap's smoothed inward normals to the first bone. Left out, and grey in "
+        "pictures, are vertices whose ray meets no bone (eye sockets, the nose's tip, the mouth), or only bone far "
+        "behind the closest. Colours end at the 99 % quantile. Bias is predicted minus measured: below zero the "
+        "prediction is too shallow. The scalp is all above the face. Each vertex counts once, except in the mean by "
+        "area; the wrap is densest at lips and lids. Two rivals give every vertex one depth: the mean of the "
+        "published landmarks, and the region's own median, which nobody knows without the skull."
     )
 
     skin: str = field(

@@ -107,9 +107,9 @@ class Heads(OfPerson):
         Column("check_s", "check [s]", cost=True),
     )
     note = (
-        "Each head counts once, with its smallest, mean or largest value. Seed N is repeated by `softdeca bench heads "
-        "--seed N --count 1`; at 2.5 standard deviations also by `softdeca head fit --seed N`. Gallery: expressions "
-        "at full weight, simulated by projective dynamics with the default parameters."
+        "Each head counts once, with its smallest, mean or largest value. `softdeca bench heads --seed N --count 1` "
+        "repeats seed N; at 2.5 standard deviations `softdeca head fit --seed N` does too. The gallery shows "
+        "expressions at full weight, simulated by projective dynamics with default parameters."
     )
 
     count: int = field(default=1000, metadata={"help": "how many random identities"})

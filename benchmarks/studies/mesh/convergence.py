@@ -41,9 +41,7 @@ class Convergence(OfPerson):
 
     name = "convergence"
     heading = "Is the head's mesh fine enough?"
-    question = (
-        "How far is what a head's own mesh (one layer of prisms per tissue) gives from the limit of ever finer ones?"
-    )
+    question = "How far is a head's own mesh (one layer of prisms per tissue) from the limit of ever finer ones?"
     columns = (
         Column("moved_mm", "moved, max [mm]"),
         Column("mean", "error, mean [mm]"),
@@ -56,12 +54,13 @@ class Convergence(OfPerson):
         Column("iterations", "iterations", cost=True),
     )
     note = (
-        "PD's energy with default parameters and prescribed bones, on the skin. The error: to the limit across the "
-        "layers plus the change along the surface that is left; the two are taken to add. Order: log2 of the RMS "
-        "change from 1 to 2 sub-layers over that from 2 to 4; one outside 0.5 to 2 is brought to the nearer end, "
-        "and proves no asymptotic range. GCI across: 1.25 times the estimated RMS error of the finest; along: 3 "
-        "times, as two levels show no order; the assumed one (1) is low, so that the error is rather stated too large. "
-        "Quadratic tets have their springs at the mesh's corners, while a split surface has them at its middles too."
+        "PD's energy with default parameters and prescribed bones, on the skin. The error is the distance to the "
+        "limit across the layers plus the change along the surface that is left; both are taken to add. The order is "
+        "log2 of the RMS change from 1 to 2 sub-layers over that from 2 to 4. An order outside 0.5 to 2 is brought to "
+        "the nearer end, and proves no asymptotic range. The GCI across is 1.25 times the estimated RMS error of the "
+        "finest mesh. The GCI along is 3 times it, since two levels show no order. The assumed order of 1 is low, so "
+        "the error is rather stated too large. Quadratic tets have springs at the mesh's corners; a split surface has "
+        "them at its middles too."
     )
 
     expressions: tuple[str, ...] = field(

@@ -71,11 +71,11 @@ class Locking(OfPerson):
         Column("iterations", "iterations", cost=True),
     )
     note = (
-        "Neo-Hookean tissue of default shear moduli with prescribed bones, on the skin. The distance of split prisms "
-        "is to the reference: quadratic tets on the same mesh, below nu 0.49 by displacement (P2), from there with a "
-        "pressure (P2-P1). The distance of free tets is to split prisms of the same element. T is the reference's "
-        "skin; no bone is scaled, so carried(S) is S. Mirrored loads: a one-sided smile and its mirror image on the "
-        "mean head, whose skin is symmetric but whose wraps are not; the distance is of one answer to the other's "
+        "Neo-Hookean tissue of default shear moduli with prescribed bones, on the skin. The reference is quadratic "
+        "tets on the same mesh: by displacement (P2) below nu 0.49, with a pressure (P2-P1) from there. Split prisms "
+        "are compared with the reference, free tets with split prisms of the same element. T is the reference's skin; "
+        "no bone is scaled, so carried(S) is S. Mirrored loads are a one-sided smile and its mirror image on the mean "
+        "head, whose skin is symmetric but whose wraps are not. Their distance is that of one answer to the other's "
         "mirror image."
     )
     limit = 7200.0

@@ -62,11 +62,11 @@ class Scaling(OfPerson):
         ENDED,
     )
     note = (
-        "Size: tets of a level, frames of a sequence at 60 Hz that is prepared once, or processes, each of which "
-        "solves the same frame again and again. PD of a level: from rest until no vertex is farther than 0.01 mm from "
-        "a tight run; FEniCSx' Newton to a gradient norm of 1e-8 of its start. Times are medians of repeats after one "
-        "that is not counted, fewer than five where they would take more than half a minute. Each in a process of its "
-        "own; memory beside head and libraries."
+        "Size: tets of a level; frames of a sequence at 60 Hz, prepared once; or processes that each solve one frame "
+        "again and again. PD of a level starts at rest and ends when no vertex is farther than 0.01 mm from a tight "
+        "run. FEniCSx' Newton ends at a gradient norm of 1e-8 of its start. Times are medians of five repeats after "
+        "one that is not counted; slow solves have fewer, within half a minute. Each case has its own process; memory "
+        "is beside head and libraries."
     )
     timed = True
     alone = True

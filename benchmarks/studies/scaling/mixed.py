@@ -39,7 +39,9 @@ class Mixed(OfPerson):
 
     name = "mixed"
     heading = "What does an incompressible head cost?"
-    question = "What do incompressible heads cost by quadratic tets with a pressure (FEniCSx, P2-P1)? Minutes each."
+    question = (
+        "What does an incompressible head cost, by quadratic tets with a pressure (FEniCSx, P2-P1)? Minutes each."
+    )
     columns = (
         Column("tets", "tets"),
         Column("reason", "ended"),
@@ -57,10 +59,10 @@ class Mixed(OfPerson):
         Column("linear_max", "max [mm]"),
     )
     note = (
-        "J is taken at the points at which the element is integrated; its percentiles count volume. Around a vertex "
-        "is the mean weighted by the vertex' linear shape function: these means the element's pressures act on, one "
-        "each, and no single point's J, of which some are far off in flat tets. Linear tets of the "
-        f"same law are started at rest; those beside incompressible tissue have a Poisson's ratio of {STIFFEST}."
+        "J is taken at the element's integration points; its percentiles count volume. The mean around a vertex is "
+        "weighted by the vertex's linear shape function. The element's pressures act on these means, one on each. J "
+        "at a single point may be far off in flat tets. Linear tets of the same law start at rest; beside "
+        "incompressible tissue they have a Poisson's ratio of 0.499."
     )
     version = 2
     timed = True

@@ -34,7 +34,7 @@ class Parts(Study):
 
     name = "parts"
     heading = "Do more processes need less memory each?"
-    question = "How do time and memory fall with processes, where none has the whole mesh?"
+    question = "How do time and memory fall with the number of processes, where none holds the whole mesh?"
     columns = (
         Column("processes", "processes"),
         Column("unknowns", "unknowns"),
@@ -48,8 +48,8 @@ class Parts(Study):
         Column("off", "off one process' answer, of the largest displacement"),
     )
     note = (
-        "Neo-Hookean, Poisson's ratio .45, linear tets; reading, preparation and solve to a gradient norm of 1e-12 of "
-        "its start, compiled before. A process that waits for others works as far as the system counts. All gather the "
+        "Neo-Hookean, Poisson's ratio .45, linear tets. Reading, preparation and solve to a gradient norm of 1e-12 of "
+        "its start, compiled before. The system counts a process that waits for others as working. All gather the "
         "answer afterwards, to compare it."
     )
     timed = True

@@ -33,7 +33,7 @@ class Ranks(OfPerson):
 
     name = "ranks"
     heading = "How much faster is FEniCSx on several processes?"
-    question = "What do several processes of mpirun gain FEniCSx, phase by phase, and do their answers agree?"
+    question = "What does FEniCSx gain by several processes of mpirun, phase by phase, and do their answers agree?"
     columns = (
         Column("processes", "processes"),
         Column("tets", "tets"),
@@ -45,8 +45,9 @@ class Ranks(OfPerson):
         Column("peak_mb", "the largest process [MB]", cost=True),
     )
     note = (
-        "Energy, gradient and hessian are those of a state near rest; first solve makes multigrid's levels and solves "
-        "one system, next solve another with new values; whole is a solve to a gradient norm of 1e-12 of its start."
+        "Energy, gradient and hessian are those of a state near rest. The first solve makes multigrid's levels and "
+        "solves one system; the next solves another with new values. Whole is a solve to a gradient norm of 1e-12 of "
+        "its start."
     )
     timed = True
 

@@ -52,7 +52,9 @@ class Throughput(OfPerson):
 
     name = "throughput"
     heading = "How many frames does one core simulate in an hour?"
-    question = "How many frames an hour does a core simulate to 0.01 mm, in what memory, how far from its floor?"
+    question = (
+        "How many frames an hour does a core simulate to 0.01 mm, in how much memory, and how far is it from its floor?"
+    )
     columns = (
         Column("what", "what"),
         *TIMES,
@@ -63,14 +65,14 @@ class Throughput(OfPerson):
         Column("value", "value"),
     )
     note = (
-        "Cold: a head of its own, whose fit is not counted, parameters of its own and a lively frame of made-up talk; "
-        "scene, preparation (assembly and factorisation) and solve from rest. The tolerance, a gradient norm relative "
-        "to its start, is half of what the hardest frame of its kind needs for 0.01 mm, found by tight runs; the error "
-        "is the largest distance of any vertex to such a run. A sequence: made-up talk at 60 Hz, prepared once, each "
-        "frame started from the last, its scene made anew; tolerance of the force of skin that is 1 mm off its target, "
-        "seconds those of a frame, error to a tight run from its answer, since closed lids fold, and have several "
-        "minima. Floor of an iteration: bytes of the factor, twice, and of the tets over the "
-        "measured bandwidth; a factor that stays in the last-level cache can be read faster than that."
+        "A cold frame has its own head, parameters and a lively frame of made-up talk; the fit is not counted. It is "
+        "scene, preparation (assembly and factorisation) and solve from rest. The tolerance is a gradient norm "
+        "relative to its start: half of what the hardest frame of its kind needs for 0.01 mm. Tight runs find it, and "
+        "the error is the largest distance of a vertex to them. The sequence is made-up talk at 60 Hz, prepared once; "
+        "each frame starts from the last, its scene is made anew. Its tolerance is relative to the force of skin 1 mm "
+        "off its target. Seconds are those of a frame. The tight run of a frame starts from its answer, since closed "
+        "lids fold and have several minima. The floor of an iteration reads the factor's bytes twice and the tets' "
+        "once, at the measured bandwidth. A factor that stays in the last-level cache can be read faster."
     )
     timed = True
     alone = True

@@ -68,7 +68,10 @@ class Unknowns(OfPerson):
 
     name = "unknowns"
     heading = "How large a mesh can FEniCSx solve?"
-    question = "How do FEniCSx' time and memory grow with the unknowns, and how far are they from what memory allows?"
+    question = (
+        "How do FEniCSx' time and memory grow with the unknowns, and how far are they from what the memory's "
+        "bandwidth allows?"
+    )
     columns = (
         Column("unknowns", "unknowns"),
         Column("tets", "tets"),
@@ -87,12 +90,12 @@ class Unknowns(OfPerson):
         ENDED,
     )
     note = (
-        "Newton to a gradient norm of 1e-8 of its start: linear meshes finer than the default one begin at its answer "
-        "to 1e-3, whose cost is among theirs, the others at rest; prescribed bones, default parameters, each mesh in "
-        "a process of its own. Memory is the most that the process held during preparation and solve, the programs "
-        "and the head's fit included. Floors: bytes that must be read or written once, over the bandwidth of the "
-        "triad a = b + s c. Energy, gradient and assembly are bound by arithmetic, not by memory; a multigrid cycle is "
-        "about ten products with the matrix."
+        "Newton ends at a gradient norm of 1e-8 of its start, with prescribed bones and default parameters; each mesh "
+        "has its own process. Linear meshes finer than the default one start at its answer to 1e-3, whose cost is "
+        "counted; the others start at rest. Memory is the most that the process held during preparation and solve, "
+        "with the programs and the head's fit. Floors are bytes that must be read or written once, over the bandwidth "
+        "of the triad a = b + s c. Energy, gradient and assembly are bound by arithmetic, not by memory. A multigrid "
+        "cycle is about ten products with the matrix."
     )
     timed = True
     alone = True

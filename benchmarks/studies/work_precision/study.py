@@ -56,7 +56,7 @@ class WorkPrecision(OfPerson):
 
     name = "work-precision"
     heading = "How long does each method take to be right?"
-    question = "How near to the answer is each method after how much time, and after how many iterations?"
+    question = "How near to the answer is each method after a given time, and after a given number of iterations?"
     columns = (
         Column("prepare_s", "prepare or bind [s]", cost=True),
         Column("solve_s", "solve or frame [s]", cost=True),
@@ -67,15 +67,15 @@ class WorkPrecision(OfPerson):
         Column("to_pd_mm", "to PD's tight answer, max [mm]"),
     )
     note = (
-        "Times of a solve are medians of repeats (at least five, fewer where they would take more than half a minute) "
-        "after one that is not counted. The error is the largest distance of a vertex to a tight run: of PD, which "
-        "FEniCSx' linear tets share; quadratic tets have one of their own, and a law that a file adds has FEniCSx'. "
-        "One iteration of PD is one solve with its factor; one of Newton a linear system. Learned methods, with "
-        "the simulator's first order, the settled neutral face, carried bones and blendshapes beside them, are judged "
-        "on the skin, under default parameters, where bones carry nothing; a bind is given the head. "
-        "libigl (one thread) fits its rotations in float32, hence its own floor; its handles are what the facial scene "
-        "holds and every 16th vertex of the skin wrap. Plain PD is stopped near 0.003 mm. Quadratic tets with a "
-        "pressure solve another, incompressible law: see the study `mixed`."
+        "Times of a solve are medians of at least five repeats after one that is not counted; slow solves have fewer, "
+        "within half a minute. The error is the largest distance of a vertex to a tight run. FEniCSx' linear tets "
+        "share PD's tight run. Quadratic tets have their own, and a law from a file has FEniCSx'. One iteration of PD "
+        "is one solve with its factor; one of Newton is a linear system. Learned methods are judged on the skin, "
+        "under default parameters, where bones carry nothing. Beside them stand the simulator's first order, the "
+        "settled neutral face, carried bones and blendshapes. A bind is given the head. libigl (one thread) fits its "
+        "rotations in float32, hence its own floor. Its handles are what the facial scene holds and every 16th vertex "
+        "of the skin wrap. Plain PD stops near 0.003 mm. Quadratic tets with a pressure solve another, incompressible "
+        "law: see the study `mixed`."
     )
     timed = True
 
