@@ -9,8 +9,8 @@ import click
 from ..lhm.base.limits import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
 from .counts import counted
-from .progress import shown
 from .take_options import TakeRequest, take_options
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -56,7 +56,7 @@ def animate(
         raise click.UsageError("--targets are of static frames; leave out --dynamic", click.get_current_context())
     output = Output(*request.files)
     network = Surrogate.load(surrogate)
-    with shown() as progress:
+    with show_progress() as progress:
         if which.head_file is None and which.space.name == network.space == "anny":
             served = bind_person(
                 network,

@@ -5,8 +5,8 @@ from dataclasses import asdict, replace
 
 import click
 
-from .progress import shown
 from .take_options import TakeRequest, take_options
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -41,7 +41,7 @@ def simulate(
     config = TakeConfig(*request.files, choices=choices)
     config = config if tolerance is None else replace(config, tolerance=tolerance)
     try:
-        with shown() as progress:
+        with show_progress() as progress:
             head, deltas = request.which.head(progress)
             result = run_take(config, head, deltas, request.take, request.parameters, progress)
     except KeyboardInterrupt:

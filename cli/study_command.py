@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +13,14 @@ import click
 
 from ..benchmarks.studies import SUBJECTS, commands, names, study_of
 from ..lhm.base.errors import InputError
-from ..lhm.base.limits import SEED, WORKERS, Bound
+from ..lhm.base.limits import FACES, SEED, STUDIED_PAIRS, WORKERS, Bound
 from .counts import counted
-from .progress import shown
+from .terminal import show_progress
 from .written_file import WrittenFolder
 
 if TYPE_CHECKING:
     # It brings the surrogate with it, which most commands go without.
+    from ..benchmarks.harness.runner import Results
     from ..benchmarks.harness.study import Study
 
 COUNTS: dict[str, Bound] = {
@@ -32,6 +33,9 @@ COUNTS: dict[str, Bound] = {
     "count": Bound("identities", 100_000, "each is a second of work or more", 1),
     "gallery": Bound("heads", 1_000, "each is simulated and drawn"),
     "fan": Bound("starts", 1_000, "each is a solve"),
+    "simulated": FACES,
+    "generalisation": replace(STUDIED_PAIRS, least=0),
+    "workers": WORKERS,
     "up_to": Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1),
 }
 """The bound of a study's option by its field's name; where a study itself takes less, it says so."""
@@ -125,20 +129,32 @@ def report(results: tuple[Path, ...], title: str, out: Path) -> int:
     return 0
 
 
-def command_of(kind: type[Study]) -> click.Command:
-    """The command of a study, whose options are its fields and those of every run."""
-    own = [_option([field]) for field in fields(kind)]  # type: ignore[arg-type]  # every study is a dataclass
+def command_of(kind: type[Study], *, out: str = "", argument: str = "", judged: bool = True) -> click.Command:
+    """Make the command of a study, whose options are its fields and those of every run.
+
+    out: the default folder, by default out/NAME. argument: the field that is one, in place of an option. judged:
+    whether a missed gate makes exit status 1, as a case that could not be measured does.
+    """
+    own = [
+        click.Argument([field.name]) if field.name == argument else option_of(field)
+        for field in fields(kind)  # type: ignore[arg-type]  # every study is a dataclass
+    ]
 
     def run(match: str, only: Any, workers: int | None, out: Path, as_json: bool, **options: Any) -> int:
-        return _run(_study(kind, options), match, only, workers, out, as_json)
+        return _status(_run(_study(kind, options), match, only, workers, out, as_json), judged)
 
     text = f"""{kind.question}
 
     {WRITES}
     """
-    params = [*own, *_run_options(f"out/{kind.name}")]
+    params = [*own, *_run_options(out or f"out/{kind.name}")]
     # Click's own first sentence would end at "Eq."
     return click.Command(kind.name, params=params, callback=run, help=text, short_help=kind.question)
+
+
+def _status(results: Results, judged: bool = True) -> int:
+    failed = any(row.status == "failed" for row in results.rows)
+    return 1 if failed or (judged and not results.passed) else 0
 
 
 def command_of_cases(subject: str) -> click.Command:
@@ -183,7 +199,8 @@ def command_of_cases(subject: str) -> click.Command:
             for case, study in zip(chosen, studies, strict=True)
         ]
         ends = [
-            _run(study, match, only, workers, folder, as_json) for study, folder in zip(studies, folders, strict=True)
+            _status(_run(study, match, only, workers, folder, as_json))
+            for study, folder in zip(studies, folders, strict=True)
         ]
         return max(ends)
 
@@ -226,10 +243,15 @@ def _option_name(field: Field) -> str:
     return name
 
 
+def option_of(field: Field) -> click.Option:
+    """Make the option of a dataclass' field: its type by the default, its words by the metadata."""
+    return _option([field])
+
+
 def _kind_of(field: Field) -> Any:
     """The click type of an option's values."""
     is_count = field.name in COUNTS and type(field.default) is int
-    return counted(COUNTS[field.name]) if is_count else type(field.default)
+    return field.metadata.get("type", counted(COUNTS[field.name]) if is_count else type(field.default))
 
 
 def _option(of: Sequence[Field], **words: Any) -> click.Option:
@@ -243,7 +265,8 @@ def _option(of: Sequence[Field], **words: Any) -> click.Option:
         return click.Option(names, is_flag=True, **words)
     if any(isinstance(each.default, tuple) for each in of):
         return click.Option(names, multiple=True, **words)
-    return click.Option(names, type=_kind_of(field), **words)
+    words["type"] = _kind_of(field)
+    return click.Option(names, **words)
 
 
 def _shared_option(name: str, of: Mapping[str, Field], count: int) -> click.Option:
@@ -268,15 +291,15 @@ def _as_field(field: Field, value: Any, option: click.Parameter) -> Any:
     return value
 
 
-def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:
+def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> Results:
     from ..benchmarks.harness import run
     from ..benchmarks.harness.page import one as cell
 
-    with shown() as progress:
+    with show_progress() as progress:
         results = run(study, out, only=only, workers=workers, match=match, progress=progress)
     if as_json:
         click.echo((out / "results.json").read_text())
-        return 0 if results.passed else 1
+        return results
     skipped = Counter(row.reason for row in results.rows if row.status == "skipped")
     for reason, count in skipped.items():
         click.echo(f"SKIPPED {count} of {len(results.rows)}: {reason}")
@@ -295,7 +318,7 @@ def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as
         click.echo(gate_line(gate))
     for name in ("index.html", "results.json", "rows.jsonl"):
         click.echo(f"wrote {out / name}")
-    return 0 if results.passed else 1
+    return results
 
 
 def _short(value: Any) -> str:
