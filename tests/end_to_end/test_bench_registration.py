@@ -1,4 +1,4 @@
-"""`bench registration`: slides and cosines follow from what registration gives, and the command tells them."""
+"""The study of registration: slides and cosines follow from what registration gives."""
 
 import numpy as np
 import pytest

@@ -137,7 +137,7 @@ class Closures(Study):
             NETWORK: surrogate.bind(skin, code, parameters),
             "network + simulator at bind": surrogate.bind(skin, code, parameters, exact=True, head=head),
         }
-        simulation = Simulation.of(settle(head, parameters), time_step=step, dynamic=self.dynamic)
+        simulation = Simulation.from_face(settle(head, parameters), time_step=step, dynamic=self.dynamic)
         playing = {name: rig.dynamic(step) if self.dynamic else rig for name, rig in rigs.items()}
         widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
         for weights in take.weights:
