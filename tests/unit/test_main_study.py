@@ -40,20 +40,20 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
     monkeypatch.setattr(
         main_study, "parts", lambda *given: [Asked(Material(modes=("torsion",)), tmp_path / "material"), good]
     )
-    ended = command("main_study", "--out", tmp_path)
+    ended = command("study", "--out", tmp_path)
     assert ended.status == 1 and any("FAILED material: mode 'torsion'" in line for line in ended.out.splitlines())
     for name in ("index.html", "report.md"):
         text = (tmp_path / name).read_text()
         assert "study material could not be run" in text and "4 of 4 values by skfem" in text
     rows = (tmp_path / "verification" / "rows.jsonl").read_text()
     monkeypatch.setattr(main_study, "parts", lambda *given: [good])
-    again = command("main_study", "--out", tmp_path, "--json")
+    again = command("study", "--out", tmp_path, "--json")
     assert again.status == 0 and list(json.loads(again.out)) == ["verification"]
     assert (tmp_path / "verification" / "rows.jsonl").read_text() == rows
 
 
 def test_an_expression_that_there_is_not_ends_it_before_anything_is_run(tmp_path, command):
-    ended = command("main_study", "--expressions", "jawOpenn", "--out", tmp_path / "out")
+    ended = command("study", "--expressions", "jawOpenn", "--out", tmp_path / "out")
     assert ended.status == 1 and "jawOpenn" in ended.errors[0] and not (tmp_path / "out").exists()
 
 
