@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..lhm.base.errors import InputError
-from ..lhm.expressions import Take, conversation_take, read_take, speech
+from ..lhm.expressions import Take, conversation_take, read_take, resample, speech
 
 MADE_UP, SPOKEN = "conversation", "speech"
 SECONDS, RATE = 10.0, 60.0
@@ -29,6 +29,13 @@ def _conversation(text: str, rest: list[str]) -> Take:
         raise InputError(f"take {text!r}: expected {MADE_UP}[:SECONDS[:SEED]]") from None
     count = max(1, round(seconds * RATE))
     return conversation_take(np.random.default_rng(seed), count, rate=RATE)
+
+
+def read_frames(text: str, frames: str = "", rate: float | None = None) -> Take:
+    """The frames A:B of a take at `rate` [Hz]; by default all of it, at its own rate."""
+    take = take_from_text(text)
+    take = resample(take, take.rate if rate is None else rate)
+    return cut_take(take, frames) if frames else take
 
 
 def cut_take(take: Take, text: str) -> Take:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from ..surrogate.evaluate import ALL, UNSCALED, Score
 from ..surrogate.ruler import DEFAULT, KINDS
-from .harness.gates import at_most
+from .harness.study import at_most
 
 NETWORK, HYBRID, LINEARISED = "network", "network + simulator at bind", "linearised simulator"
 CARRIED, SETTLED, BLENDSHAPES = "bones carried", "settled neutral face + blendshapes", "blendshapes (T = S)"

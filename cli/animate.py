@@ -8,10 +8,8 @@ import click
 
 from ..lhm.base.limits import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
-from ..reference import Parameters
-from ..reference.face.parameters import read_parameters
 from .counts import counted
-from .take_options import HeadChoice, load_take, take_options
+from .take_options import TakeRequest, take_options
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -31,19 +29,7 @@ from .written_file import FOLDER
 @click.option("--targets", type=counted(BAKED_TARGETS), help="write glTF of so many morph targets that serve any take")
 @click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
 def animate(
-    take: str,
-    head_file: Path | None,
-    space_name: str | None,
-    seed: int | None,
-    level: int | None,
-    parameter_file: Path | None,
-    kind: str,
-    preview: str,
-    fps: float | None,
-    chosen: str | None,
-    turned: bool,
-    dynamic: bool,
-    out: Path,
+    request: TakeRequest,
     surrogate: Path | None,
     exact: bool,
     beyond: str,
@@ -65,31 +51,29 @@ def animate(
     from ..animation.play import Output
     from ..surrogate import Surrogate
 
-    which = HeadChoice(head_file, space_name, seed, level)
-    if targets is not None and dynamic:
+    which, parameters = request.which, request.parameters
+    if targets is not None and request.dynamic:
         raise click.UsageError("--targets are of static frames; leave out --dynamic", click.get_current_context())
-    recorded = load_take(take, fps, chosen, turned)
-    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
-    wanted = Output(out, kind, preview, dynamic, turned)  # type: ignore[arg-type]
+    output = Output(*request.files)
     network = Surrogate.load(surrogate)
     with show_progress() as progress:
-        if head_file is None and which.space.name == network.space == "anny":
+        if which.head_file is None and which.space.name == network.space == "anny":
             served = bind_person(
                 network,
                 which.code(which.space),
                 parameters,
                 exact=exact,
-                level=level or DEFAULT_LEVEL,
+                level=which.level or DEFAULT_LEVEL,
                 beyond=beyond,  # type: ignore[arg-type]
             )
         else:
             head, deltas = which.head(progress)
             served = bind_head(network, head, deltas, parameters, exact=exact, beyond=beyond)  # type: ignore[arg-type]
-        result = run(wanted, served, recorded, progress)
+        result = run(output, served, request.take, progress)
         files = list(result.files)
         if targets is not None:
-            served.rig.bake(targets).write_gltf(out / "rig.glb", recorded)
-            files.append(out / "rig.glb")
+            served.rig.bake(targets).write_gltf(request.out / "rig.glb", request.take)
+            files.append(request.out / "rig.glb")
     if as_json:
         click.echo(json.dumps(asdict(result) | {"files": files}, indent=1, default=str))
         return 0

@@ -2,13 +2,10 @@
 
 import json
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import click
 
-from ..reference import Parameters
-from ..reference.face.parameters import read_parameters
-from .take_options import HeadChoice, load_take, take_options
+from .take_options import TakeRequest, take_options
 from .terminal import show_progress
 from .written_file import FOLDER
 
@@ -24,19 +21,7 @@ from .written_file import FOLDER
 @click.option("--tolerance", type=float, help="gradient norm over that of skin 1 mm off its targets  [5e-05]")
 @click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
 def simulate(
-    take: str,
-    head_file: Path | None,
-    space_name: str | None,
-    seed: int | None,
-    level: int | None,
-    parameter_file: Path | None,
-    kind: str,
-    preview: str,
-    fps: float | None,
-    chosen: str | None,
-    turned: bool,
-    dynamic: bool,
-    out: Path,
+    request: TakeRequest,
     bones: str,
     contact: tuple[str, ...],
     tolerance: float | None,
@@ -52,18 +37,15 @@ def simulate(
     """
     from ..animation.simulate import TakeConfig, run_take
 
-    which = HeadChoice(head_file, space_name, seed, level)
-    recorded = load_take(take, fps, chosen, turned)
-    parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     choices = {"bones": bones} | ({"contact": list(contact)} if contact else {})
-    config = TakeConfig(out, kind, preview, dynamic, turned, choices=choices)  # type: ignore[arg-type]
+    config = TakeConfig(*request.files, choices=choices)
     config = config if tolerance is None else replace(config, tolerance=tolerance)
     try:
         with show_progress() as progress:
-            head, deltas = which.head(progress)
-            result = run_take(config, head, deltas, recorded, parameters, progress)
+            head, deltas = request.which.head(progress)
+            result = run_take(config, head, deltas, request.take, request.parameters, progress)
     except KeyboardInterrupt:
-        click.echo(f"softdeca: interrupted; the same command goes on after the frames in {out}", err=True)
+        click.echo(f"softdeca: interrupted; the same command goes on after the frames in {request.out}", err=True)
         return 130
     if as_json:
         click.echo(json.dumps(asdict(result), indent=1, default=str))

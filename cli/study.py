@@ -33,8 +33,8 @@ def study(identities: str, out: Path, expressions: str, surrogate: Path | None, 
     The quick version of what `softdeca bench` has, each in its folder of OUT. A run that was stopped goes on. Exit
     status 1 if an answer misses its bound or a study could not be run; a figure of speed that does is printed only.
     """
-    from ..benchmarks.studies.agreement import Agreement
-    from ..benchmarks.study import run_study
+    from ..benchmarks.main_study import run_study
+    from ..benchmarks.studies.agreement.study import Agreement
 
     weights = "" if surrogate is None else str(surrogate)
     asked = Agreement(identities=identities, expressions=tuple(expressions.split(",")), weights=weights)

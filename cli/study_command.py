@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..benchmarks.studies import names, study_of
+from ..benchmarks.studies import SUBJECTS, commands, names, study_of
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import FACES, SEED, STUDIED_PAIRS, WORKERS, Bound
 from .counts import counted
@@ -39,6 +40,8 @@ COUNTS: dict[str, Bound] = {
 }
 """The bound of a study's option by its field's name; where a study itself takes less, it says so."""
 ONLY = ("missing", "failed", "all")
+WRITES = """Writes OUT/index.html, OUT/results.json and, as rows come, OUT/rows.jsonl; rows that are there are kept.
+    Exit status 1 if a statement does not hold or a case could not be measured."""
 
 
 def gate_line(gate: dict) -> str:
@@ -51,20 +54,32 @@ class Studies(click.Group):
     """A group with a command for each study, made when it is asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Studies, and what else was added."""
-        return sorted({*names(), *super().list_commands(ctx)})
+        """Subjects, studies, and what else was added."""
+        return sorted({*commands(), *super().list_commands(ctx)})
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """The command of a study, or another."""
-        return command_of(study_of(name)) if name in names() else super().get_command(ctx, name)
+        """The command of a subject, of a study, or another."""
+        if name in SUBJECTS:
+            return command_of_cases(name)
+        return command_of(study_of(name)) if name in commands() else super().get_command(ctx, name)
 
 
 @click.command("list")
 def listed() -> int:
-    """What each study asks."""
-    for name in names():
-        kind = study_of(name)
-        click.echo(f"{name:<14} {kind.heading or kind.question}")
+    """List the studies with their questions; those of one subject are its --cases."""
+
+    def show(name: str, study: str) -> None:
+        kind = study_of(study)
+        click.echo(f"{name:<16} {kind.heading or kind.question}")
+
+    for name in commands():
+        if name not in SUBJECTS:
+            show(name, name)
+            continue
+        question, cases = SUBJECTS[name]
+        click.echo(f"{name:<16} {question}")
+        for case, study in cases.items():
+            show(f"  {case}", study)
     return 0
 
 
@@ -77,7 +92,7 @@ def changes(before: Path, after: Path) -> int:
     BEFORE and AFTER are folders of a study, or their results.json. Exit status 1 if a cost rose, a task is not done any
     more, or a statement not reached.
     """
-    from ..benchmarks.harness.compare import compared, study_in
+    from ..benchmarks.harness.results import compared, study_in
 
     name = study_in(before)
     if name not in names():
@@ -124,48 +139,156 @@ def command_of(kind: type[Study], *, out: str = "", argument: str = "", judged: 
         click.Argument([field.name]) if field.name == argument else option_of(field)
         for field in fields(kind)  # type: ignore[arg-type]  # every study is a dataclass
     ]
-    common = [
-        click.Option(["--match"], default="", help="only cases and methods with this in their name"),
-        click.Option(["--only"], type=click.Choice(ONLY), default="missing", help="which to do: failed again, or all"),
-        click.Option(["--workers"], type=counted(WORKERS), help="processes; default: all; one if timed"),
-        click.Option(["--out"], type=WrittenFolder(), default=out or f"out/{kind.name}", help="folder of the report"),
-        click.Option(["--json", "as_json"], is_flag=True, help="print the results file to stdout"),
-    ]
 
     def run(match: str, only: Any, workers: int | None, out: Path, as_json: bool, **options: Any) -> int:
-        for name, value in options.items():
-            if isinstance(value, tuple) and "" in value:
-                raise InputError(f"{name}: an empty text is none of them")
-            if isinstance(value, float) and not math.isfinite(value):
-                raise InputError(f"{name}: expected a finite number, got {value}")
-        results = _run(kind(**options), match, only, workers, out, as_json)
-        failed = any(row.status == "failed" for row in results.rows)
-        return 1 if failed or (judged and not results.passed) else 0
+        return _status(_run(_study(kind, options), match, only, workers, out, as_json), judged)
 
     text = f"""{kind.question}
 
-    Writes OUT/index.html, OUT/results.json and, as they come, OUT/rows.jsonl; rows that are there are kept. Exit
-    status 1 if a statement does not hold or a case could not be measured.
+    {WRITES}
     """
+    params = [*own, *_run_options(out or f"out/{kind.name}")]
     # Click's own first sentence would end at "Eq."
-    return click.Command(kind.name, params=[*own, *common], callback=run, help=text, short_help=kind.question)
+    return click.Command(kind.name, params=params, callback=run, help=text, short_help=kind.question)
+
+
+def _status(results: Results, judged: bool = True) -> int:
+    failed = any(row.status == "failed" for row in results.rows)
+    return 1 if failed or (judged and not results.passed) else 0
+
+
+def command_of_cases(subject: str) -> click.Command:
+    """The command of several studies of one subject; --cases says which, and each takes the options that it has."""
+    question, cases = SUBJECTS[subject]
+    kinds = {case: study_of(name) for case, name in cases.items()}
+    held: dict[str, dict[str, Field]] = {}
+    for case, kind in kinds.items():
+        for field in fields(kind):  # type: ignore[arg-type]
+            held.setdefault(_option_name(field), {})[case] = field
+    own = [_shared_option(name, of, len(kinds)) for name, of in held.items()]
+    text = f"all, or some of {','.join(kinds)}; default: {next(iter(kinds))}"
+    which = click.Option(["--cases"], default=next(iter(kinds)), show_default=False, help=text)
+
+    def run(
+        cases: str, match: str, only: Any, workers: int | None, out: Path | None, as_json: bool, **options: Any
+    ) -> int:
+        chosen = list(kinds) if cases == "all" else cases.split(",")
+        for case in chosen:
+            if case not in kinds:
+                raise click.UsageError(f"--cases {case}: expected all, or some of {', '.join(kinds)}")
+        given = {p.name: p for p in own if options[p.name] not in (None, ()) and options[p.name] is not False}
+        for parameter in given.values():
+            having = held[parameter.opts[0]]
+            if not having.keys() & set(chosen):
+                raise click.UsageError(f"{parameter.opts[0]}: an option of --cases {','.join(having)}")
+        if as_json and len(chosen) > 1:
+            raise click.UsageError("--json: results of one case only")
+        studies = []
+        for case in chosen:
+            values = {
+                held[p.opts[0]][case].name: _as_field(held[p.opts[0]][case], options[p.name], p)
+                for p in given.values()
+                if case in held[p.opts[0]]
+            }
+            for name, of in held.items():
+                if case in of and of[case].metadata.get("required") and of[case].name not in values:
+                    raise click.UsageError(f"--cases {case}: {name} is missing")
+            studies.append(_study(kinds[case], values))
+        folders = [
+            Path("out") / study.name if out is None else out / case if len(chosen) > 1 else out
+            for case, study in zip(chosen, studies, strict=True)
+        ]
+        ends = [
+            _status(_run(study, match, only, workers, folder, as_json))
+            for study, folder in zip(studies, folders, strict=True)
+        ]
+        return max(ends)
+
+    lines = "\n".join(f"    {case}: {kind.heading or kind.question}\n" for case, kind in kinds.items())
+    text = f"""{question}
+
+{lines}
+    {WRITES} Several cases: OUT/CASE.
+    """
+    return click.Command(
+        subject, params=[which, *own, *_run_options(None)], callback=run, help=text, short_help=question
+    )
+
+
+def _run_options(out: str | None) -> list[click.Option]:
+    """The options of every run."""
+    where = "folder of the report" + ("; default: out/ and the study's name" if out is None else "")
+    return [
+        click.Option(["--match"], default="", help="only cases and methods with this in their name"),
+        click.Option(["--only"], type=click.Choice(ONLY), default="missing", help="which to do: failed again, or all"),
+        click.Option(["--workers"], type=counted(WORKERS), help="processes; default: all; one if timed"),
+        click.Option(["--out"], type=WrittenFolder(), default=out, help=where),
+        click.Option(["--json", "as_json"], is_flag=True, help="print the results file to stdout"),
+    ]
+
+
+def _study(kind: type[Study], options: Mapping[str, Any]) -> Study:
+    """The study of these options; InputError for an empty text and a number that is not finite."""
+    for name, value in options.items():
+        if isinstance(value, tuple) and "" in value:
+            raise InputError(f"{name}: an empty text is none of them")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise InputError(f"{name}: expected a finite number, got {value}")
+    return kind(**options)
+
+
+def _option_name(field: Field) -> str:
+    plain = "--" + field.name.replace("_", "-")
+    name: str = field.metadata.get("option", plain.removesuffix("s") if isinstance(field.default, tuple) else plain)
+    return name
 
 
 def option_of(field: Field) -> click.Option:
     """Make the option of a dataclass' field: its type by the default, its words by the metadata."""
-    words = dict(field.metadata)
-    several = isinstance(field.default, tuple)
-    plain = "--" + field.name.replace("_", "-")
-    name = words.pop("option", plain.removesuffix("s") if several else plain)
-    if not words.get("required"):
-        words["default"] = field.default
-    if field.default is False:
-        return click.Option([name, field.name], is_flag=True, **words)
-    if several:
-        return click.Option([name, field.name], multiple=True, **words)
+    return _option([field])
+
+
+def _kind_of(field: Field) -> Any:
+    """The click type of an option's values."""
     is_count = field.name in COUNTS and type(field.default) is int
-    words.setdefault("type", counted(COUNTS[field.name]) if is_count else type(field.default))
-    return click.Option([name, field.name], **words)
+    return field.metadata.get("type", counted(COUNTS[field.name]) if is_count else type(field.default))
+
+
+def _option(of: Sequence[Field], **words: Any) -> click.Option:
+    """The option of a field; of several cases' fields one that takes what each of them does."""
+    field = of[0]
+    words = {key: value for key, value in field.metadata.items() if key != "option"} | words
+    if "default" not in words and not words.get("required"):
+        words["default"] = field.default
+    names = [_option_name(field), field.name]
+    if field.default is False:
+        return click.Option(names, is_flag=True, **words)
+    if any(isinstance(each.default, tuple) for each in of):
+        return click.Option(names, multiple=True, **words)
+    words["type"] = _kind_of(field)
+    return click.Option(names, **words)
+
+
+def _shared_option(name: str, of: Mapping[str, Field], count: int) -> click.Option:
+    """An option of some cases, without a value where it is not given, so that each case has its own default."""
+    several = list(of.values())
+    default: Any = () if any(isinstance(field.default, tuple) for field in several) else None
+    words = str(several[0].metadata.get("help", ""))
+    words += "" if len(of) == count else f" ({', '.join(of)})"
+    if several[0].default is False:
+        return _option(several, default=False, help=words)
+    usual = {field.default for field in several}
+    if len(usual) == 1 and usual != {""} and usual != {()}:
+        value = several[0].default
+        words += f"  [{', '.join(value) if isinstance(value, tuple) else value}]"
+    return _option(several, default=default, required=False, show_default=False, help=words)
+
+
+def _as_field(field: Field, value: Any, option: click.Parameter) -> Any:
+    """An option's value as this field has it: one text of several cases' repeated ones becomes a number."""
+    if isinstance(value, tuple) and not isinstance(field.default, tuple):
+        return click.types.convert_type(_kind_of(field)).convert(value[-1], option, None)
+    return value
 
 
 def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> Results:

@@ -1,13 +1,15 @@
-"""What `simulate` and `animate` ask for alike: which take, on which head, and which files."""
+"""The options that `simulate` and `animate` share: which take, on which head, and which files."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
-from ..lhm import expressions, fit_head, identities, load_template
+from ..lhm import fit_head, identities, load_template
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import SEED
 from ..lhm.base.mesh import Floats
@@ -16,6 +18,8 @@ from ..lhm.expressions import Take
 from ..lhm.head import LayeredHead
 from ..lhm.head_file import load_head
 from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 
 AFile = click.Path(path_type=Path)
@@ -47,10 +51,23 @@ DYNAMIC = click.option(
 
 
 def take_options(command: Callable) -> Callable:
-    """A command's options of head, parameters and files."""
+    """Give a command the options of head, parameters and files; it is called with a TakeRequest in their place."""
+
+    @wraps(command)
+    def read(
+        take: str, head_file: Path | None, space_name: str | None, seed: int | None, level: int | None,
+        parameter_file: Path | None, kind: str, preview: str, fps: float | None, chosen: str | None, turned: bool,
+        dynamic: bool, out: Path, **own: Any,
+    ) -> int:  # fmt: skip
+        which = HeadChoice(head_file, space_name, seed, level)
+        played = load_take(take, fps, chosen, turned)
+        parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
+        status: int = command(TakeRequest(which, played, parameters, (out, kind, preview, dynamic, turned)), **own)
+        return status
+
     for option in reversed((*OF_HEADS, *OF_FILES, DYNAMIC)):
-        command = option(command)
-    return command
+        read = option(read)
+    return read
 
 
 @dataclass(frozen=True)
@@ -95,13 +112,32 @@ class HeadChoice:
         return head, deltas
 
 
+@dataclass(frozen=True, eq=False)
+class TakeRequest:
+    """A take on a head under p, and the arguments of `animation.play.Output`: folder, format, preview, ..."""
+
+    which: HeadChoice
+    take: Take
+    parameters: Parameters
+    files: tuple[Any, ...]
+
+    @property
+    def out(self) -> Path:
+        """The folder of the results."""
+        folder: Path = self.files[0]
+        return folder
+
+    @property
+    def dynamic(self) -> bool:
+        """Whether the frames have inertia."""
+        return bool(self.files[3])
+
+
 def load_take(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:
     """The frames of a take that are asked for; its remarks go to stderr."""
-    from ..animation.takes import cut_take, take_from_text
+    from ..animation.takes import read_frames
 
-    take = take_from_text(text)
-    take = expressions.resample(take, take.rate if fps is None else fps)
-    take = take if chosen is None else cut_take(take, chosen)
+    take = read_frames(text, chosen or "", fps)
     if turned and take.head is None:
         raise InputError(f"--turned: {text} has no head rotation")
     if take.remarks():

@@ -7,20 +7,20 @@ from types import SimpleNamespace
 import numpy as np
 from conftest import layered_sphere
 
-from softdeca.benchmarks.studies.agreement import Agreement
-from softdeca.benchmarks.studies.convergence import Convergence
-from softdeca.benchmarks.studies.dynamics import Dynamics
-from softdeca.benchmarks.studies.effects import Effects
-from softdeca.benchmarks.studies.locking import Locking
+from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.dynamics.study import Dynamics
+from softdeca.benchmarks.studies.effects.study import Effects
+from softdeca.benchmarks.studies.heads.shapes import Shapes
+from softdeca.benchmarks.studies.mesh.convergence import Convergence
+from softdeca.benchmarks.studies.mesh.locking import Locking
 from softdeca.benchmarks.studies.minimal import Minimal
-from softdeca.benchmarks.studies.mixed import Mixed
 from softdeca.benchmarks.studies.person import Person
-from softdeca.benchmarks.studies.ranks import Ranks
-from softdeca.benchmarks.studies.scaling import Scaling
-from softdeca.benchmarks.studies.shapes import Shapes
-from softdeca.benchmarks.studies.throughput import Throughput
-from softdeca.benchmarks.studies.unknowns import Unknowns
-from softdeca.benchmarks.studies.work_precision import WorkPrecision
+from softdeca.benchmarks.studies.scaling.iterations import Scaling
+from softdeca.benchmarks.studies.scaling.mixed import Mixed
+from softdeca.benchmarks.studies.scaling.ranks import Ranks
+from softdeca.benchmarks.studies.scaling.throughput import Throughput
+from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
+from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions
 
 

@@ -1,8 +1,8 @@
 """How every study is run: a study is data, one runner makes its rows, and one page shows them."""
 
-from .compare import Change, Comparison, compared
-from .runner import Asked, Results, Row, run, run_together
-from .study import Column, Study, Table, Task, Values
+from .results import Change, Comparison, compared
+from .runner import Asked, run, run_together
+from .study import Column, Results, Row, Study, Table, Task, Values
 
 __all__ = [
     "Asked", "Change", "Column", "Comparison", "Results", "Row", "Study", "Table", "Task", "Values", "compared", "run",

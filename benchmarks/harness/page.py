@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,7 @@ from markupsafe import Markup
 
 from ...animation.plots import narrow_figures
 from ...lhm.base.provenance import is_dirty
-from .runner import Results, Row
-from .study import Study, Table
+from .study import Results, Row, Study, Table
 
 QUALITY = 92
 """Of pictures in pages."""
@@ -133,3 +133,48 @@ def text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.1e}"
     return str(value)
+
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
+    "°": r"\textdegree{}", "²": r"\textsuperscript{2}", "³": r"\textsuperscript{3}", "σ": r"$\sigma$", "ν": r"$\nu$",
+    "ζ": r"$\zeta$", "√": r"$\surd$", "−": "$-$", "→": r"$\to$", "Σ": r"$\Sigma$", "≤": r"$\leq$",
+    **{sign: "\\" + sign for sign in "&%$#_{}"},
+}  # fmt: skip
+
+
+def markdown(table: Table) -> str:
+    """As GitHub shows it, its caption above and its note beneath."""
+    rows = [[text(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in (table.head, *table.rows)]
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines.insert(1, "|" + "---|" * len(table.head))
+    note = f"\n{table.note}\n" if table.note else ""
+    return f"**{table.caption}**\n\n" + "\n".join(lines) + "\n" + note
+
+
+def latex(table: Table, label: str) -> str:
+    """A table for the package booktabs, the first column left, the others right; `label` is for references."""
+    rows = [" & ".join(_escaped(text(cell)) for cell in row) + r" \\" for row in table.rows]
+    return "\n".join(
+        [
+            r"\begin{table}",
+            rf"\caption{{{_escaped(table.caption)}}}\label{{tab:{_label(label)}}}",
+            rf"\begin{{tabular}}{{l{'r' * (len(table.head) - 1)}}}",
+            r"\toprule",
+            " & ".join(_escaped(title) for title in table.head) + r" \\",
+            r"\midrule",
+            *rows,
+            r"\bottomrule",
+            r"\end{tabular}",
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+def _escaped(plain: str) -> str:
+    return "".join(_SPECIAL.get(sign, sign) for sign in plain)
+
+
+def _label(words: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")

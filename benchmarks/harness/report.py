@@ -12,13 +12,11 @@ from ...animation.plots import narrow_figures
 from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.provenance import is_dirty
-from .. import first_screen
-from .page import drawn, machine_rows, panels_of, rendered, rows_table
+from . import first_screen
+from .page import drawn, latex, machine_rows, markdown, panels_of, rendered, rows_table
 from .page import shown as shown_study
-from .results_file import of_this_version, read_results
-from .runner import Results, Row
-from .study import Study, Table
-from .tables import latex, markdown
+from .results import of_this_version, read_results
+from .study import Results, Row, Study, Table
 
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "Is the fast simulator right?": ("agreement", "verification", "effects", "dynamics"),
@@ -26,7 +24,7 @@ QUESTIONS: Mapping[str, tuple[str, ...]] = {
     "How far is the network from it?": ("surrogate", "split"),
     "What does each method cost?": ("work-precision", "throughput", "scaling", "unknowns", "ranks", "parts", "mixed"),
     "What can a scene leave out?": ("minimal",),
-    "Which heads work?": ("heads", "depth"),
+    "Which heads work?": ("heads", "registration", "depth", "closures"),
 }
 """A reader's questions, and the studies that answer each, in the report's order."""
 OTHER = "What else was measured?"

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,71 +20,12 @@ from ...lhm.base.progress import OnProgress, silent
 from ...reference import ranks
 from ...reference.added import added_files
 from ...surrogate.schedule import count_processors
-from .gates import at_most
-from .lanes import Job, Measured, measured
-from .study import Study, Task, Values
+from .page import page
+from .processes import Job, Measured, measured
+from .study import Results, Row, Study, Task, Values, at_most
 
 Only = Literal["missing", "failed", "all"]
 PNG = b"\x89PNG"
-
-
-@dataclass(frozen=True)
-class Row:
-    """A task and how it ended ("done", "skipped", "failed").
-
-    `seconds` are wall time, `cpu` is processor time [s], None where nobody measured it; memory [MB]; the load then.
-    commit: of the code that measured it, which a later run may have kept; empty in results of older versions.
-    """
-
-    case: str
-    method: str
-    status: str
-    reason: str
-    values: Values
-    seconds: float
-    memory_mb: float | None
-    load: float
-    of: str = field(repr=False)
-    commit: str = ""
-    cpu: float | None = None
-
-    @property
-    def done(self) -> bool:
-        """Whether it has values."""
-        return self.status == "done"
-
-
-@dataclass(frozen=True)
-class Results:
-    """A study's rows in the order of its tasks, its gates and its conclusion."""
-
-    study: str
-    question: str
-    options: Mapping[str, Any]
-    machine: Mapping[str, Any]
-    rows: tuple[Row, ...]
-    gates: tuple[dict, ...]
-    words: str
-
-    @property
-    def passed(self) -> bool:
-        """Whether every gate holds that asks for a right answer; those of speed hang on the machine."""
-        return all(gate["passed"] for gate in self.gates if gate["answer"])
-
-    @property
-    def commits(self) -> list[str]:
-        """Of the last run, and of runs before it whose rows were kept."""
-        return provenance.list_commits(self.machine, [{"commit": row.commit} for row in self.rows])
-
-    @property
-    def cpu(self) -> float | None:
-        """Processor time [s] of all rows that measured it; None where none did."""
-        measured = [row.cpu for row in self.rows if row.cpu is not None]
-        return sum(measured) if measured else None
-
-    def json(self) -> dict[str, Any]:
-        """For a results file."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -167,8 +108,6 @@ class _Run:
 
     def written(self) -> Results:
         """The results of all rows, with their file and page."""
-        from .page import page
-
         results = _results(self.study, [self.rows.found[task] for task in self.tasks], self._with_what)
         write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
         write_whole(self._out / "index.html", page(self.study, results, self._out).encode())

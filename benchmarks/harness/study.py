@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar
 
-if TYPE_CHECKING:
-    from .runner import Row
+from ...lhm.base import provenance
 
 Values = Mapping[str, Any]
 """What was measured of a task, as JSON can say it: numbers, texts, lists of them; and as bytes PNG pictures and HTML
@@ -43,6 +42,65 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[Any]]
     note: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A task and how it ended ("done", "skipped", "failed").
+
+    `seconds` are wall time, `cpu` is processor time [s], None where nobody measured it; memory [MB]; the load then.
+    commit: of the code that measured it, which a later run may have kept; empty in results of older versions.
+    """
+
+    case: str
+    method: str
+    status: str
+    reason: str
+    values: Values
+    seconds: float
+    memory_mb: float | None
+    load: float
+    of: str = field(repr=False)
+    commit: str = ""
+    cpu: float | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether it has values."""
+        return self.status == "done"
+
+
+@dataclass(frozen=True)
+class Results:
+    """A study's rows in the order of its tasks, its gates and its conclusion."""
+
+    study: str
+    question: str
+    options: Mapping[str, Any]
+    machine: Mapping[str, Any]
+    rows: tuple[Row, ...]
+    gates: tuple[dict, ...]
+    words: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether every gate holds that asks for a right answer; those of speed hang on the machine."""
+        return all(gate["passed"] for gate in self.gates if gate["answer"])
+
+    @property
+    def commits(self) -> list[str]:
+        """Of the last run, and of runs before it whose rows were kept."""
+        return provenance.list_commits(self.machine, [{"commit": row.commit} for row in self.rows])
+
+    @property
+    def cpu(self) -> float | None:
+        """Processor time [s] of all rows that measured it; None where none did."""
+        measured = [row.cpu for row in self.rows if row.cpu is not None]
+        return sum(measured) if measured else None
+
+    def json(self) -> dict[str, Any]:
+        """For a results file."""
+        return asdict(self)
 
 
 class Study(ABC):
@@ -81,7 +139,7 @@ class Study(ABC):
         return lines
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """What has to hold, as `harness.gates` says it, beside that no row failed."""
+        """What has to hold, by `at_most`, `at_least` or `above`, beside that no row failed."""
         return []
 
     def words(self, rows: Sequence[Row]) -> str:
@@ -95,3 +153,22 @@ class Study(ABC):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Figures as SVG text by caption."""
         return {}
+
+
+def at_most(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:
+    """One statement; None, what was not measured, does not pass."""
+    return _gate(what, value, f"at most {bound:g}", value is not None and value <= bound, answer)
+
+
+def at_least(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:
+    """The same from below."""
+    return _gate(what, value, f"at least {bound:g}", value is not None and value >= bound, answer)
+
+
+def above(what: str, value: float, bound: float) -> dict:
+    """The same from below, the bound left out."""
+    return _gate(what, value, f"above {bound:g}", value > bound, True)
+
+
+def _gate(what: str, value: float | None, bound: str, passed: bool, answer: bool) -> dict:
+    return {"what": what, "value": value, "bound": bound, "passed": bool(passed), "answer": answer}

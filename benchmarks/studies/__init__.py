@@ -1,4 +1,4 @@
-"""The studies, a file each, by the name of their command."""
+"""The studies by name, and the commands under which several share a subject."""
 
 from __future__ import annotations
 
@@ -11,29 +11,57 @@ if TYPE_CHECKING:
     from ..harness.study import Study
 
 STUDIES = {
-    "agreement": "agreement:Agreement",
+    "agreement": "agreement.study:Agreement",
     "verification": "verification:Verification",
-    "hard": "hard:Hard",
-    "mixed": "mixed:Mixed",
+    "hard": "verification:Hard",
+    "mixed": "scaling.mixed:Mixed",
     "split": "split:Split",
     "surrogate": "surrogate:SurrogateOnCorpus",
-    "work-precision": "work_precision:WorkPrecision",
-    "throughput": "throughput:Throughput",
-    "scaling": "scaling:Scaling",
+    "work-precision": "work_precision.study:WorkPrecision",
+    "throughput": "scaling.throughput:Throughput",
+    "scaling": "scaling.iterations:Scaling",
     "minimal": "minimal:Minimal",
-    "unknowns": "unknowns:Unknowns",
-    "convergence": "convergence:Convergence",
-    "locking": "locking:Locking",
-    "effects": "effects:Effects",
-    "dynamics": "dynamics:Dynamics",
-    "ranks": "ranks:Ranks",
-    "parts": "parts:Parts",
+    "unknowns": "scaling.unknowns:Unknowns",
+    "convergence": "mesh.convergence:Convergence",
+    "locking": "mesh.locking:Locking",
+    "effects": "effects.study:Effects",
+    "dynamics": "dynamics.study:Dynamics",
+    "ranks": "scaling.ranks:Ranks",
+    "parts": "scaling.parts:Parts",
     "material": "material:Material",
-    "shapes": "shapes:Shapes",
-    "heads": "heads:Heads",
-    "depth": "depth:Depth",
+    "shapes": "heads.shapes:Shapes",
+    "heads": "heads.fit:Heads",
+    "registration": "heads.registration:Registrations",
+    "depth": "heads.depth:Depth",
+    "closures": "heads.closures:Closures",
 }
 """Module and class, so that none is loaded before it is asked for."""
+SUBJECTS: dict[str, tuple[str, dict[str, str]]] = {
+    "verification": (
+        "Does every solver meet closed forms, published values and hard cases?",
+        {"values": "verification", "hard": "hard"},
+    ),
+    "heads": (
+        "Does every person get a valid head, and how near is it to what is known?",
+        {"fit": "heads", "shapes": "shapes", "registration": "registration", "depth": "depth", "closures": "closures"},
+    ),
+    "scaling": (
+        "What do time and memory cost by size, processes and incompressibility?",
+        {
+            "size": "scaling",
+            "unknowns": "unknowns",
+            "ranks": "ranks",
+            "parts": "parts",
+            "throughput": "throughput",
+            "mixed": "mixed",
+        },
+    ),
+    "mesh": (
+        "How large are the errors of the mesh?",
+        {"convergence": "convergence", "locking": "locking"},
+    ),
+}
+"""Commands of several studies, with their question, and the study of each case; the first case is the default."""
 
 _added: dict[str, type[Study]] = {}
 
@@ -49,6 +77,12 @@ def add_study(kind: type[Study]) -> type[Study]:
 def names() -> tuple[str, ...]:
     """The names of all studies, with those that files have added."""
     return (*STUDIES, *_added)
+
+
+def commands() -> tuple[str, ...]:
+    """The names of the commands: subjects, and studies that are no case of one."""
+    cases = {name for _, of in SUBJECTS.values() for name in of.values()}
+    return (*SUBJECTS, *(name for name in names() if name not in cases))
 
 
 def study_of(name: str) -> type[Study]:

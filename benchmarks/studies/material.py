@@ -17,9 +17,7 @@ from ...reference.problems.homogeneous import Row as Cube
 from ...reference.problems.homogeneous import held_scene
 from ...reference.problems.meshes import unstructured
 from ...reference.terms import Hyperelastic, Strain, Term, Volume
-from ..harness.gates import at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
+from ..harness.study import Column, Row, Study, Task, Values, at_most
 
 LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
     "neo-Hookean": NeoHookean.from_young,
@@ -57,10 +55,10 @@ class Material(Study):
         Column("large", "at 50 % [%]"),
     )
     note = (
-        "A unit cube on rollers of PD's energy, w_str/2 |F - R|² + w_vol/2 min |F - T|² over det T = 1, and of a law "
-        "with the same small-strain moduli: w_str = 2 mu, w_vol = 3 lmbda, E = 1 kPa. Nominal stresses (the energy's "
-        "derivative) at the same stretch, their difference over the law's; the other axes are free, or one of them "
-        "keeps its length in pure shear. By scikit-fem, which has every law and PD's energy."
+        "A unit cube on rollers of PD's energy, w_str/2 |F - R|² + w_vol/2 min |F - T|² over det T = 1. Beside it a "
+        "law with the same small-strain moduli: w_str = 2 mu, w_vol = 3 lmbda, E = 1 kPa. Nominal stresses (the "
+        "energy's derivative) at the same stretch; their difference is over the law's. The other axes are free; in "
+        "pure shear one keeps its length. Solved by scikit-fem, which has every law and PD's energy."
     )
 
     poisson: tuple[str, ...] = field(

@@ -17,12 +17,8 @@ from ...reference import FacialModel, Parameters, smallest_facial_scene
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation
 from ...reference.face.tissue import bone_points
-from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, timed
-from ..differences import distances
-from ..harness.gates import at_least, at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Task, Values
-from ..traces import Stopwatch
+from ..harness.study import Column, Row, Task, Values, at_least, at_most
+from .measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, counts, distances, megabytes, timed
 from .person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {
@@ -53,7 +49,7 @@ class Minimal(OfPerson):
 
     name = "minimal"
     heading = "What can a scene leave out?"
-    question = "What does each term, layer, region and contact cost, and what is the face wrong by without it?"
+    question = "What does each term, layer, region and contact cost, and how wrong is the face without it?"
     columns = (
         Column("tets", "tets"),
         Column("settle_s", "settle, processor time [s]", cost=True),
@@ -67,11 +63,11 @@ class Minimal(OfPerson):
         ENDED,
     )
     note = (
-        "Projective dynamics from rest to a gradient norm of 1e-6 of its start, in a process of its own; memory beside "
-        "head and libraries. Under an effect the neutral face settles first, by the same scene as the expression. The "
-        "change is the distance of the skins' vertices to the whole scene's, over all of the skin. The whole scene has "
-        "three wraps, membrane, rigid cranium and mandible. `reference.smallest_facial_scene` chooses the smallest. "
-        "Of talk, seconds and iterations are those of a frame."
+        "Projective dynamics solves from rest to a gradient norm of 1e-6 of its start, in its own process. Memory is "
+        "beside head and libraries. Under an effect the neutral face settles first, by the same scene as the "
+        "expression. The change is the distance of the skin's vertices to those of the whole scene. The whole scene "
+        "has three wraps, membrane, rigid cranium and mandible. `reference.smallest_facial_scene` chooses the "
+        "smallest. Seconds and iterations of talk are those of a frame."
     )
     timed = True
     alone = True

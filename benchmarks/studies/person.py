@@ -9,12 +9,29 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm import expressions, fit_head, identities, load_template
+from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
-from ...lhm.template import DEFAULT_LEVEL
+from ...lhm.template import DEFAULT_LEVEL, LEVELS
+from ...reference.added import all_solvers
 from ..harness.study import Study
-from .asked import check_person
+
+
+def solvers_asked(solvers: Sequence[str]) -> tuple[str, ...]:
+    """These, or all where none is named; InputError for an unknown one."""
+    for solver in solvers:
+        if solver not in all_solvers():
+            raise InputError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
+    return tuple(solvers) or all_solvers()
+
+
+def check_person(seed: int, level: int) -> None:
+    """InputError for a negative seed, and for a level that the default template has not."""
+    if seed < 0:
+        raise InputError(f"seed: must be at least 0, got {seed}")
+    if level not in LEVELS:
+        raise InputError(f"level: there are {', '.join(map(str, LEVELS))}, got {level}")
 
 
 @dataclass(frozen=True, eq=False)

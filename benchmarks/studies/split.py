@@ -24,11 +24,8 @@ from ...reference.face.settle import SettledFace, carry_skin, neutral_scene
 from ...surrogate import Surrogate
 from ...surrogate.corpus.plan import CorpusPlan
 from ...surrogate.ruler import measure
-from ..differences import distances
-from ..harness.gates import at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Table, Task, Values
-from ..richardson import limit_of_two
+from ..harness.study import Column, Row, Table, Task, Values, at_most
+from .measures import distances, limit_of_two
 from .person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {
@@ -71,8 +68,8 @@ class Split(OfPerson):
     version = 2
     heading = "Where does the network's error come from?"
     question = (
-        "Where does the surrogate's error to a refined hyperelastic reference come from: the network, the tolerance of "
-        "what it learned from, projective dynamics' energy in place of a hyperelastic law, or the mesh?"
+        "Which part of the surrogate's error to a refined hyperelastic reference comes from the network, the training "
+        "tolerance, PD's energy and the mesh?"
     )
     columns = (
         Column("moved", "|T - carried(S)|, mean [mm]"),
@@ -86,11 +83,11 @@ class Split(OfPerson):
         Column("fenicsx", "check: PD - FEniCSx, same energy, max [mm]"),
     )
     note = (
-        "T is PD's converged skin, S the blendshapes; shares are taken where a vertex moves by more than 0.05 mm. Each "
-        f"law and element settles the neutral face by itself. Quadratic tets are solved on level {COARSE} for every "
-        "row, and on the study's own level for the rows that say so, where `refined` is the distance to the limit of "
-        "the two levels' quadratic tets (Richardson, order 1 assumed; its bound is the GCI). The part of the mesh of "
-        "the other rows is estimated; its band is that of the ratios measured."
+        "T is PD's converged skin, S are the blendshapes. Shares are taken where a vertex moves by more than 0.05 mm. "
+        "Each law and element settles the neutral face by itself. Every row solves quadratic tets on level 1; the "
+        "rows named `refined` solve them on the study's own level too. There `refined` is the distance to the limit "
+        "of both levels' quadratic tets (Richardson, order 1 assumed; its bound is the GCI). The other rows estimate "
+        "the part of the mesh; its band is that of the measured ratios."
     )
 
     expressions: tuple[str, ...] = field(

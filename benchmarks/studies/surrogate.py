@@ -21,8 +21,7 @@ from ...surrogate.ruler import MOVES
 from ..beyond import KIND as BEYOND
 from ..beyond import score_beyond
 from ..breakeven import Breakeven, compute_breakeven
-from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
+from ..harness.study import Column, Row, Study, Task, Values
 from ..surrogate_frames import draw_worst_frames
 from ..surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
 from ..surrogates import READY, SIMULATE, OnCorpus, learning, load_network, parse_people

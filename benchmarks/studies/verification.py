@@ -1,19 +1,25 @@
-"""Every verification problem through every solver that models it."""
+"""Closed forms, published values and hard cases that every solver has to solve, and FElupe as one more code."""
 
 from __future__ import annotations
 
+import importlib.util
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from types import SimpleNamespace
+from typing import Any
 
-from ...reference import Parameters, Scene, apply_law, facial_scene, problems, solve
-from .. import felupe_code
-from ..harness.gates import at_most
-from ..harness.runner import Row
-from ..harness.study import Column, Study, Task, Values
-from ..traces import farthest
-from .asked import solvers_asked
-from .person import person
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import splu
+
+from ...lhm.base.errors import MissingDependencyError, SceneError, SoftdecaError
+from ...lhm.base.mesh import Floats, Ints
+from ...reference import Parameters, Scene, apply_law, facial_scene, materials, problems, solve, terms
+from ..harness.study import Column, Row, Study, Table, Task, Values, at_most
+from .measures import farthest
+from .person import person, solvers_asked
 
 HEAD, FELUPE = "neo-Hookean head", "felupe"
 HEAD_EXPRESSION, HEAD_LEVEL, HEAD_BOUND = "mouthSmileLeft*0.3", 1, 1e-8
@@ -87,7 +93,7 @@ class Verification(Study):
 def felupe_beside_fenicsx(scene: Scene) -> problems.Outcome:
     """The largest displacement [mm] by FElupe, and the largest distance to FEniCSx' answer over it."""
     begin = time.perf_counter()
-    positions, iterations = felupe_code.solved(scene)
+    positions, iterations = solve_by_felupe(scene)
     seconds = time.perf_counter() - begin
     truth = solve(scene, solver="fenicsx", tolerance=1e-10)
     value, reference = farthest(positions, scene.vertices), farthest(truth.positions, scene.vertices)
@@ -106,3 +112,185 @@ def _fine() -> Mapping[str, Outcomes]:
     orders = {f"orders of {e}": lambda e=e: list(problems.manufactured.study(e)) for e in problems.manufactured.ORDERS}
     locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.cook.locking_outcomes(nu) for nu in problems.cook.POISSON}
     return orders | locking
+
+
+@dataclass(frozen=True)
+class Hard(Study):
+    """Random starts, collapse, crush, twist, slivers, long steps."""
+
+    name = "hard"
+    heading = "Do the solvers survive hard cases?"
+    question = "Are hard-pushed solvers right, do they say why they stop, or are they silently wrong?"
+    columns = (
+        Column("criterion", "what is compared"),
+        Column("outcome", "outcome"),
+        Column("error", "error"),
+        Column("bound", "bound"),
+        Column("passed", "no fault"),
+        Column("iterations", "iterations", cost=True),
+    )
+
+    solvers: tuple[str, ...] = field(default=(), metadata={"help": "only these; repeat for several  [all]"})
+    laws: bool = field(
+        default=False, metadata={"help": "also every law on every element of FEniCSx: a quarter of an hour"}
+    )
+
+    def tasks(self) -> Sequence[Task]:
+        """Each case by each solver, and element, that it is for."""
+        solvers = solvers_asked(self.solvers)
+        return [task for task, (_, solver, _) in self._ways().items() if solver in solvers]
+
+    def _ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
+        of_laws = problems.LAWS_ON_ELEMENTS if self.laws else ()
+        posed = (*problems.HARD, *problems.added_hard_cases(), *of_laws)
+        return {
+            Task(f"{case.name} ({case.source.split(';')[0]})", f"{solver} {element}"): (case, solver, element)
+            for case in posed
+            for solver, element in case.ways
+        }
+
+    def measure(self, task: Task) -> Values:
+        """The outcome; no error of what was refused, or came to nothing near the answer."""
+        outcome = problems.run_hard(*self._ways()[task])
+        error = outcome.error if np.isfinite(outcome.error) else None
+        return asdict(outcome) | {"passed": outcome.passed, "error": error}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """No case is missed, or ended for another reason than it may."""
+        return [at_most("cases with a fault", sum(not row.values["passed"] for row in rows), 0)]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """How many are right, and how many stopped for a reason that is right to name."""
+        kinds = Counter(map(_kind, rows))
+        right, refused, wrong = (kinds[kind] for kind in KINDS)
+        return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Right, refused with a reason, or wrong, by solver and element; and of each case, seeds and laws together."""
+        ways = list(dict.fromkeys(row.method for row in rows))
+        outcomes = Counter((row.method, _kind(row)) for row in rows)
+        counts = [[way, *(outcomes[way, kind] for kind in KINDS)] for way in ways]
+        found: dict[str, dict[str, list[Row]]] = {}
+        for row in rows:
+            kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
+            found.setdefault(kind, {}).setdefault(row.method, []).append(row)
+        lines = [[kind, *(_told(by.get(way, [])) for way in ways)] for kind, by in found.items()]
+        note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
+        return [
+            Table("By solver and element", ["solver and element", *KINDS], counts),
+            Table("Right, refused, wrong", ["case", *ways], lines, note),
+        ]
+
+
+KINDS = ("right", "refused", "WRONG")
+
+
+def _kind(row: Row) -> str:
+    return KINDS[0] if row.values["outcome"] == "passed" else KINDS[1] if row.values["passed"] else KINDS[2]
+
+
+def _told(rows: Sequence[Row]) -> str | None:
+    """As "20 right, 8 to 31 iterations"."""
+    if not rows:
+        return None
+    kinds = Counter(map(_kind, rows))
+    counts = sorted(int(row.values["iterations"]) for row in rows)
+    span = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
+    outcome = ", ".join(kind if len(rows) == 1 else f"{count} {kind}" for kind, count in kinds.items())
+    return f"{outcome}; {span}"
+
+
+TOLERANCE = 1e-10
+"""The residual's norm over that of the forces at held vertices, as FElupe counts it."""
+MOST, STEPS = 30, 4
+"""Iterations of a step of the load, and such steps."""
+
+
+def felupe_installed() -> bool:
+    """Whether FElupe is there."""
+    return importlib.util.find_spec("felupe") is not None
+
+
+def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
+    """Positions [mm], shape (n, 3), by FElupe's elements, law and Newton's method from rest, and its iterations.
+
+    Raises MissingDependencyError without FElupe, SceneError for a term that is not modelled here, and SoftdecaError
+    where it does not converge.
+    """
+    if not felupe_installed():
+        raise MissingDependencyError("FElupe is not installed (softdeca[bench])")
+    import felupe
+
+    bodies, springs = _parts(scene)
+    field = _field(felupe, scene.vertices, scene.tets)
+    # A body of its own for each term: FElupe links their fields, which have the same vertices.
+    items: list[Any] = [
+        felupe.SolidBody(felupe.NeoHookeCompressible(law.mu, law.lmbda), _field(felupe, scene.vertices, tets))
+        for law, tets in bodies
+    ]
+    items += [_Springs(field, each) for each in springs]
+    held, places = scene.dirichlet()
+    loose = np.setdiff1d(np.arange(len(scene.vertices)), scene.tets)
+    fixed = held.copy()
+    fixed[loose] = True
+    dof0 = np.flatnonzero(fixed.ravel())
+    dof1 = np.flatnonzero(~fixed.ravel())
+    target = np.where(held, places - scene.vertices, 0.0).ravel()[dof0]
+    iterations = 0
+    for step in range(1, STEPS + 1):
+        # FElupe takes whole steps of Newton's: in one go they turn tets inside out, where the law is infinite.
+        for each in items[len(bodies) :]:
+            each.share = step / STEPS
+        found = felupe.newtonraphson(
+            items=items, x0=field, dof0=dof0, dof1=dof1, ext0=target * step / STEPS, tol=TOLERANCE, maxiter=MOST,
+            solver=_solve, verbose=0,
+        )  # fmt: skip
+        if not found.success:
+            raise SoftdecaError(f"FElupe: step {step} of {STEPS} not converged after {MOST} iterations")
+        field, iterations = found.x, iterations + int(found.iterations)
+    return scene.vertices + field[0].values, iterations
+
+
+def _field(felupe: Any, vertices: Floats, tets: Ints) -> Any:
+    return felupe.FieldContainer([felupe.Field(felupe.RegionTetra(felupe.Mesh(vertices, tets, "tetra")), dim=3)])
+
+
+def _solve(matrix: Any, right: Floats) -> Floats:
+    # Symmetric: a quarter of the fill of the order that SciPy takes by itself.
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right.ravel())
+
+
+def _parts(scene: Scene) -> tuple[list[tuple[materials.NeoHookean, Ints]], list[terms.Target]]:
+    """Each law with its tets (k, 4), and the springs."""
+    for term in scene.terms:
+        if not isinstance(term, (terms.Hyperelastic, terms.Target, terms.Fixed)):
+            raise SceneError(f"FElupe: {type(term).__name__} is not modelled here")
+    bodies = []
+    for solid in scene.of(terms.Hyperelastic):
+        if not isinstance(solid.material, materials.NeoHookean) or np.any(solid.growth != 1.0):
+            raise SceneError(f"FElupe: {solid.material.name} with growth {solid.growth} is not modelled here")
+        bodies.append((solid.material, scene.tets[scene.tets_of(solid)]))
+    return bodies, list(scene.of(terms.Target))
+
+
+class _Springs:
+    """A Target as an item of FElupe: stiffness (target - x) at each of its vertices, `share` of the way there."""
+
+    def __init__(self, field: Any, target: terms.Target):
+        self.field = field
+        self.results = SimpleNamespace(update_statevars=lambda: None)
+        self.assemble = SimpleNamespace(vector=self._vector, matrix=self._matrix, multiplier=None)
+        n = field[0].values.size
+        k = np.zeros((n // 3, 3))
+        np.add.at(k, target.vertices, np.broadcast_to(np.reshape(target.stiffness, (-1, 1)), target.positions.shape))
+        sought = np.zeros((n // 3, 3))
+        sought[target.vertices] = target.positions
+        self.share = 1.0
+        self._k, self._away = k.ravel(), (sought - field.region.mesh.points).ravel()
+
+    def _vector(self, field: Any = None, **_: Any) -> csr_matrix:
+        u = (self.field if field is None else field)[0].values.ravel()
+        return csr_matrix((self._k * (u - self.share * self._away)).reshape(-1, 1))
+
+    def _matrix(self, field: Any = None, **_: Any) -> csr_matrix:
+        return diags(self._k).tocsr()

@@ -18,11 +18,10 @@
 # %%
 import numpy as np
 
-from softdeca.benchmarks.arap import Handles
-from softdeca.benchmarks.studies.hard import Hard
-from softdeca.benchmarks.studies.verification import Verification
-from softdeca.benchmarks.studies.work_precision import WorkPrecision
-from softdeca.benchmarks.traces import traced
+from softdeca.benchmarks.studies.measures import traced
+from softdeca.benchmarks.studies.verification import Hard, Verification
+from softdeca.benchmarks.studies.work_precision.arap import Handles
+from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
     NotModelledError,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softdeca.benchmarks.harness import Column, Study, Task
-from softdeca.benchmarks.harness.gates import at_most
+from softdeca.benchmarks.harness.study import at_most
 from softdeca.benchmarks.studies import add_study
 from softdeca.reference import Scene, solve, terms
 from softdeca.reference.problems.meshes import block, vertices_at

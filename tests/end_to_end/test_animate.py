@@ -123,23 +123,22 @@ def test_a_heads_file_is_served(command, tmp_path):
 def test_gaps_of_lids_and_lips_are_drawn(command, tmp_path):
     # Frames in which conversation 0 blinks.
     ended = command(
-        *("bench", "closures", "conversation:3", "--frames", "20:27", "--level", 1, "--dynamic"),
+        *("bench", "heads", "--cases", "closures", "--frames", "20:27", "--level", 1, "--dynamic"),
         *("--out", tmp_path, "--json"),
     )
     assert ended.status == 0
-    rows = json.loads(ended.out)
-    assert {row["gap"] for row in rows} == {"left lids", "right lids", "lips"} and len(rows) == 9
-    kept = json.loads((tmp_path / "gaps.json").read_text())
-    assert (
-        set(list_missing(kept)) <= {"clean tree", "commit"} and kept["rows"] == rows and kept["options"]["level"] == 1
-    )
-    lids = np.array(kept["widths_mm"]["PD"])[:, 0]
+    results = json.loads(ended.out)
+    assert set(list_missing(results)) <= {"clean tree", "commit"} and results["options"]["level"] == 1
+    (row,) = results["rows"]
+    rows = row["values"]["rows"]
+    assert {line["gap"] for line in rows} == {"left lids", "right lids", "lips"} and len(rows) == 9
+    lids = np.array(row["values"]["widths_mm"]["PD"])[:, 0]
     assert lids[0] - lids[-1] > 2.0, "the blink closes them"
     # The network knows level 2, whose simulated lids close .45 mm farther than those of level 1.
-    off = {(row["gap"], row["method"]): row["largest"] for row in rows}
+    off = {(line["gap"], line["by"]): line["largest"] for line in rows}
     plain = {gap: largest for (gap, method), largest in off.items() if method == "blendshapes"}
     assert all(largest < 0.6 * plain[gap] for (gap, method), largest in off.items() if method != "blendshapes")
-    assert (tmp_path / "gaps.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / row["values"]["widths"]).read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(

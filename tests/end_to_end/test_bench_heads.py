@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.studies import heads as study
-from softdeca.benchmarks.studies.heads import FITTED, Heads, fitted, sample
+from softdeca.benchmarks.studies.heads import fit as study
+from softdeca.benchmarks.studies.heads.fit import FITTED, Heads, fitted, sample
 from softdeca.lhm import FitError, InputError, check_head, fit_head, identities, load_template
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "heads", "--level", "1")

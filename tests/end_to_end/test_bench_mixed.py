@@ -1,4 +1,4 @@
-"""softdeca bench mixed: a small sphere of incompressible tissue, and what its options refuse."""
+"""softdeca bench scaling --cases mixed: a small sphere of incompressible tissue, and what its options refuse."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.mixed import Mixed, around_vertices, solved, volumes_kept
+from softdeca.benchmarks.studies.scaling.mixed import Mixed, around_vertices, solved, volumes_kept
 from softdeca.lhm import InputError
 from softdeca.reference import Scene
 

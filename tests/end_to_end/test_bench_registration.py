@@ -1,15 +1,12 @@
-"""`bench registration`: slides and cosines follow from what registration gives, and the command tells them."""
-
-import json
+"""The study of registration: slides and cosines follow from what registration gives."""
 
 import numpy as np
 import pytest
 from scipy.sparse import identity
 
-from softdeca.benchmarks import registrations
+from softdeca.benchmarks.studies.heads import registration
 from softdeca.lhm import identities
 from softdeca.lhm.arkit import ARKIT
-from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.registration import register_by_mapping
 from softdeca.lhm.registration.registration import Registration
 
@@ -28,25 +25,25 @@ def exactly(space, skin, vertices=None) -> Registration:
 
 def test_points_carried_along_the_skin_are_off_by_as_much(space):
     forth = exactly(space, space.mean)
-    assert registrations.slide(space, forth, space, forth).max() < 1e-9
+    assert registration.slide(space, forth, space, forth).max() < 1e-9
     # The way back moves everything by 3 mm.
     back = exactly(space, space.mean, space.mean.vertices + [3.0, 0, 0])
-    np.testing.assert_allclose(registrations.slide(space, forth, space, back), 3.0, atol=1e-9)
-    assert 1500 < registrations.visible_face(space).sum() < 2000
+    np.testing.assert_allclose(registration.slide(space, forth, space, back), 3.0, atol=1e-9)
+    assert 1500 < registration.visible_face(space).sum() < 2000
 
 
 def test_cosine_and_distance_of_shapes(space):
     own = space.expressions
     visible = np.ones(own.shape[1], bool)
-    rows = registrations.agreement(2.0 * own, own, visible)
+    rows = registration.agreement(2.0 * own, own, visible)
     jaw = next(row for row in rows if row["shape"] == "jawOpen")
     mean = np.linalg.norm(own[ARKIT.index("jawOpen")], axis=1).mean()
     assert jaw["cosine"] == pytest.approx(1.0) and jaw["mean_mm"] == pytest.approx(mean)
     # What one of the two has not is left out.
     none = own.copy()
     none[ARKIT.index("jawOpen")] = 0.0
-    assert "jawOpen" not in {row["shape"] for row in registrations.agreement(none, own, visible)}
-    assert registrations.median(rows)[0] == pytest.approx(1.0)
+    assert "jawOpen" not in {row["shape"] for row in registration.agreement(none, own, visible)}
+    assert registration.median(rows)[0] == pytest.approx(1.0)
 
 
 def test_slides_and_shapes_are_measured_and_told(space, command, monkeypatch):
@@ -61,19 +58,19 @@ def test_slides_and_shapes_are_measured_and_told(space, command, monkeypatch):
         away = 0.0 if np.array_equal(skin.triangles, template.triangles) else 0.1
         return register_by_mapping(template, parts, (ids, np.tile([1 - 2 * away, away, away], (len(ids), 1))), skin)
 
-    monkeypatch.setattr(registrations, "register", register)
-    ended = command("bench", "registration", "--upon", "anny", "--json")
-    results = json.loads(ended.out)
-    assert ended.status == 0 and len(asked) == 4
-    assert set(list_missing(results)) <= {"clean tree", "commit"} and results["options"]["seed"] == 0
-    assert [row["mean_mm"] < 1e-6 for row in results["slide"]] == [True, True]
-    for group in results["shapes"]:
-        cosines = {what: registrations.median(rows)[0] for what, rows in group["rows"].items()}
-        assert cosines["another rig"] == pytest.approx(1.0, abs=1e-4)
-        assert 0.97 < cosines["a person, exact points"] <= 1.0
-        assert cosines["a person, registered"] < cosines["a person, exact points"]
-    lines = command("bench", "registration", "--upon", "anny").out.splitlines()
-    assert lines[0].startswith("anny to anny and back [mm]: mean 0.000") and len(lines) == 8
-    assert sum("cosine, median" in line for line in lines) == 6
-    ended = command("bench", "registration", "--upon", "nobody")
+    monkeypatch.setattr(registration, "register", register)
+    study = registration.Registrations(upon="anny")
+    (task,) = study.tasks()
+    values = study.measure(task)
+    assert len(asked) == 4
+    slides = [line for line in values["rows"] if line["compared"].startswith("slide")]
+    assert len(slides) == 2 and all(line["mean_mm"] < 1e-6 for line in slides)
+    cosines = [line["cosine"] for line in values["rows"] if "cosine" in line]
+    for another, exact, registered in (cosines[:3], cosines[3:]):
+        assert another == pytest.approx(1.0, abs=1e-4)
+        assert 0.97 < exact <= 1.0 and registered < exact
+    assert {line["compared"] for line in values["shapes"]} <= {line["compared"] for line in values["rows"]}
+    ended = command("bench", "heads", "--cases", "registration", "--upon", "nobody")
     assert ended.status != 0 and "nobody" in ended.errors[-1]
+    ended = command("bench", "heads", "--cases", "registration")
+    assert ended.status == 2 and "--upon is missing" in ended.errors[-1]

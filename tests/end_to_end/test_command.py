@@ -117,7 +117,7 @@ def test_the_list_of_studies_has_whole_questions(command):
         (("animate", "conversation", "--targets", "1000000"), "1<=x<=4096"),
         (("view", "--seed", "9" * 40), "0<=x<=9223372036854775807"),
         (("bench", "heads", "--count", "9" * 40), "1<=x<=100000"),
-        (("bench", "throughput", "--frames", "0"), "1<=x<=100000"),
+        (("bench", "scaling", "--cases", "throughput", "--frames", "0"), "1<=x<=100000"),
     ],
 )
 def test_a_count_out_of_its_range_is_told_with_the_range(command, words, allowed):

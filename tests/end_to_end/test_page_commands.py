@@ -79,27 +79,27 @@ ELSEWHERE = {
     "softdeca bench agreement": "test_agreement.py::test_the_study_of_a_sphere",
     "softdeca bench effects": "test_effects.py::test_palsy_is_measured",
     "softdeca bench work-precision": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
-    "softdeca bench throughput": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench scaling --cases throughput": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench minimal": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
-    "softdeca bench hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
-    "softdeca bench hard --laws": (
+    "softdeca bench verification --cases hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
+    "softdeca bench verification --cases hard --laws": (
         "test_laws_recovery.py::test_a_collapsed_or_inverted_block_of_the_stable_law_comes_back"
     ),
-    "softdeca bench convergence": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
+    "softdeca bench mesh": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
     "softdeca bench dynamics": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
-    "softdeca bench closures conversation:3 --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
+    "softdeca bench heads --cases closures --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
     "softdeca bench heads --count 1000": "test_bench_heads.py::test_each_head_is_that_of_its_seed",
     "softdeca bench heads --count 2 --head own.npz": "test_bench_heads.py::test_the_gallery_shows_a_head_as_it_moves",
-    "softdeca bench registration --upon ict:ict_facekit.npz": (
+    "softdeca bench heads --cases registration --upon ict:ict_facekit.npz": (
         "test_bench_registration.py::test_slides_and_shapes_are_measured_and_told"
     ),
-    "softdeca bench shapes": "test_shapes.py::test_full_weights_invert_no_soft_tissue",
-    "softdeca bench depth --skin skin.ply --skull cranium.ply --skull mandible.ply": (
+    "softdeca bench heads --cases shapes": "test_shapes.py::test_full_weights_invert_no_soft_tissue",
+    "softdeca bench heads --cases depth --skin skin.ply --skull cranium.ply --skull mandible.ply": (
         "test_bench_depth.py::test_a_skull_deeper_than_predicted_by_so_much_gives_that_error"
     ),
     "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
-    "softdeca bench unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench scaling --cases unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench split": "test_split.py::test_the_parts_of_an_error_and_their_check",
     "softdeca bench report": "test_report.py::test_a_report_of_studies_says_what_they_found",
     "softdeca bench surrogate --corpus corpus": (
@@ -107,10 +107,12 @@ ELSEWHERE = {
     ),
     "softdeca bench material": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
-    "softdeca bench locking": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
-    "softdeca bench mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
-    "softdeca bench parts": "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory",
-    "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
+    "softdeca bench mesh --cases locking": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench scaling --cases mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",
+    "softdeca bench scaling --cases parts": (
+        "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory"
+    ),
+    "softdeca bench scaling --cases ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
     "softdeca corpus generate --preset small --takes takes/ --out corpus --dry-run": CORPUS,
     "softdeca corpus generate --preset small --out corpus": CORPUS,

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from softdeca.benchmarks.harness import run
-from softdeca.benchmarks.studies.depth import Depth
+from softdeca.benchmarks.studies.heads.depth import Depth
 
 
 @pytest.fixture(scope="module")

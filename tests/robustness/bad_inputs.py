@@ -33,7 +33,7 @@ import trimesh
 from scipy.sparse import identity
 
 from softdeca import lhm, reference, surrogate
-from softdeca.benchmarks import study  # noqa: F401 (what commands import is not part of a case's time)
+from softdeca.benchmarks import main_study  # noqa: F401 (what commands import is not part of a case's time)
 from softdeca.cli.written_file import WrittenFile, WrittenFolder
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, head_file, identities, template_file
 from softdeca.lhm.base.files import surface_file, tet_file

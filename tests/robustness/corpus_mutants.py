@@ -20,8 +20,8 @@ from file_mutants import Format, of_json, of_npz, one_array_changed, renumbered
 from matplotlib import pyplot
 from safetensors.numpy import load, save
 
-from softdeca.benchmarks.harness.compare import compared
 from softdeca.benchmarks.harness.report import read, write
+from softdeca.benchmarks.harness.results import compared
 from softdeca.benchmarks.studies import study_of
 from softdeca.lhm import expressions
 from softdeca.lhm.expressions import ARKIT, resample

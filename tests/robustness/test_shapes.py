@@ -2,8 +2,8 @@
 
 import pytest
 
+from softdeca.benchmarks.studies.heads.shapes import ALLOWED, by_shape, shapes_of
 from softdeca.benchmarks.studies.person import person
-from softdeca.benchmarks.studies.shapes import ALLOWED, by_shape, shapes_of
 from softdeca.lhm import expressions
 
 WORST = (

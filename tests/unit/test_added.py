@@ -7,8 +7,7 @@ import pytest
 
 from softdeca.benchmarks import studies
 from softdeca.benchmarks.harness import run
-from softdeca.benchmarks.studies.hard import Hard
-from softdeca.benchmarks.studies.verification import Verification
+from softdeca.benchmarks.studies.verification import Hard, Verification
 from softdeca.lhm import InputError
 from softdeca.reference import (
     NotModelledError,

@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.benchmarks import agreement_faces
-from softdeca.benchmarks.agreement_faces import TO_NEO
-from softdeca.benchmarks.differences import difference, distances
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.studies import agreement
-from softdeca.benchmarks.studies.agreement import (
+from softdeca.benchmarks.studies.agreement import faces, study
+from softdeca.benchmarks.studies.agreement.faces import TO_NEO
+from softdeca.benchmarks.studies.agreement.study import (
     ALL,
     BESIDE,
     BLENDSHAPES,
@@ -34,6 +32,7 @@ from softdeca.benchmarks.studies.agreement import (
     TURNED,
     Agreement,
 )
+from softdeca.benchmarks.studies.measures import difference, distances
 from softdeca.lhm import InputError
 
 
@@ -172,7 +171,7 @@ def sphere(monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
     import sphere_studies
 
-    agreement._face.cache_clear()
+    study._face.cache_clear()
     return sphere_studies.SphereAgreement(expressions=("jawOpen",), volume=1.2, push=0.0)
 
 
@@ -196,14 +195,14 @@ def test_the_study_of_a_sphere(sphere, tmp_path):
 
 
 def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_checks(sphere, monkeypatch):
-    solve, starts = agreement_faces.solve, []
+    solve, starts = faces.solve, []
 
     def elsewhere(scene, **asked):
         solution = solve(scene, **asked)
         starts.append(asked.get("start"))
         return solution if starts[-1] is not None else replace(solution, positions=solution.positions + [0, 0.5, 0])
 
-    monkeypatch.setattr(agreement_faces, "solve", elsewhere)
+    monkeypatch.setattr(faces, "solve", elsewhere)
     face = sphere.make("gravity 3 g")
     row = face.solved(FENICSX)
     assert starts[0] is None and np.array_equal(starts[1], face.pd[0].positions) and len(starts) == 2

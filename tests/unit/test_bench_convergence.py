@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.richardson import limit_of_three, limit_of_two
-from softdeca.benchmarks.studies.convergence import ACCEPTED, Convergence
+from softdeca.benchmarks.studies.measures import limit_of_three, limit_of_two
+from softdeca.benchmarks.studies.mesh.convergence import ACCEPTED, Convergence
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError
 
@@ -91,7 +91,7 @@ def test_the_head_of_the_level_below_fails_and_ours_passes_with_little_to_spare(
 def test_expressions_that_cannot_be_read_are_told(command, tmp_path):
     with pytest.raises(InputError, match="none"):
         Convergence(expressions=()).tasks()
-    ended = command("bench", "convergence", "--expression", "grin", "--out", tmp_path / "out")
+    ended = command("bench", "mesh", "--expression", "grin", "--out", tmp_path / "out")
     assert ended.status != 0 and len(ended.errors) == 1 and "grin" in ended.errors[0]
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.locking import FREE, LOCKS, MIRRORED, PRISMS, TWO_MESHES, Locking
+from softdeca.benchmarks.studies.mesh.locking import FREE, LOCKS, MIRRORED, PRISMS, TWO_MESHES, Locking
 from softdeca.lhm import InputError
 
 

@@ -3,12 +3,21 @@
 import numpy as np
 import pytest
 
-from softdeca.benchmarks import arap, floor
-from softdeca.benchmarks.costs import timed
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.harness.apart import apart, held_megabytes, peak_megabytes
-from softdeca.benchmarks.studies.throughput import COLD, ITERATION, LOCAL_58K, RATIO, SEQUENCE, WORKER, Throughput
-from softdeca.benchmarks.studies.work_precision import (
+from softdeca.benchmarks.harness.processes import apart, held_megabytes, peak_megabytes
+from softdeca.benchmarks.studies.measures import Trace, farthest, timed, traced, traced_to_itself
+from softdeca.benchmarks.studies.scaling import floor
+from softdeca.benchmarks.studies.scaling.throughput import (
+    COLD,
+    ITERATION,
+    LOCAL_58K,
+    RATIO,
+    SEQUENCE,
+    WORKER,
+    Throughput,
+)
+from softdeca.benchmarks.studies.work_precision import arap
+from softdeca.benchmarks.studies.work_precision.study import (
     ACCURACIES,
     ARAP,
     FACE,
@@ -18,7 +27,6 @@ from softdeca.benchmarks.studies.work_precision import (
     lead,
     medians,
 )
-from softdeca.benchmarks.traces import Trace, farthest, traced, traced_to_itself
 from softdeca.lhm.base.errors import InputError, SoftdecaError
 from softdeca.reference import Parameters, facial_scene, prepare, terms
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.costs import slope
 from softdeca.benchmarks.harness import Row, Task
-from softdeca.benchmarks.studies.unknowns import (
+from softdeca.benchmarks.studies.measures import slope
+from softdeca.benchmarks.studies.scaling.unknowns import (
     CPU_SECONDS,
     FLOORS,
     MESHES,

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from softdeca.benchmarks import effect_fan
-from softdeca.benchmarks.effect_cases import EFFECTS, Effect, named_effects
-from softdeca.benchmarks.effect_fan import SUSPECTS, fan
-from softdeca.benchmarks.effect_laws import BLENDED, CARRIED, LAW, PD, compare_laws, rule_skins
-from softdeca.benchmarks.effect_run import run_effect, with_effect
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.effects import STARTS, Effects
+from softdeca.benchmarks.studies.effects import fan as fan_module
+from softdeca.benchmarks.studies.effects.cases import EFFECTS, Effect, named_effects, run_effect, with_effect
+from softdeca.benchmarks.studies.effects.fan import SUSPECTS, fan
+from softdeca.benchmarks.studies.effects.laws import BLENDED, CARRIED, LAW, PD, compare_laws, rule_skins
+from softdeca.benchmarks.studies.effects.study import STARTS, Effects
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
@@ -207,7 +206,7 @@ def test_random_starts_end_in_one_minimum(head):
 
 
 def test_starts_that_part_are_traced_to_a_term(head, monkeypatch):
-    monkeypatch.setattr(effect_fan, "ONE_MINIMUM", -1.0)
+    monkeypatch.setattr(fan_module, "ONE_MINIMUM", -1.0)
     found = fan(head, Parameters(), head.skin.vertices + [0.0, 2.0, 0.0], 2)
     assert set(found["suspects"]) == set(SUSPECTS)
 

@@ -16,7 +16,7 @@ pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.mpirun import SETTINGS, without_notices
-from softdeca.benchmarks.studies.ranks import PHASES, Ranks, compared
+from softdeca.benchmarks.studies.scaling.ranks import PHASES, Ranks, compared
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean

@@ -16,7 +16,7 @@ import h5py
 from mpi4py import MPI
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.parts import Parts, compared
+from softdeca.benchmarks.studies.scaling.parts import Parts, compared
 from softdeca.lhm.base.errors import InputError, SceneError
 from softdeca.reference import Scene, march, prepare, solve, terms, write_solution
 from softdeca.reference.fenicsx import dolfinx_version as seam

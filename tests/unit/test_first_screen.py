@@ -5,8 +5,7 @@ import math
 import pytest
 
 from softdeca.animation.plots import NARROW, narrow_figures
-from softdeca.benchmarks import first_screen
-from softdeca.benchmarks.harness import Row
+from softdeca.benchmarks.harness import Row, first_screen
 
 ENERGY, LEARNED = "the face's energy (Eq. 15)", "learned of the face's energy"
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from softdeca.benchmarks.harness import Asked, Task, compared, lanes, run, run_together, runner
-from softdeca.benchmarks.harness.lanes import Job
-from softdeca.benchmarks.harness.results_file import read_results
+from softdeca.benchmarks.harness import Asked, Task, compared, processes, run, run_together, runner
+from softdeca.benchmarks.harness.processes import Job
+from softdeca.benchmarks.harness.results import read_results
 from softdeca.benchmarks.studies import STUDIES, study_of
 from softdeca.cli.study_command import command_of
 from softdeca.lhm import InputError
@@ -23,7 +23,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from softdeca.benchmarks.harness.gates import at_most
+from softdeca.benchmarks.harness.study import at_most
 from softdeca.benchmarks.harness import Column, Study, Task
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 
@@ -242,14 +242,14 @@ def test_no_study_has_an_option_twice():
 def test_under_mpirun_every_rank_measures_itself(toys, tmp_path, monkeypatch):
     """Ranks share each solve of FEniCSx, and a process that one of them started would not."""
     monkeypatch.setattr(ranks, "size", lambda: 2)
-    monkeypatch.setattr(lanes, "_Lane", None)
+    monkeypatch.setattr(processes, "_Lane", None)
     results = run(toys.Toy(folder=str(tmp_path), cases=("1", "bad", "2")), tmp_path / "out")
     assert [row.status for row in results.rows] == ["done", "failed", "done"]
 
 
 def test_a_process_goes_on_with_its_case(toys, tmp_path):
     """What it has kept of a case serves the rest of it; another begins with a case of its own."""
-    lane = lanes._Lane()
+    lane = processes._Lane()
     jobs = [Job(toys.Toy(), Task(case, method)) for case in "123" for method in "ab"]
     ones, twos = ("toy", "1"), ("toy", "2")
     assert lane.next_of(jobs, {ones}) == jobs[2]
@@ -264,7 +264,7 @@ def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_
 
     def seen(jobs, count):
         lanes_used.append(count)
-        return lanes.measured(jobs, count)
+        return processes.measured(jobs, count)
 
     monkeypatch.setattr(runner, "measured", seen)
     good, more = (toys.Toy(folder=str(tmp_path), cases=(case,)) for case in "12")

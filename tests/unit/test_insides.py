@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.benchmarks.insides import load_on_mandible, mandible, mandible_apart, stress_by_layer, with_mandible_at
+from softdeca.benchmarks.studies.insides import (
+    load_on_mandible,
+    mandible,
+    mandible_apart,
+    stress_by_layer,
+    with_mandible_at,
+)
 from softdeca.reference import Parameters, facial_scene, solve, terms
 
 

@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from softdeca.benchmarks import study
+from softdeca.benchmarks import main_study
 from softdeca.benchmarks.harness import Asked
-from softdeca.benchmarks.studies.agreement import Agreement
+from softdeca.benchmarks.main_study import parts
+from softdeca.benchmarks.studies.agreement.study import Agreement
 from softdeca.benchmarks.studies.material import Material
 from softdeca.benchmarks.studies.surrogate import SurrogateOnCorpus
 from softdeca.benchmarks.studies.verification import Verification
-from softdeca.benchmarks.study import parts
 
 
 def names(agreement, corpus):
@@ -38,7 +38,7 @@ def test_people_that_no_network_knows_have_no_surrogate(tmp_path, monkeypatch):
 def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, monkeypatch, command):
     good = Asked(Verification(solvers=("skfem",)), tmp_path / "verification", "two layers")
     monkeypatch.setattr(
-        study, "parts", lambda *given: [Asked(Material(modes=("torsion",)), tmp_path / "material"), good]
+        main_study, "parts", lambda *given: [Asked(Material(modes=("torsion",)), tmp_path / "material"), good]
     )
     ended = command("study", "--out", tmp_path)
     assert ended.status == 1 and any("FAILED material: mode 'torsion'" in line for line in ended.out.splitlines())
@@ -46,7 +46,7 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
         text = (tmp_path / name).read_text()
         assert "study material could not be run" in text and "4 of 4 values by skfem" in text
     rows = (tmp_path / "verification" / "rows.jsonl").read_text()
-    monkeypatch.setattr(study, "parts", lambda *given: [good])
+    monkeypatch.setattr(main_study, "parts", lambda *given: [good])
     again = command("study", "--out", tmp_path, "--json")
     assert again.status == 0 and list(json.loads(again.out)) == ["verification"]
     assert (tmp_path / "verification" / "rows.jsonl").read_text() == rows
@@ -59,5 +59,5 @@ def test_an_expression_that_there_is_not_ends_it_before_anything_is_run(tmp_path
 
 @pytest.mark.parametrize("people", ["test", "all"])
 def test_the_surrogate_needs_a_corpus_that_is_there(tmp_path, people):
-    with pytest.raises(study.SoftdecaError, match="corpus|manifest"):
+    with pytest.raises(main_study.SoftdecaError, match="corpus|manifest"):
         SurrogateOnCorpus(corpus=str(tmp_path), people=people).tasks()

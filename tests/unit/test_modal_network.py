@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from softdeca.benchmarks.studies.agreement import Face
+from softdeca.benchmarks.studies.agreement.study import Face
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError, Surface
 from softdeca.reference import Parameters, settle

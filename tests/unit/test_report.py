@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from softdeca.benchmarks.harness import Table, run
+from softdeca.benchmarks.harness.page import latex, markdown
 from softdeca.benchmarks.harness.report import read, write
-from softdeca.benchmarks.harness.tables import latex, markdown
 from softdeca.benchmarks.studies import study_of
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm import InputError

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from softdeca.benchmarks import felupe_code
 from softdeca.benchmarks.harness import run
+from softdeca.benchmarks.studies import verification
 from softdeca.benchmarks.studies.material import Material
 from softdeca.benchmarks.studies.verification import felupe_beside_fenicsx
 from softdeca.lhm import InputError
@@ -76,4 +76,4 @@ def test_felupe_finds_what_fenicsx_finds(sphere_head):
     outcome = felupe_beside_fenicsx(apply_law(scene, "neo-Hookean"))
     assert outcome.passed and outcome.error < 1e-8 and outcome.value > 1.0
     with pytest.raises(SceneError, match="Strain is not modelled"):
-        felupe_code.solved(scene)
+        verification.solve_by_felupe(scene)

@@ -1,0 +1,227 @@
+"""The first screen of the report: the question, error against time of every method, and five sentences.
+
+Each number is that of a row. A sentence or a method whose rows are missing is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...animation.plots import subplots, to_svg, widen_axis
+from .study import Row
+
+ASKED = (
+    "SoftDECA simulates a face once, and a network then predicts the simulated face in every frame. This report asks "
+    "three questions. Is the fast simulator right? How far is the network from it? What does each method cost?"
+)
+PD, FENICSX, NEO = "PD", "FEniCSx P1", "FEniCSx P1, neo-Hookean"
+NETWORK, HYBRID, LINEARISED = "network", "network + simulator", "linearised simulator"
+SETTLED, CARRIED, BLENDSHAPES = "settled + blendshapes", "bones carried", "blendshapes"
+NAMES: Mapping[str, str] = {
+    "PD, L-BFGS": PD,
+    "FEniCSx Newton, P1": FENICSX,
+    "FEniCSx Newton, P1, neo-Hookean": NEO,
+    "FEniCSx, neo-Hookean": NEO,
+    "surrogate": NETWORK,
+    "surrogate, simulator at bind": HYBRID,
+    "network + simulator at bind": HYBRID,
+    "settled neutral face + blendshapes": SETTLED,
+    "blendshapes (T = S)": BLENDSHAPES,
+}
+"""Labels of rows as the report names them; a label that is not here is its own name."""
+MARKS: Mapping[str, tuple[str, str]] = {
+    PD: ("s", "#1f77b4"), FENICSX: ("s", "#d62728"), NEO: ("s", "#8c564b"), NETWORK: ("o", "#17becf"),
+    HYBRID: ("o", "#7a7a00"), LINEARISED: ("o", "#006d5b"), SETTLED: ("^", "#9467bd"), CARRIED: ("^", "#e377c2"),
+    BLENDSHAPES: ("^", "#ff7f0e"),
+}  # fmt: skip
+"""Squares are solvers, circles use the network or the linearised simulator, triangles are simple rivals."""
+SOLVERS = (PD, FENICSX, NEO)
+ACCURACY = 0.01
+"""[mm] to which solvers are timed."""
+FACE_ENERGY = "Eq. 15"
+"""In the name of the energy that every method stands for."""
+OVERALL = "all"
+
+
+@dataclass(frozen=True)
+class Point:
+    """A method: seconds to the first frame of a new face and of each frame after it, and its mean error [mm]."""
+
+    first: float
+    each: float
+    error: float
+
+
+Rows = Mapping[str, Sequence[Row]]
+"""The rows that have values, by study."""
+
+
+def points(rows: Rows) -> dict[str, Point]:
+    """Every method that rows know: solvers, then the others, the most exact first.
+
+    Seconds are those of one head (`work-precision`) where it has the method, else of `surrogate`. Errors to the
+    simulator's answer are those on unseen people (`surrogate`) where it has the method. A solver stands at 0.01 mm.
+    """
+    found: dict[str, Point] = {}
+    grouped: dict[str, list[Mapping]] = {}
+    for row in rows.get("work-precision", ()):
+        energy, label = row.values["energy"], row.values["label"]
+        if FACE_ENERGY in energy or "seconds_to" not in row.values:
+            grouped.setdefault(NAMES.get(label, label), []).append(row.values)
+    for name, of in grouped.items():
+        if (point := _timed(of)) is not None:
+            found[name] = point
+    for method, score in _scores(rows).get(OVERALL, {}).items():
+        if method in found:
+            found[method] = Point(found[method].first, found[method].each, score["mean"])
+        elif score.get("bind_ms") is not None and score.get("frame_ms") is not None:
+            bind, frame = 1e-3 * score["bind_ms"], 1e-3 * score["frame_ms"]
+            found[method] = Point(bind + frame, frame, score["mean"])
+    shown = {name: found[name] for name in found if name in MARKS}
+    return dict(sorted(shown.items(), key=lambda item: (item[0] not in SOLVERS, item[1].error)))
+
+
+def _timed(of: Sequence[Mapping]) -> Point | None:
+    """Medians over expressions; None for a solver that one of them does not bring to 0.01 mm."""
+    ready = float(np.median([np.median(values["prepare_s"]) for values in of]))
+    if "mean_mm" in of[0]:
+        each = float(np.median([np.median(values["solve_s"]) for values in of]))
+        return Point(ready + each, each, float(np.mean([values["mean_mm"] for values in of])))
+    reached = [_reached(values) for values in of]
+    if None in reached:
+        return None
+    each = float(np.median([seconds for seconds in reached if seconds is not None]))
+    return Point(ready + each, each, ACCURACY)
+
+
+def _reached(values: Mapping) -> float | None:
+    """Seconds [s] from which on a solve is within 0.01 mm of the answer."""
+    errors = np.array(values["error_mm"])
+    late = np.flatnonzero(errors > ACCURACY)
+    after = 0 if len(late) == 0 else int(late[-1]) + 1
+    return float(values["seconds"][after]) if after < len(errors) else None
+
+
+def _scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
+    """The lines of the study `surrogate`, by kind of frames and method."""
+    found: dict[str, dict[str, Mapping]] = {}
+    for row in rows.get("surrogate", ()):
+        for line in row.values["rows"]:
+            found.setdefault(line["kind"], {})[NAMES.get(line["method"], line["method"])] = line
+    return found
+
+
+def sentences(rows: Rows) -> list[str]:
+    """At most five. The first says on which kinds of frames the network loses to a rival that learns nothing."""
+    made = (_by_kind(rows), _overall(rows), _agreed(rows), _law(rows), _costs(points(rows)))
+    return [text for text in made if text]
+
+
+def _by_kind(rows: Rows) -> str:
+    lost, compared = [], 0
+    for kind, of in _scores(rows).items():
+        rivals = {name: of[name]["mean"] for name in (SETTLED, CARRIED) if name in of}
+        if kind == OVERALL or NETWORK not in of or not rivals:
+            continue
+        compared += 1
+        rival = min(rivals, key=lambda name: rivals[name])
+        if rivals[rival] <= (mine := of[NETWORK]["mean"]):
+            lost.append(f"{kind} ({rival} {rivals[rival]:.3f} mm, network {mine:.3f} mm)")
+    if lost:
+        return f"The network loses to a simple rival on these kinds of frames: {', '.join(lost)}."
+    return f"The network beats the simple rivals on all {compared} kinds of frames." if compared else ""
+
+
+def _overall(rows: Rows) -> str:
+    scores = _scores(rows).get(OVERALL, {})
+    if not {NETWORK, SETTLED} <= scores.keys():
+        return ""
+    people = rows["surrogate"][0].values.get("people")
+    whom = f"{people} people" if people else "people"
+    errors = {name: score["mean"] for name, score in scores.items() if name in MARKS}
+    best = min(errors, key=lambda name: errors[name])
+    return (
+        f"On {whom} it has not seen, the network errs by {errors[NETWORK]:.3f} mm on average and the simple rival "
+        f"{SETTLED} by {errors[SETTLED]:.3f} mm; {best} is best with {errors[best]:.3f} mm."
+    )
+
+
+def _compared(rows: Rows, method: str, other: str) -> list[Mapping]:
+    """The comparisons of a method in `agreement` whose names begin so."""
+    lines = (line for row in rows.get("agreement", ()) if NAMES.get(row.method, row.method) == method
+             for line in row.values.get("compared", ()))  # fmt: skip
+    return [line for line in lines if line["compared"].startswith(other)]
+
+
+def _agreed(rows: Rows) -> str:
+    apart = [line["max"] for line in _compared(rows, PD, "to FEniCSx")]
+    if not apart:
+        return ""
+    return (
+        f"The fast simulator (PD) and FEniCSx minimise the same energy, and end at most {max(apart):.1e} mm apart "
+        f"in {len(apart)} {'scene' if len(apart) == 1 else 'scenes'}."
+    )
+
+
+def _law(rows: Rows) -> str:
+    lines = _compared(rows, NEO, "to PD")
+    skin = [line["mean"] for line in lines if line["compared"].endswith("skin")]
+    if not skin:
+        return ""
+    return (
+        f"A neo-Hookean law instead of PD's energy moves the skin by {min(skin):.3f} to {max(skin):.3f} mm on average, "
+        f"and a vertex by at most {max(line['max'] for line in lines):.2f} mm."
+    )
+
+
+def _costs(found: Mapping[str, Point]) -> str:
+    costs = {name: found[name].each for name in (PD, FENICSX, NETWORK) if name in found}
+    if len(costs) < 2:
+        return ""
+    frames = [f"{name} {_seconds(cost)}" for name, cost in costs.items()]
+    bound = f"; the network first needs {_seconds(found[NETWORK].first)} for a new face" if NETWORK in costs else ""
+    return f"A frame takes {', '.join(frames[:-1])} and {frames[-1]}{bound}."
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2g} s" if value >= 0.01 else f"{1e3 * value:.2g} ms"
+
+
+def figure(rows: Rows) -> str:
+    """Error against seconds, to the first frame of a new face (filled) and of each frame after it (hollow): SVG.
+
+    An empty text where fewer than two methods are there.
+    """
+    found = points(rows)
+    if len(found) < 2:
+        return ""
+    drawn, axis = subplots(figsize=(12, 4.4))
+    for name, point in found.items():
+        shape, colour = MARKS[name]
+        axis.plot([point.each, point.first], [point.error] * 2, color=colour, lw=1.2, alpha=0.5)
+        axis.plot(point.each, point.error, shape, mec=colour, mfc="white", ms=8)
+        axis.plot(point.first, point.error, shape, color=colour, ms=8, label=name)
+    for row in rows.get("work-precision", ()):
+        name = NAMES.get(row.values["label"], "")
+        if name in found and name in SOLVERS and FACE_ENERGY in row.values["energy"]:
+            seconds = np.median(row.values["prepare_s"]) + np.array(row.values["seconds"])
+            axis.plot(seconds, row.values["error_mm"], color=MARKS[name][1], lw=0.8, ls=":")
+    axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="mean error [mm]")
+    widen_axis(axis, [point.error for point in found.values()])
+    drawn.legend(loc="outside right upper", fontsize=10)
+    return to_svg(drawn)
+
+
+CAPTION = (
+    "Mean distance of the skin to the simulator's answer, against time. Hollow marks: a frame of a face that is ready. "
+    "Filled marks: the first frame of a new face, with all that it needs. Squares are solvers at 0.01 mm; dotted lines "
+    "show their largest error. Circles use the network or derivatives of the simulator. Triangles are simple rivals."
+)
+
+
+def values_of(results: Iterable) -> Rows:
+    """The rows that have values, by study, of several results."""
+    return {each.study: [row for row in each.rows if row.done] for each in results}

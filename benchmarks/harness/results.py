@@ -1,0 +1,199 @@
+"""results.json of a study: checked before it is used, and two of them side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...lhm.base.errors import InputError, escape, quote
+from ...lhm.base.files.text import parse_json, read_bytes
+from ...lhm.base.limits import RESULT_BYTES
+from .study import Column, Study
+
+STATUSES = ("done", "skipped", "failed")
+_KINDS: dict[str, tuple[type, ...]] = {
+    "case": (str,),
+    "method": (str,),
+    "status": (str,),
+    "values": (dict,),
+    "reason": (str,),
+    "seconds": (int, float),
+    "memory_mb": (int, float, type(None)),
+    "load": (int, float),
+    "of": (str,),
+    "commit": (str,),
+}
+"""Of a row's fields; the first four are in every row."""
+_GATE: dict[str, tuple[type, ...]] = {
+    "what": (str,),
+    "passed": (bool,),
+    "value": (int, float, type(None)),
+    "bound": (str,),
+    "answer": (bool,),
+}
+"""Of a gate's fields; the first two are in every gate."""
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """Return what a results file says, or the folder with one: study, rows and gates of the right kinds.
+
+    Raises InputError that names the file, and the row or gate.
+    """
+    file = path / "results.json" if path.is_dir() else path
+    try:
+        said = parse_json(read_bytes(file, RESULT_BYTES))
+        if not isinstance(said, dict) or not isinstance(said.get("study"), str):
+            raise InputError("expected an object with the name of its study")
+        _check_list("row", said.get("rows"), _KINDS, 4)
+        _check_list("gate", said.setdefault("gates", []), _GATE, 2)
+        for number, row in enumerate(said["rows"]):
+            if row["status"] not in STATUSES:
+                raise InputError(f"row {number}, status: {quote(row['status'])}, expected one of {', '.join(STATUSES)}")
+    except InputError as error:
+        raise InputError(f"{file}: no results of a study ({error})") from None
+    return said
+
+
+@contextmanager
+def of_this_version(where: str) -> Iterator[None]:
+    """Turn what a study's own code raises of values that are not its own into an InputError that names `where`."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            yield
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
+        reason = escape(" ".join(str(error).split()))[:80]
+        raise InputError(
+            f"{where}: results damaged, or made by another version ({type(error).__name__}: {reason}); "
+            "run that study again"
+        ) from None
+
+
+def _check_list(name: str, items: Any, kinds: dict[str, tuple[type, ...]], needed: int) -> None:
+    if not isinstance(items, list):
+        raise InputError(f"{name}s: expected a list, got {quote(items)}")
+    for number, item in enumerate(items):
+        if not isinstance(item, dict):
+            raise InputError(f"{name} {number}: expected an object, got {quote(item)}")
+        for place, (key, of) in enumerate(kinds.items()):
+            if key not in item and place < needed:
+                raise InputError(f"{name} {number}: no {key}")
+            if key in item and (not isinstance(item[key], of) or (isinstance(item[key], bool) and bool not in of)):
+                raise InputError(f"{name} {number}, {key}: got {quote(item[key])}")
+
+
+LEAST = 0.02
+"""Share below which no change is told, however quiet the machine."""
+ROUNDING = 1e-3
+"""Of the largest value of an answer's column over all tasks: errors far below that differ by rounding alone."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A value of one task before and after, by how much it may differ by noise, and whether it is a cost."""
+
+    task: str
+    what: str
+    before: float
+    after: float
+    noise: float
+    cost: bool
+
+    @property
+    def share(self) -> float:
+        """After over before, less one."""
+        return self.after / self.before - 1.0 if self.before else float("inf") if self.after else 0.0
+
+    @property
+    def told(self) -> bool:
+        """Whether it is more than noise."""
+        return abs(self.after - self.before) > self.noise
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All values that both results have; and in words what else differs: for the worse (`broken`), or not."""
+
+    changes: list[Change]
+    broken: list[str]
+    other: list[str]
+
+
+def read(path: Path) -> Mapping[str, Any]:
+    """Return study, rows by name and gates by name of a results file, or of the folder with one; see `read_results`."""
+    said = read_results(path)
+    rows = {f"{row['case']}, {row['method']}": row for row in said["rows"]}
+    gates = {gate["what"]: gate["passed"] for gate in said["gates"]}
+    return {"study": said["study"], "rows": rows, "gates": gates}
+
+
+def study_in(path: Path) -> str:
+    """The name of the study that a results file is of; InputError as of `read`."""
+    name: str = read(path)["study"]
+    return name
+
+
+def compared(before: Path, after: Path, kind: type[Study]) -> Comparison:
+    """Costs and answers of the tasks that both have done, and what only one has done, said or reached.
+
+    A cost that is a list of repeated values counts by its median, and its noise is three times their median distance
+    from that. Answers may differ by rounding. Raises InputError for what are no results of one study.
+    """
+    old, new = read(before), read(after)
+    if old["study"] != new["study"]:
+        raise InputError(f"{before} is of {old['study']!r}, {after} of {new['study']!r}: they cannot be compared")
+    with of_this_version(f"{before} and {after}"):
+        return _compared(old, new, kind)
+
+
+def _compared(old: Mapping[str, Any], new: Mapping[str, Any], kind: type[Study]) -> Comparison:
+    found = Comparison([], [], [])
+    pairs: list[tuple[str, Column, Any, Any]] = []
+    for task in [*old["rows"], *(task for task in new["rows"] if task not in old["rows"])]:
+        was, now = old["rows"].get(task), new["rows"].get(task)
+        states = tuple("missing" if row is None else row["status"] for row in (was, now))
+        if states == ("done", "done"):
+            for a, b in zip(kind.lines(was["values"]), kind.lines(now["values"]), strict=False):
+                pairs += [(task, column, a.get(column.key), b.get(column.key)) for column in kind.columns]
+        elif states[0] != states[1]:
+            words = found.broken if states[0] == "done" else found.other
+            words.append(f"{task}: {states[0]} before, {states[1]} after")
+    for what, passed in old["gates"].items():
+        if new["gates"].get(what, passed) != passed:
+            words = found.broken if passed else found.other
+            words.append(f"{what}: {'reached before, not after' if passed else 'not reached before, but after'}")
+    numbers = [pair for pair in pairs if _is_number(pair[2]) and _is_number(pair[3])]
+    scale: dict[str, float] = {}
+    for _, column, a, b in numbers:
+        scale[column.title] = np.nanmax(np.abs([scale.get(column.title, 0.0), _middle(a)[0], _middle(b)[0]]))
+    found.changes.extend(_change(task, column, a, b, scale[column.title]) for task, column, a, b in numbers)
+    for task, column, a, b in pairs:
+        if isinstance(a, str) and isinstance(b, str) and a != b:
+            found.other.append(f"{task}, {column.title}: {a} before, {b} after")
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    """Of a number, or of repeated ones."""
+    several = value if isinstance(value, list) else [value]
+    return bool(several) and all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in several)
+
+
+def _change(task: str, column: Column, before: Any, after: Any, scale: float) -> Change:
+    (a, a_noise), (b, b_noise) = _middle(before), _middle(after)
+    rounding = 0.0 if column.cost else ROUNDING * scale
+    noise = max(LEAST * abs(a), 3.0 * max(a_noise, b_noise), rounding)
+    return Change(task, column.title, a, b, noise, column.cost)
+
+
+def _middle(value: float | Sequence[float]) -> tuple[float, float]:
+    """The median, and the median distance from it."""
+    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    middle = float(np.median(values))
+    return middle, float(np.median(np.abs(values - middle)))

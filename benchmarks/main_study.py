@@ -1,0 +1,119 @@
+"""The main study: quick versions of those that say whether PD is right, how far the surrogate is, what it costs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ..lhm import fit_head, identities, load_template
+from ..lhm.base.errors import SoftdecaError
+from ..lhm.base.files.resumable import lock_folder
+from ..lhm.base.progress import OnProgress
+from ..lhm.template import DEFAULT_LEVEL
+from ..surrogate.corpus.folder import Corpus
+from ..surrogate.corpus.people import OfSpace
+from ..surrogate.corpus.plan import PRESETS
+from ..surrogate.schedule import count_processors, make_schedule
+from .harness import Asked, Results, Study, run_together
+from .harness.processes import cpu_seconds
+from .harness.report import Made, write
+from .harness.runner import Only
+from .studies.agreement.study import Agreement
+from .studies.effects.study import Effects
+from .studies.material import Material
+from .studies.scaling.throughput import ITERATION, Throughput
+from .studies.split import Split
+from .studies.surrogate import SurrogateOnCorpus
+from .studies.verification import Hard, Verification
+from .studies.work_precision.study import FACE, WorkPrecision
+
+TITLE = "is the fast simulator right, and how far is the network from it?"
+PLAN = PRESETS["study"]
+"""Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
+
+
+def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Asked]:
+    """The studies, each with its folder of `out`, in the order in which they are run: what is timed comes last.
+
+    Where no network knows the people of `agreement`, those of the surrogate are left out; `corpus` is what it is
+    tested on.
+    """
+    whose, learned = agreement.identities, agreement.network() is not None
+    found: list[tuple[Study, str]] = [
+        (agreement, ""),
+        (Verification(), ""),
+        (Hard(solvers=("projective",)), ""),
+        (Material(poisson=("0.45",)), ""),
+        (Effects(identities=whose, effects=("bells-palsy", "weight-40")), ""),
+    ]
+    if learned and not agreement.weights:
+        frames = ("mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker")
+        effects = ("defaults", "40 % more soft tissue")
+        split = Split(identities=whose, expressions=frames, effects=effects, refined=())
+        found.append((split, ""))
+    if learned:
+        found.append((SurrogateOnCorpus(corpus=str(corpus), weights=agreement.weights, people="all"), ""))
+    # Of the face's energy, and of what has learned it; not of ARAP's.
+    timed = "the face's energy" if learned else FACE
+    found += [
+        (Throughput(identities=whose), ITERATION),
+        (WorkPrecision(identities=whose, expressions=("jawOpen",)), timed),
+    ]
+    return [Asked(study, out / study.name, match) for study, match in found]
+
+
+@dataclass(frozen=True)
+class Done:
+    """What the studies gave, why others could not be run, by name, the report's files, and a sentence on the cost."""
+
+    results: Sequence[Results]
+    failed: Sequence[tuple[str, str]]
+    written: Sequence[Path]
+    spent: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether all was run, and every gate holds that asks for a right answer."""
+        return not self.failed and all(results.passed for results in self.results)
+
+
+def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progress: OnProgress) -> Done:
+    """Run all of it, each study in its folder of `out`, and write the report of all there.
+
+    Rows that are there are kept, as by `harness.run`. A study that cannot be run is told with its reason, and the rest
+    is complete. Raises InputError for a space or an expression that cannot be read, before anything is run.
+    """
+    agreement.tasks()
+    begin, processor = time.perf_counter(), cpu_seconds()
+    with lock_folder(out, "study"):
+        template = load_template(identities.from_text(agreement.identities), progress=progress)
+        corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
+        made, failed = [], []
+        found = parts(agreement, out, corpus)
+        # What is timed is run by itself: nothing of ours runs beside it.
+        for asked in ([each for each in found if not each.study.timed], *([e] for e in found if e.study.timed)):
+            if any(isinstance(each.study, SurrogateOnCorpus) for each in asked):
+                _simulate(agreement.identities, template, corpus, progress)
+            for each, results in zip(asked, run_together(asked, only=only, progress=progress), strict=True):
+                if isinstance(results, SoftdecaError):
+                    failed.append((each.study.name, str(results)))
+                else:
+                    made.append(Made(each.study, results, each.out))
+        spent = (
+            f"This run took {cpu_seconds() - processor:.0f} s of processor time in "
+            f"{time.perf_counter() - begin:.0f} s, rows of earlier runs not counted."
+        )
+        written = write(made, out, TITLE, failed, spent)
+    return Done([each.results for each in made], failed, written, spent)
+
+
+def _simulate(whose: str, template, folder: Path, progress: OnProgress) -> None:
+    """What is missing of the corpus."""
+    space = identities.from_text(whose)
+    people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
+    Corpus(folder, PLAN, people, {"identities": whose, "level": DEFAULT_LEVEL}).generate(
+        on=make_schedule(min(2, count_processors())), on_progress=progress
+    )

@@ -1,0 +1,250 @@
+"""One face of the study `agreement` with what has been solved of it, each once: by PD, FEniCSx and another law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from functools import cached_property
+
+import numpy as np
+
+from ....animation.pictures import Panel, draw_strip
+from ....lhm.base.mesh import Floats
+from ....reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
+from ....reference.face.facial import apply_law
+from ....surrogate import Surrogate
+from ..insides import compare_insides, load_on_mandible
+from ..measures import ACCURACY, TIGHT, Trace, difference, distances, traced, traced_to_itself
+from ..person import Person
+
+WARM = 1e-9
+"""Gradient norm over its start of those that start at PD's answer, where it is smaller already."""
+ROUGH = 1e-6
+"""PD is stopped here to start scikit-fem, whose part is to check the answer and not to be fast."""
+APART = 1e-4
+"""Of the largest displacement: converged answers that are farther apart than this are two minima."""
+PLAIN_STOP, PLAIN_LIMIT = 0.005, 4000
+"""Plain projective dynamics stops here [mm], below what its iterations are counted to, or after so many."""
+LAW = "neo-Hookean"
+PD, PLAIN, FENICSX, SKFEM = "PD", "PD, plain", "FEniCSx Newton", "scikit-fem Newton"
+NEO, NEO_SKFEM = "FEniCSx, neo-Hookean", "scikit-fem, neo-Hookean"
+SURROGATE, BLENDSHAPES, BESIDE = "surrogate", "blendshapes (T = S)", "side by side"
+TO_PD, TO_FENICSX, TO_NEO = "to PD", "to FEniCSx", "to neo-Hookean"
+ALL, SKIN = ", all vertices", ", skin"
+
+
+class SceneFace:
+    """A scene of a head, the same scene under the neo-Hookean law, and the answers to both.
+
+    Here no target holds the skin, so nothing has to settle first; `Face` is of expressions, whose targets do.
+    """
+
+    def __init__(self, of: Person, scene: Scene):
+        self.of, self.scene = of, scene
+
+    @property
+    def law_scene(self) -> Scene:
+        """The scene under the law."""
+        return apply_law(self.scene, LAW)
+
+    @property
+    def law_rest(self) -> Floats | None:
+        """Where the law's solve starts [mm] if PD's answer has inverted tets; None is at rest."""
+        return None
+
+    @cached_property
+    def pd(self) -> tuple[Solution, Trace]:
+        """PD's tight answer, and the way to it."""
+        return traced_to_itself(prepare(self.scene))
+
+    @cached_property
+    def fenicsx(self) -> tuple[Solution, float | None]:
+        """FEniCSx' answer to the same energy; and how far [mm] from PD's it ends from rest, where that is another."""
+        answer, rest = self.pd[0].positions, self.scene.vertices
+        solution = solve(self.scene, solver="fenicsx", tolerance=TIGHT)
+        beside = difference(solution.positions, answer, rest)
+        if beside.relative <= APART:
+            return solution, None
+        return solve(self.scene, solver="fenicsx", start=answer, tolerance=WARM), beside.max
+
+    @cached_property
+    def neo(self) -> tuple[Solution, Scene, Floats | None]:
+        """The law's answer by FEniCSx, its scene, and its start: PD's answer, or `law_rest` where that is inverted."""
+        pd, scene = self.pd[0], self.law_scene
+        # Its energy is infinite where a tet is inverted: then PD's answer is no start for it.
+        start = pd.positions if pd.volume_ratio.min() > 0 else self.law_rest
+        return solve(scene, solver="fenicsx", tolerance=WARM, start=start), scene, start
+
+    def skin(self, solution: Solution) -> Floats:
+        """The skin [mm] of an answer to PD's scene."""
+        return self.of.head.skin_after(self.of.head.skin.vertices, solution.positions[: len(self.of.head.bone)])
+
+    def law_skin(self, solution: Solution) -> Floats:
+        """The skin [mm] of an answer to the law's scene."""
+        return self.skin(solution)
+
+    def solved(self, method: str) -> dict:
+        """What a solver did, and how far its answer is from the others'."""
+        if method == PD:
+            solution, trace = self.pd
+            row = _row(solution, "rest", self._between(solution, TO_FENICSX, self.fenicsx[0]))
+            return row | {
+                "to_001_mm": trace.settled(ACCURACY),
+                "least_ratio": float(solution.volume_ratio.min()),
+                **self._left(solution),
+            }
+        if method == PLAIN:
+            plain, truth = prepare(self.scene, method="plain"), self.pd[0].positions
+            solution, trace = traced(plain, truth, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
+            reached = trace.settled(ACCURACY)
+            row = _row(solution, "rest", self._between(solution, TO_PD, self.pd[0]))
+            return row | {"to_001_mm": reached, "done": reached is not None}
+        if method == FENICSX:
+            solution, another = self.fenicsx
+            begun = "rest" if another is None else "PD's answer"
+            return _row(solution, begun, self._between(solution, TO_PD, self.pd[0])) | {"another_minimum_mm": another}
+        if method == SKFEM:
+            rough = solve(self.scene, tolerance=ROUGH).positions
+            solution = solve(self.scene, solver="skfem", tolerance=TIGHT / ROUGH, start=rough)
+            return _row(solution, "PD, stopped early", self._between(solution, TO_FENICSX, self.fenicsx[0]))
+        return self._solved_by_law(method)
+
+    def _solved_by_law(self, method: str) -> dict:
+        (solution, scene, start), by_pd = self.neo, self.pd[0]
+        begun = "PD's answer" if start is by_pd.positions else "rest" if start is None else "its own settled face"
+        if method == NEO_SKFEM:
+            checked = solve(scene, solver="skfem", tolerance=WARM, start=start)
+            return _row(checked, begun, self._between(checked, TO_NEO, solution))
+        skins = difference(self.law_skin(solution), self.skin(by_pd), self.of.head.skin.vertices)
+        between = self._between(solution, TO_PD, by_pd)
+        row = _row(solution, begun, [*between, {"compared": TO_PD + SKIN, **asdict(skins)}])
+        inside = compare_insides(self.of.head, (PD, self.scene, by_pd), (LAW, scene, solution))
+        return row | {"inside": inside | self._settled_loads(), "done": row["done"] and self._law_settled}
+
+    @property
+    def _law_settled(self) -> bool:
+        """Whether the face came to rest under the law; there is none to settle here."""
+        return True
+
+    def _settled_loads(self) -> dict:
+        """The load on the mandible by law where the neutral face has settled; here none has."""
+        return {}
+
+    def _left(self, solution: Solution) -> dict:
+        """How far PD leaves lips from their targets; here there are none."""
+        return {}
+
+    def picture(self) -> bytes:
+        """At rest, simulated, under the law, and the distance of the two: PNG."""
+        skin = self.of.head.skin
+        simulated, law = self.skin(self.pd[0]), self.law_skin(self.neo[0])
+        apart = distances(law, simulated)
+        top = max(0.05, float(np.percentile(apart, 99.5)))
+        panels = [
+            Panel("at rest", skin),
+            Panel("simulated (PD)", skin.with_vertices(simulated)),
+            Panel(f"{LAW} law", skin.with_vertices(law)),
+            Panel(f"{LAW} - PD", skin.with_vertices(simulated), apart, top),
+        ]
+        return draw_strip(panels, rest=skin)
+
+    def _between(self, solution: Solution, what: str, other: Solution) -> list[dict]:
+        apart = difference(solution.positions, other.positions, self.scene.vertices)
+        return [{"compared": what + ALL, **asdict(apart)}]
+
+
+class Face(SceneFace):
+    """An expression of a face under p, whose neutral face each law settles for its own answer."""
+
+    def __init__(self, of: Person, weights: Floats, parameters: Parameters, network: Surrogate | None):
+        self.weights, self.parameters, self._network = weights, parameters, network
+        self.shape = of.blend(weights[None])[0]
+        self.neutral = settle(of.head, parameters)
+        self.targets = self.neutral.targets(self.shape)
+        super().__init__(of, self.neutral.scene(self.shape))
+
+    @cached_property
+    def neutral_by_law(self) -> SettledFace:
+        """The neutral face as the law settles it."""
+        return settle(self.of.head, self.parameters, law=LAW, tolerance=WARM)
+
+    @property
+    def law_scene(self) -> Scene:
+        """The expression's scene under the law, on the face that the law has settled."""
+        return self.neutral_by_law.scene(self.shape)
+
+    @property
+    def law_rest(self) -> Floats:
+        """The tets of the face that the law has settled [mm]."""
+        return self.neutral_by_law.positions
+
+    @cached_property
+    def learned(self) -> Floats:
+        """The surrogate's skin [mm]."""
+        assert self._network is not None
+        of = self.of
+        shapes = of.space.expression_deltas(of.code)
+        bound = self._network.bind(of.head.skin, of.code, self.parameters, expressions=shapes)
+        return np.asarray(bound.frame(self.weights), dtype=np.float64)
+
+    def skin(self, solution: Solution) -> Floats:
+        """The skin [mm] of an answer to PD's scene."""
+        return self.neutral.skin_after(self.shape, solution.positions)
+
+    def law_skin(self, solution: Solution) -> Floats:
+        """The skin [mm] of an answer to the law's scene."""
+        return self.neutral_by_law.skin_after(self.shape, solution.positions)
+
+    def skins_compared(self, method: str) -> dict:
+        """How far the surrogate's skin, or that of blendshapes, is from the solvers'."""
+        skin, rest = self.learned if method == SURROGATE else self.shape, self.of.head.skin.vertices
+        others = {
+            TO_PD: self.skin(self.pd[0]),
+            TO_FENICSX: self.skin(self.fenicsx[0]),
+            TO_NEO: self.law_skin(self.neo[0]),
+        }
+        return {
+            "compared": [
+                {"compared": what + SKIN, **asdict(difference(skin, other, rest))} for what, other in others.items()
+            ]
+        }
+
+    def picture(self) -> bytes:
+        """Target, simulated, and the distances of blendshapes, neo-Hookean law and surrogate: PNG."""
+        pd, head = self.skin(self.pd[0]), self.of.head
+        simulated = head.skin.with_vertices(pd)
+        others = {"blendshapes - PD": self.shape, "neo-Hookean - PD": self.law_skin(self.neo[0])}
+        others |= {} if self._network is None else {"surrogate - PD": self.learned}
+        errors = {text: distances(skin, pd) for text, skin in others.items()}
+        top = max(0.05, float(np.percentile(errors["blendshapes - PD"], 99.5)))
+        panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]
+        panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
+        return draw_strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)
+
+    @property
+    def _law_settled(self) -> bool:
+        return self.neutral_by_law.converged
+
+    def _settled_loads(self) -> dict:
+        faces = (PD, self.neutral), (LAW, self.neutral_by_law)
+        loads = {law: load_on_mandible(self.of.head, face.solution) for law, face in faces if face.solution is not None}
+        return {"prescribed": loads}
+
+    def _left(self, solution: Solution) -> dict:
+        lips = self.of.head.regions["lips"]
+        wrap = solution.positions[: len(self.of.head.bone)]
+        left = distances(wrap, self.of.head.wrap_targets(self.targets))[lips]
+        return {"lips_mm": [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())]}
+
+
+def _row(solution: Solution, start: str, compared: Sequence[dict]) -> dict:
+    norms = solution.history.gradient_norm
+    return {
+        "compared": compared,
+        "start": start,
+        "iterations": solution.iterations,
+        "linear_iterations": solution.detail.get("linear_iterations"),
+        "gradient": float(norms[-1] / norms[0]) if norms[0] > 0 else 0.0,
+        "reason": solution.reason.name,
+        "done": solution.converged,
+    }

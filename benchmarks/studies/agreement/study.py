@@ -1,0 +1,356 @@
+"""One head's expressions by every solver, another law, the surrogate and blendshapes: how far apart they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ....animation.page import Pose, Rig, render_face_page
+from ....animation.pictures import draw_cut_away
+from ....animation.plots import subplots, to_svg
+from ....lhm import check_head, expressions, identities
+from ....lhm.base.errors import InputError
+from ....reference import Parameters, open_jaw_scene, push_cheek_scene
+from ....surrogate import Surrogate
+from ...harness.study import Column, Row, Study, Table, Task, Values, above, at_most
+from ..insides import loads_on_mandible, vertices_and_stress
+from ..measures import ACCURACY
+from ..person import Person, person
+from .faces import (
+    ALL,
+    BESIDE,
+    BLENDSHAPES,
+    FENICSX,
+    LAW,
+    NEO,
+    NEO_SKFEM,
+    PD,
+    PLAIN,
+    SKFEM,
+    SKIN,
+    SURROGATE,
+    TO_FENICSX,
+    TO_PD,
+    Face,
+    SceneFace,
+)
+
+SOLVERS = (FENICSX, PD, PLAIN, SKFEM, NEO, NEO_SKFEM)
+FEWER = (FENICSX, PD, NEO)
+"""Solvers of the scenes that tell laws apart; scikit-fem and plain PD are checked on the others."""
+HEAD, FIT, TURNED = "the head", "fit and gates", "the head in 3D"
+VIEW_WORDS = "Turn it with the mouse or a finger. In the poses the solvers' own answers can be chosen and compared."
+
+
+@dataclass(frozen=True)
+class Agreement(Study):
+    """Expressions, a face under more gravity and with more volume, and two that no target holds; of a mean head."""
+
+    name = "agreement"
+    heading = "Does the fast simulator agree with finite elements?"
+    question = (
+        "Do projective dynamics, FEniCSx and scikit-fem find the same face, and how far are a hyperelastic law, the "
+        "surrogate and blendshapes from it?"
+    )
+    columns = (
+        Column("compared", "compared"),
+        Column("mean", "mean [mm]"),
+        Column("rms", "RMS [mm]"),
+        Column("p95", "95 % [mm]"),
+        Column("max", "max [mm]"),
+        Column("relative", "max / largest displacement"),
+        Column("start", "start"),
+        Column("iterations", "iterations", cost=True),
+        Column("to_001_mm", "iterations to 0.01 mm", cost=True),
+        Column("linear_iterations", "CG iterations", cost=True),
+        Column("gradient", "gradient / start"),
+        Column("reason", "ended"),
+    )
+    note = (
+        "PD, FEniCSx and scikit-fem solve PD's energy on the same tets. The neo-Hookean law has the same small-strain "
+        "moduli and settles the neutral face itself. Distances are those of vertices. No target holds the skin where "
+        "a bone opens the jaw or a load pushes the cheek. Springs hold the lining of mouth and eyes there, since no "
+        "bone lies behind it. Iterations to 0.01 mm count until no vertex is farther from the answer. FEniCSx starts "
+        "at rest. Where it ends in another minimum than PD, it also starts at PD's answer: PD is right if FEniCSx "
+        "stays there. The study `work-precision` has the seconds, measured with nothing beside them."
+    )
+    version = 2
+
+    identities: str = field(default="anny", metadata={"help": "'anny', ict:FILE, flame:FILE or folder:DIR"})
+    expressions: tuple[str, ...] = field(
+        default=("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker", "cheekPuff", "browInnerUp"),
+        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+    )
+    gravity: float = field(default=3.0, metadata={"help": "g of the scene that has no expression"})
+    volume: float = field(
+        default=1.4, metadata={"help": "times that of soft tissue, without an expression; 1: no such"}
+    )
+    jaw: float = field(
+        default=12.0, metadata={"help": "degrees by which its bone opens a jaw, at 2 g; 0: no such scene"}
+    )
+    push: float = field(default=0.25, metadata={"help": "kPa that push a cheek; 0: no such scene"})
+    weights: str = field(default="", metadata={"help": "of `softdeca train`  [those that are shipped]"})
+
+    def tasks(self) -> Sequence[Task]:
+        """The head, and each case by each method; InputError for a space or an expression that cannot be read."""
+        for text in self.expressions:
+            expressions.parse_weights(text)
+        if not 0.0 <= self.gravity <= 10.0:
+            raise InputError(f"gravity: expected 0 to 10 g, got {self.gravity:g}")
+        if not 0.5 <= self.volume <= 2.0:
+            raise InputError(f"volume: expected 0.5 to 2, got {self.volume:g}")
+        if not 0.0 <= self.jaw <= 30.0:
+            raise InputError(f"jaw: expected 0 to 30 degrees, got {self.jaw:g}")
+        if not 0.0 <= self.push <= 2.0:
+            raise InputError(f"push: expected 0 to 2 kPa, got {self.push:g}")
+        skins = (*((SURROGATE,) if self.network() is not None else ()), BLENDSHAPES)
+        methods = {case: (*SOLVERS, *skins, BESIDE) for case in (*self.expressions, self._heavy)}
+        methods |= {self._grown: (*FEWER, *skins, BESIDE)} if self.volume != 1.0 else {}
+        methods |= {case: (*FEWER, BESIDE) for case in self._free}
+        cases = [Task(case, method) for case, by in methods.items() for method in by]
+        return [Task(HEAD, FIT), *cases, Task(TURNED, BESIDE)]
+
+    def person(self) -> Person:
+        """The mean head of the space, made once per process."""
+        return person(self.identities, None)
+
+    def network(self) -> Surrogate | None:
+        """The one that was asked for, else the one that is shipped for the space, if there is one."""
+        if self.weights:
+            return Surrogate.load(Path(self.weights))
+        shipped = Surrogate.load()
+        return shipped if shipped.space == identities.from_text(self.identities).name else None
+
+    @property
+    def _heavy(self) -> str:
+        return f"gravity {self.gravity:g} g"
+
+    @property
+    def _grown(self) -> str:
+        return f"soft tissue of {self.volume:g} times the volume"
+
+    @property
+    def _free(self) -> Sequence[str]:
+        """The cases in which no target holds the skin."""
+        return [case for case, size in ((self._open, self.jaw), (self._pushed, self.push)) if size > 0.0]
+
+    @property
+    def _open(self) -> str:
+        return f"jaw opened by its bone, {self.jaw:g} degrees"
+
+    @property
+    def _pushed(self) -> str:
+        return f"cheek pushed by {self.push:g} kPa"
+
+    def face(self, case: str) -> SceneFace:
+        """A case with what this process has solved of it."""
+        return _face(self, case)
+
+    def make(self, case: str) -> SceneFace:
+        """A case of which nothing is solved."""
+        of, still = self.person(), np.zeros(52)
+        if case == self._open:
+            return SceneFace(of, open_jaw_scene(of.head, Parameters(gravity=2.0), angle=self.jaw))
+        if case == self._pushed:
+            return SceneFace(of, push_cheek_scene(of.head, Parameters(), pressure=self.push))
+        if case == self._heavy:
+            return Face(of, still, Parameters(gravity=self.gravity), self.network())
+        if case == self._grown:
+            return Face(of, still, Parameters(soft_volume=self.volume), self.network())
+        return Face(of, expressions.parse_weights(case), Parameters(), self.network())
+
+    def measure(self, task: Task) -> Values:
+        """A solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
+        if task.case == HEAD:
+            return self._fitted()
+        if task.case == TURNED:
+            return {"blendshapes, PD, FEniCSx and surrogate": self._turned().encode()}
+        face = self.face(task.case)
+        if task.method == BESIDE:
+            return {PICTURED if isinstance(face, Face) else FREE: face.picture()}
+        if isinstance(face, Face) and task.method in (SURROGATE, BLENDSHAPES):
+            return face.skins_compared(task.method)
+        return face.solved(task.method)
+
+    def _fitted(self) -> Values:
+        head = self.person().head
+        figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(head).figures]
+        return {"tets": len(head.tets), "figures": figures, CUT: draw_cut_away(head)}
+
+    def _turned(self) -> str:
+        of, network, parameters = self.person(), self.network(), Parameters()
+        shapes = of.space.expression_deltas(of.code)
+        rigs = []
+        if network is not None:
+            rigs = [Rig.baked("surrogate", network.bind(of.head.skin, of.code, parameters, expressions=shapes))]
+        poses = []
+        for text in self.expressions:
+            face, weights = self.face(text), expressions.parse_weights(text)
+            poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
+        return render_face_page(f"the head ({of.space.name})", VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
+
+    @staticmethod
+    def lines(values: Values) -> Sequence[Values]:
+        """A comparison each, the first with what the solver did; none of pictures."""
+        compared: Sequence[Mapping] = values.get("compared", [])
+        own = {key: value for key, value in values.items() if key != "compared"}
+        return [{**(own if k == 0 else {}), **one} for k, one in enumerate(compared)]
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """One answer from all, no tet turned, all that was asked reached; acceleration pays.
+
+        That PD is FEniCSx to 1e-6 excludes another law, whose least distance is above 1e-3 of the largest displacement,
+        and plain PD, stopped at 0.005 mm.
+        """
+        found = []
+        for what, method in (
+            ("PD to FEniCSx-Newton, same energy", PD),
+            ("scikit-fem to FEniCSx, PD's energy", SKFEM),
+            ("scikit-fem to FEniCSx, neo-Hookean", NEO_SKFEM),
+        ):
+            shares = [row.values["compared"][0]["relative"] for row in rows if row.method == method]
+            if shares:
+                bound = 1e-6 if method == PD else 1e-8
+                found.append(at_most(f"{what}, of the largest displacement", max(shares), bound))
+        of_pd = [row for row in rows if row.method == PD]
+        if of_pd:
+            least = min(row.values["least_ratio"] for row in of_pd)
+            found.append(above("smallest volume ratio of a tet over all scenes (none inverted)", least, 0.0))
+        unfinished = sum(not row.values.get("done", True) for row in rows)
+        found.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
+        ratios = _iteration_ratios(rows)
+        if ratios:
+            worst = None if None in ratios else max(ratio for ratio in ratios if ratio is not None)
+            what = "accelerated PD's iterations to 0.01 mm over plain PD's, worst scene"
+            found.append(at_most(what, worst, 0.2, answer=False))
+        return found
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Whether the answers are one, what another law changes, where there are two minima, what the rigs leave."""
+        said = []
+        first = [row.values["compared"][0]["relative"] for row in rows if row.method == PD]
+        if first:
+            said.append(
+                "Projective dynamics and FEniCSx find the same minimiser of the same energy to "
+                f"{max(first):.1e} of the largest displacement in all {len(first)} scenes."
+            )
+        for row in rows:
+            if row.method == FENICSX and row.values["another_minimum_mm"] is not None:
+                said.append(
+                    f"{row.case} has two minima of PD's energy: FEniCSx from rest ends "
+                    f"{row.values['another_minimum_mm']:.2f} mm from PD's answer at most, and from PD's answer it "
+                    "stays there; the comparisons are at that one."
+                )
+        said += self._words_of_law(rows)
+        for method in (SURROGATE, BLENDSHAPES):
+            means = _means(rows, method, TO_PD + SKIN)
+            if means:
+                said.append(f"The skin by {method} is {min(means):.3f} to {max(means):.3f} mm from PD's on average.")
+        return " ".join(said)
+
+    def _words_of_law(self, rows: Sequence[Row]) -> list[str]:
+        """How far the law is from PD where targets hold the skin, which hide it, and where none does."""
+        held = [row for row in rows if row.method == NEO and row.case not in self._free]
+        said = []
+        if held:
+            skin, inside = (_spread(held, TO_PD + where) for where in (SKIN, ALL))
+            said.append(
+                "A neo-Hookean law of the same small-strain moduli settles each face itself. Where targets hold the "
+                f"skin, it differs from PD's energy there by {skin}, and over all vertices by {inside}."
+            )
+        for row in (row for row in rows if row.method == NEO and row.case in self._free):
+            skin, inside = (_spread([row], TO_PD + where) for where in (SKIN, ALL))
+            stress, loads = row.values["inside"]["stress"], row.values["inside"]["prescribed"]
+            said.append(
+                f"Where no target holds the skin ({row.case}), the law moves it by {skin}, all vertices by {inside}, "
+                f"and takes the mean von Mises stress of soft tissue from {stress[PD]['soft']['mean']:.3g} to "
+                f"{stress[LAW]['soft']['mean']:.3g} kPa, and the force that holds the mandible from "
+                f"{loads[PD]['force']:.3g} to {loads[LAW]['force']:.3g} mN."
+            )
+        return said
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """The gates of the head, how near the skin comes to its targets, and what the law changes inside."""
+        figures = [figure for row in rows for figure in row.values.get("figures", [])]
+        found = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
+        left = [
+            (row.case, *row.values["lips_mm"], row.values["least_ratio"]) for row in rows if "lips_mm" in row.values
+        ]
+        if left:
+            head = ["scene", "lips to their targets, median [mm]", "95 % [mm]", "max [mm]", "smallest volume ratio"]
+            found.append(Table("What PD leaves", head, left))
+        inside = {row.case: row.values["inside"] for row in rows if row.method == NEO}
+        if inside:
+            found += [vertices_and_stress(inside, PD, LAW), loads_on_mandible(inside, PD, LAW)]
+        return found
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Distances, a line per scene: means, and of the law the largest of all vertices too."""
+        marks = {
+            (PD, TO_FENICSX + ALL, "mean"): "PD to FEniCSx, same energy",
+            (SKFEM, TO_FENICSX + ALL, "mean"): "scikit-fem to FEniCSx, same energy",
+            (NEO, TO_PD + SKIN, "mean"): "neo-Hookean law to PD, skin",
+            (NEO, TO_PD + ALL, "max"): "the same, all vertices, largest",
+            (SURROGATE, TO_PD + SKIN, "mean"): "surrogate to PD, skin",
+            (BLENDSHAPES, TO_PD + SKIN, "mean"): "blendshapes to PD, skin",
+        }
+        cases = list(dict.fromkeys(row.case for row in rows if row.case not in (HEAD, TURNED)))
+        shown = {
+            label: [
+                (max(line[key], 1e-14), cases.index(row.case))
+                for row in rows
+                if row.method == method
+                for line in row.values["compared"]
+                if line["compared"] == what
+            ]
+            for (method, what, key), label in marks.items()
+        }
+        if not any(shown.values()):
+            return {}
+        figure, axis = subplots(figsize=(10, 0.45 * len(cases) + 1.7))
+        for label, points in shown.items():
+            if points:
+                axis.plot(*zip(*points, strict=True), "o", label=label)
+        axis.axvline(ACCURACY, color="#bbbbbb", lw=0.8, ls=":")
+        axis.set(xscale="log", xlabel="distance of the vertices, mean unless said [mm]; dotted: 0.01 mm")
+        axis.set_yticks(range(len(cases)), cases)
+        axis.invert_yaxis()
+        axis.grid(False, axis="y")
+        figure.legend(loc="outside upper center", ncol=3)
+        return {"How far apart: solvers of one energy, another law, the surrogate, blendshapes.": to_svg(figure)}
+
+
+PICTURED = "target; simulated; and as colours [mm] on the simulated face, how far the others are from it"
+FREE = "at rest; simulated; under the law; and as colours [mm] how far the law's face is from the simulated"
+CUT = "soft tissue (yellow) and muscle (red) cut open; the skin wrap; the skull wrap: cranium white, mandible blue"
+
+
+@cache
+def _face(study: Agreement, case: str) -> SceneFace:
+    return study.make(case)
+
+
+def _spread(rows: Sequence[Row], what: str) -> str:
+    """Mean and largest distance [mm] of some rows' comparison, least to most."""
+    lines = [line for row in rows for line in row.values["compared"] if line["compared"] == what]
+    mean, largest = ([line[key] for line in lines] for key in ("mean", "max"))
+    if len(lines) == 1:
+        return f"{mean[0]:.3f} mm on average and {largest[0]:.2f} mm at most"
+    return f"{min(mean):.3f} to {max(mean):.3f} mm on average and {min(largest):.2f} to {max(largest):.2f} mm at most"
+
+
+def _means(rows: Sequence[Row], method: str, what: str) -> list[float]:
+    lines = [line for row in rows if row.method == method for line in row.values["compared"]]
+    return [line["mean"] for line in lines if line["compared"] == what]
+
+
+def _iteration_ratios(rows: Sequence[Row]) -> list[float | None]:
+    """Of each scene that both have solved; None where one does not come to 0.01 mm."""
+    counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PLAIN)}
+    pairs = [(count, counts[case, PLAIN]) for (case, method), count in counts.items()
+             if method == PD and (case, PLAIN) in counts]  # fmt: skip
+    return [None if fast is None or slow is None else fast / max(slow, 1) for fast, slow in pairs]

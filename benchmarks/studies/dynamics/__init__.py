@@ -1,0 +1,1 @@
+"""Inertia: masses, shaken heads and cheeks that are let go."""

@@ -1,0 +1,186 @@
+"""A cheek that is drawn aside and let go, and a head that is shaken: by Eq. 9, by PD with mass on the skin, by FEM."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ....lhm import LayeredHead
+from ....lhm.base.mesh import Floats
+from ....lhm.head import FREE
+from ....reference import (
+    Parameters,
+    Reason,
+    Scene,
+    Sequence,
+    Solution,
+    Trajectory,
+    facial_scene,
+    march,
+    prepare,
+    solve,
+    terms,
+)
+from ....reference.face.dynamics import Recurrence
+from ....reference.face.sequence import State
+
+DRAWN, REACH = 5.0, 25.0  # mm down at the cheek, and the standard deviation of what follows it
+FRAME = 1.0 / 60.0
+REACHED = (Reason.CONVERGED, Reason.STAGNATED)  # at this tolerance rounding may end a frame that begins near its answer
+FEWEST = 4  # values of a motion, beyond which a damped cosine of four unknowns is fitted to it
+TIGHT, FINE = 1e-9, 1e-6  # tolerances where solvers are compared, and where time steps are
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A damped cosine fitted to a motion: frequency [Hz], damping ratio, and the misfit's RMS over the first value.
+
+    None where the motion was too short to fit one.
+    """
+
+    frequency: float | None
+    damping: float | None
+    misfit: float | None
+
+
+def swing(times: Floats, motion: Floats) -> Swing:
+    """Fit e^(-ζωt) (A cos ω_d t + B sin ω_d t) to a motion (k,) at times [s], evenly spaced."""
+
+    def miss(rates: Floats) -> Floats:
+        omega, decay = rates
+        waves = np.exp(-decay * times)[:, None] * np.column_stack([np.cos(omega * times), np.sin(omega * times)])
+        return waves @ np.linalg.lstsq(waves, motion, rcond=None)[0] - motion
+
+    guesses = 2.0 * np.pi / times[-1] * np.array([0.5, 1.0, 1.5, 2.0, 3.0, 5.0])
+    # Beyond half the rate of the values there is another ω for each, which fits as well.
+    fastest = np.pi / (times[1] - times[0])
+    bounds = ([0.0, -np.inf], [fastest, np.inf])
+    fits = [least_squares(miss, [guess, 0.1 * guess], bounds=bounds) for guess in guesses if guess < fastest]
+    best = min(fits, key=lambda found: found.cost)
+    omega, decay = best.x
+    natural = float(np.hypot(omega, decay))
+    return Swing(natural / (2.0 * np.pi), decay / natural, float(np.sqrt(np.mean(best.fun**2)) / abs(motion[0])))
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """A motion by projective dynamics: positions [mm], shape (k + 1, n, 3), and why the frame after the last failed.
+
+    Of a whole motion the reason is CONVERGED.
+    """
+
+    positions: Floats
+    reason: Reason
+
+    @property
+    def converged(self) -> bool:
+        """Whether every frame was made."""
+        return self.reason is Reason.CONVERGED
+
+
+@dataclass(frozen=True, eq=False)
+class Release:
+    """A head at rest in its neutral pose, bones held, and the same with the skin around vertex `at` drawn aside.
+
+    `areal` [kg/mm²] is the mass per skin area that makes Eq. 9 of p's springs swing at p's frequency.
+    """
+
+    head: LayeredHead = field(repr=False)
+    at: int
+    parameters: Parameters = field(default_factory=Parameters)
+    scene: Scene = field(init=False, repr=False)
+    start: Floats = field(init=False, repr=False)
+    sought: Floats = field(init=False, repr=False)
+    areal: float = field(init=False)
+
+    def __post_init__(self):
+        skin, wrap = self.head.skin.vertices, self.head.skin_wrap.vertices
+        near = np.exp(-np.sum((skin - wrap[self.at]) ** 2, axis=1) / (2.0 * REACH**2))
+        drawn = self.head.wrap_targets(skin + DRAWN * near[:, None] * [0.0, -1.0, 0.0])
+        scene = facial_scene(self.head, self.parameters, skin, bones="prescribed")
+        areal = float(np.mean(self.parameters.target_stiffness)) / (2.0 * np.pi * self.parameters.frequency) ** 2
+        start = solve(scene.with_targets(drawn), solver="fenicsx", tolerance=TIGHT).positions
+        for name, value in (("scene", scene), ("start", start), ("sought", drawn), ("areal", areal)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def passive(self) -> Scene:
+        """The scene without the springs of the expression: tissue on its bones, and on the lining of mouth and lids.
+
+        The lining has no bone behind it, and is held where it is: else it would hang 15 cm deep under 1 g.
+        """
+        lining = 2 * len(self.head.bone) + np.flatnonzero(self.head.bone == FREE)
+        held = terms.Fixed(lining, self.scene.vertices[lining])
+        springless = tuple(t for t in self.scene.terms if not isinstance(t, terms.Target))
+        return replace(self.scene, terms=(*springless, held))
+
+    def motion(self, positions: Floats, start: Floats | None = None) -> Floats:
+        """How much of the skin wrap's displacement at the start is left, shape (k,), of positions (k, n, 3) [mm]."""
+        n = len(self.head.bone)
+        first = ((self.start if start is None else start) - self.scene.vertices)[:n]
+        return np.einsum("kni,ni->k", positions[:, :n] - self.scene.vertices[:n], first) / np.sum(first**2)
+
+    def by_recurrence(self, recurrence: Recurrence, frames: int) -> Frames:
+        """Frames of Eq. 9 through projective dynamics, the start first."""
+        neutral = self.head.skin.vertices
+        sequence = Sequence(
+            self.head, self.parameters, time_step=FRAME, dynamic=True, bones="prescribed", tolerance=TIGHT
+        )
+        sequence.recurrence = recurrence
+        sequence.state = State(self.start, self.sought, self.start[: len(self.head.bone)])
+        return _frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
+
+    def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Frames:
+        """Frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
+        wrap = self.head.skin_wrap
+        n = len(wrap.vertices)
+        springs = terms.Target(np.arange(n), wrap.vertices, self.areal * wrap.vertex_areas / FRAME**2)
+        prepared = prepare(replace(self.scene, terms=(*self.scene.terms, springs)))
+        start = self.start if shaken is None else np.array(self.scene.vertices)
+
+        def steps() -> Iterator[Solution]:
+            x, v = start, np.zeros_like(start)
+            for frame in range(1, frames + 1):
+                ahead = x + FRAME * v
+                if shaken is not None:
+                    ahead = ahead - FRAME**2 * shaken(frame * FRAME)
+                step = replace(springs, positions=ahead[:n])
+                scene = replace(self.scene, terms=(*self.scene.terms, step))
+                solution = prepared.solve(scene, start=x, tolerance=TIGHT)
+                yield solution
+                v, x = (solution.positions - x) / FRAME, solution.positions
+
+        return _frames(start, steps())
+
+    def by_elements(
+        self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
+    ) -> Trajectory:
+        """The same motion by finite elements, `per_frame` steps a frame; shaken is the head's acceleration [mm/s²].
+
+        Let go from the start, or shaken from rest.
+        """
+        return march(
+            self.scene,
+            time_step=FRAME / per_frame,
+            steps=frames * per_frame,
+            scheme=scheme,
+            skin=self.head.skin_wrap.triangles,
+            skin_density=self.areal,
+            positions=self.start if shaken is None else None,
+            acceleration=shaken,
+            tolerance=tolerance,
+            keep=np.arange(len(self.head.bone)),
+        )
+
+
+def _frames(start: Floats, solutions: Iterable[Solution]) -> Frames:
+    """The start and the solutions, up to the first that did not converge."""
+    places = [start]
+    for solution in solutions:
+        if solution.reason not in REACHED:
+            return Frames(np.stack(places), solution.reason)
+        places.append(solution.positions)
+    return Frames(np.stack(places), Reason.CONVERGED)

@@ -1,0 +1,273 @@
+"""Effects of SoftDECA's Figures 1 and 7 on one head, with pictures, and a fan of random starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats
+from ....lhm.expressions import weights_of
+from ....reference import SOLVERS, Parameters
+from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..insides import loads_on_mandible, vertices_and_stress
+from ..person import OfPerson
+from .cases import BROAD_SMILE, EFFECTS, TOLERANCE, EffectResult, named_effects, run_effect
+from .fan import ONE_MINIMUM, fan
+from .laws import (
+    BLENDED,
+    CARRIED,
+    LAW,
+    PD,
+    SAME,
+    SURROGATE,
+    compare_laws,
+    distances_by_method,
+    rule_skins,
+    surrogate_skin,
+)
+from .pictures import effect_pictures
+
+ACCURACY = 0.01
+"""How near [mm] answers must be to a tight run's, and to another solver's.
+
+Of PD beside FEniCSx this excludes the neo-Hookean law, whose largest distance is 0.02 to 0.4 mm over the effects, and
+the surrogate and the rules without physics, which are 0.15 to 15 mm off.
+"""
+NO_REFERENCE = "none"
+METHODS = (PD, SAME, LAW, SURROGATE, CARRIED, BLENDED)
+STARTS = "a broad smile from random starts"
+
+
+@dataclass(frozen=True)
+class Effects(OfPerson):
+    """Effects on one head; `fan` random starts of a broad smile without an effect; beside another solver."""
+
+    name = "effects"
+    heading = "What do palsy, weight and the other effects do to a face?"
+    question = "What do palsy, weight, jaw, zombie, gravity and wrinkles do to a face, and is the answer unique?"
+    columns = (
+        Column("shown", "what the paper shows"),
+        Column("neutral_change_mm", "neutral face moves, max [mm]"),
+        Column("mean_mm", "changes the expression, mean [mm]"),
+        Column("max_mm", "max [mm]"),
+        Column("iterations", "iterations", cost=True),
+        Column("solve_s", "prepare and solve [s]", cost=True),
+        Column("to_own_limit_mm", "to its own limit [mm]"),
+        Column("to_other_start_mm", "to a tight run from another start [mm]"),
+        Column("same_mm", "PD to FEM, same energy, max [mm]"),
+        Column("law_mean_mm", "PD to neo-Hookean, skin, mean [mm]"),
+        Column("law_max_mm", "max [mm]"),
+        Column("law_inside_mm", "all vertices, max [mm]"),
+        Column("spread_mm", "farthest answer of the starts [mm]"),
+    )
+    note = (
+        "PD solves each expression with and without its effect, from the settled neutral face, with a free rigid "
+        "mandible. The other start moves all wraps by the skin's way to its targets, which inverts tets. The paper "
+        "does not say what targets a changed face has. Where an effect changes the neutral face, fleshy targets let "
+        "go of it, bones stay at their scaled rest, and it settles. Its displacement is then added to the targets of "
+        "the expression. Flesh is the neck and the face below the brow, except lips, lids, mouth, eyes, teeth and "
+        "ears; it fades in over 12 mm along the skin. Each law settles the neutral face itself. Shares are of T less "
+        "blendshapes that bones carry, over vertices that this moves by more than 0.05 mm. In an expression the "
+        "mandible is free: the law's load on it is the one that holds it where PD has it. In the settled neutral face "
+        "bones are prescribed, and each law has its load."
+    )
+    version = 2
+
+    effects: tuple[str, ...] = field(
+        default=(), metadata={"help": f"of {', '.join(e.name for e in EFFECTS)}; repeat for several  [all]"}
+    )
+    reference: str = field(
+        default="fenicsx", metadata={"help": "by which PD's energy and a law are solved too: fenicsx, skfem or none"}
+    )
+    fan: int = field(default=0, metadata={"help": "random starts of a broad smile without an effect"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""
+        self.check()
+        known = [*(solver for solver in SOLVERS if solver != "projective"), NO_REFERENCE]
+        if self.reference not in known:
+            raise InputError(f"reference {self.reference!r}: expected one of {', '.join(known)}")
+        if self.fan < 0:
+            raise InputError(f"fan: must be at least 0, got {self.fan}")
+        methods = (PD,) if self.reference == NO_REFERENCE else (PD, self._laws)
+        tasks = [Task(effect.name, method) for effect in named_effects(",".join(self.effects)) for method in methods]
+        return tasks + ([Task(STARTS, f"PD, {self.fan} of them")] if self.fan else [])
+
+    @property
+    def _laws(self) -> str:
+        return f"both laws by {self.reference}"
+
+    def measure(self, task: Task) -> Values:
+        """An effect's solves by PD and its pictures; its laws by finite elements; or the random starts."""
+        if task.case == STARTS:
+            of = self.person()
+            return fan(of.head, Parameters(), of.blend(weights_of(BROAD_SMILE)[None])[0], self.fan)
+        return self._by_pd(task.case) if task.method == PD else self._by_laws(task.case)
+
+    def _by_pd(self, name: str) -> Values:
+        result, shape, others = _solved(self, name)
+        record, run = result.record, result.record["runs"]["with"]
+        return {
+            **record,
+            "mean_mm": record["change_mm"]["mean"],
+            "max_mm": record["change_mm"]["max"],
+            "iterations": run["iterations"],
+            "solve_s": run["seconds"],
+            "to_pd": distances_by_method(others, result.with_it, others[CARRIED]),
+            **effect_pictures(self.person().head, result, shape, others.get(SURROGATE)),
+        }
+
+    def _by_laws(self, name: str) -> Values:
+        (effect,) = named_effects(name)
+        result, shape, others = _solved(self, name)
+        compared = compare_laws(self.person().head, effect, shape, result, self.reference, others)
+        law = compared["to_pd"][LAW]
+        shown = {"law_mean_mm": law["skin_mean"], "law_max_mm": law["skin_max"]}
+        return compared | shown | {"law_inside_mm": compared["inside"]["vertices"]["max"]}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """All converge to one minimum, whose energy falls, and which another solver finds."""
+        records, laws, fans = _apart(rows)
+        gates = []
+        if records:
+            runs = [run for record in records for run in record["runs"].values()]
+            other = "largest distance to a tight run from another start [mm]"
+            gates = [
+                at_most("largest gradient over its start's", max(run["gradient_ratio"] for run in runs), TOLERANCE),
+                at_most("scenes whose energy rises", sum(not run["monotone"] for run in runs), 0),
+                at_most(other, max(record["to_other_start_mm"] for record in records), ACCURACY),
+            ]
+        if laws:
+            same = "largest distance of PD to finite elements, same energy, each settled by itself [mm]"
+            gates += [
+                at_most(same, max(law["same_mm"] for law in laws), ACCURACY),
+                at_most(
+                    "effects with a finite-element run that did not converge", sum(not law["done"] for law in laws), 0
+                ),
+            ]
+        spread = "largest distance within the fan of random starts [mm]"
+        return gates + [at_most(spread, values["spread_mm"], ONE_MINIMUM) for values in fans]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """What changes most, and how sure that is."""
+        records, laws, fans = _apart(rows)
+        said = ""
+        if records:
+            most = max(records, key=lambda record: record["max_mm"])
+            off = max(record["to_other_start_mm"] for record in records)
+            said = (
+                f"Of {len(records)} effects {most['name']} changes the expression most, by {most['max_mm']:.1f} mm; "
+                f"from other starts all end within {off:.1e} mm. "
+            )
+        said += _words_of_laws(laws) if laws else ""
+        return said + "".join(
+            f"{len(values['starts'])} random starts of a broad smile end within {values['spread_mm']:.1e} mm."
+            for values in fans
+        )
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Each method beside PD and beside the law, what lies inside, every scene, and every start."""
+        records, laws, fans = _apart(rows)
+        keys = (
+            "iterations seconds gradient_ratio monotone largest_rise inverted_tets smallest_volume_ratio "
+            "soft_volume_percent"
+        ).split()
+        titles = [
+            "effect", "scene", "iterations", "prepare and solve [s]", "gradient over its start's", "energy falls",
+            "largest rise", "inverted tets", "smallest volume ratio", "soft tissue's volume [%]",
+        ]  # fmt: skip
+        scenes = [
+            (record["name"], name, *(run[key] for key in keys))
+            for record in records
+            for name, run in record["runs"].items()
+        ]
+        found = [_table_of_methods(rows)] if records or laws else []
+        found += _tables_inside(rows) if laws else []
+        found += [Table("Scenes", titles, scenes, "A rise by a share of 1e-12 is rounding.")] if scenes else []
+        keys = "seed moved jitter_mm iterations converged energy inverted_tets to_lowest_mm".split()
+        titles = [
+            "start",
+            "moved",
+            "by [mm]",
+            "iterations",
+            "converged",
+            "energy [mN mm]",
+            "inverted",
+            "to lowest [mm]",
+        ]
+        for values in fans:
+            starts = [tuple(row[key] for key in keys) for row in values["starts"]]
+            found.append(Table("Random starts", titles, starts))
+            if values["suspects"]:
+                traced = sorted(values["suspects"].items(), key=lambda pair: pair[1])
+                caption = "The two starts that end farthest apart, solved again with one term changed"
+                found.append(Table(caption, ["changed", "apart [mm]"], traced))
+        return found
+
+
+@lru_cache(maxsize=1)
+def _solved(study: Effects, name: str) -> tuple[EffectResult, Floats, dict[str, Floats]]:
+    """PD's answer to an effect, its expression's blendshapes [mm], and the skins [mm] of methods without a solver."""
+    of, (effect,) = study.person(), named_effects(name)
+    shape = of.blend(weights_of(dict(effect.expression))[None])[0]
+    result = run_effect(of.head, effect, shape)
+    skins = rule_skins(of.head, shape, result.at_rest)
+    network = surrogate_skin(of.space, of.code, of.head, effect)
+    return result, shape, skins if network is None else {SURROGATE: network, **skins}
+
+
+def _words_of_laws(laws: Sequence[Values]) -> str:
+    """How far the law is from PD, and the methods without a solver from the law."""
+    vertices = [law["inside"]["vertices"] for law in laws]
+    said = (
+        "With the neutral face settled by each law itself, the neo-Hookean law moves the skin by "
+        f"{_range(law['law_mean_mm'] for law in laws)} mm on average and {_range(law['law_max_mm'] for law in laws)} "
+        f"mm at most, all vertices by {_range(each['mean'] for each in vertices)} mm on average and "
+        f"{_range(each['max'] for each in vertices)} mm at most. "
+    )
+    for method in (SURROGATE, CARRIED, BLENDED):
+        means = [law["to_law"][method]["skin_mean"] for law in laws if method in law["to_law"]]
+        said += f"From that law's skin, {method}: {_range(means)} mm on average. " if means else ""
+    return said
+
+
+def _range(values: Iterable[float]) -> str:
+    numbers = list(values)
+    return f"{min(numbers):.3f}" if len(numbers) == 1 else f"{min(numbers):.3f} to {max(numbers):.3f}"
+
+
+def _table_of_methods(rows: Sequence[Row]) -> Table:
+    """An effect's methods, each beside PD's skin and beside the neo-Hookean law's."""
+    titles = ["effect", "method"]
+    for truth in ("PD", "neo-Hookean"):
+        titles += [f"to {truth}: mean [mm]", "max [mm]", "share"]
+    to_pd, to_law = ({}, {})
+    for row in rows:
+        for method, figures in row.values.get("to_pd", {}).items():
+            to_pd[row.case, method] = figures
+        for method, figures in row.values.get("to_law", {}).items():
+            to_law[row.case, method] = figures
+    cells = []
+    for case in dict.fromkeys(row.case for row in rows if row.case != STARTS):
+        for method in METHODS:
+            of_both = [of.get((case, method), {}) for of in (to_pd, to_law)]
+            if any(of_both):
+                figures = [each.get(key) for each in of_both for key in ("skin_mean", "skin_max", "share")]
+                cells.append((case, method, *figures))
+    note = "Mean and max over the skin; shares by the ruler of surrogates, over vertices that more than bones move."
+    return Table("Each method beside PD, and beside the neo-Hookean law", titles, cells, note)
+
+
+def _tables_inside(rows: Sequence[Row]) -> list[Table]:
+    """What the law changes inside: all vertices and stress by layer; the mandible's place and load."""
+    inside = {row.case: row.values["inside"] for row in rows if "inside" in row.values}
+    return [vertices_and_stress(inside, PD, LAW), loads_on_mandible(inside, PD, LAW)]
+
+
+def _apart(rows: Sequence[Row]) -> tuple[list[Values], list[Values], list[Values]]:
+    """The effects' records of PD, those of laws, and those of the fan."""
+    effects = [row.values for row in rows if row.case != STARTS]
+    fans = [row.values for row in rows if row.case == STARTS]
+    return [v for v in effects if "runs" in v], [v for v in effects if "inside" in v], fans

@@ -1,0 +1,1 @@
+"""Heads: fitted, simulated, registered, and compared with measured depths."""

@@ -1,0 +1,162 @@
+"""How far lids and lips are apart over a take, by blendshapes, simulator and surrogate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ....animation import plots
+from ....animation.play import blend_linearly
+from ....animation.takes import read_frames
+from ....lhm import expressions, fit_head, identities, load_template
+from ....lhm.base.mesh import Floats, Ints, Surface
+from ....lhm.expressions import Take
+from ....lhm.template import DEFAULT_LEVEL
+from ....lhm.wraps.landmarks import find_landmarks
+from ....reference import Parameters, settle
+from ....reference import Sequence as Simulation
+from ....reference.face.parameters import read_parameters
+from ....surrogate import Surrogate
+from ...harness.study import Column, Row, Study, Task, Values
+from ..person import check_person
+
+TRUTH, NETWORK = "PD", "network"
+FOLLOWS = 0.5
+"""Of the largest motion among a rim's vertices, from which on one belongs to the part that moves."""
+CORNERS = 0.2
+"""Share of a rim's width at either end that is left out: corners are never apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """Pairs of vertices across an opening: upper and lower (k,)."""
+
+    name: str
+    upper: Ints
+    lower: Ints
+
+    def width(self, skin: np.ndarray) -> float:
+        """The mean height [mm] of upper over lower vertices of a skin (n, 3); negative where they cross."""
+        return float((skin[self.upper, 1] - skin[self.lower, 1]).mean())
+
+
+def gaps(skin: Surface, parts: Ints, shapes: Floats) -> list[Gap]:
+    """Both eyes' lids and the lips of a neutral skin whose parts are known; shapes (52, n, 3) [mm]."""
+    marks = find_landmarks(skin, parts)
+    x = skin.vertices[:, 0]
+    middle = 0.5 * (x.min() + x.max())
+    lids = {"left lids": marks.lids[x[marks.lids] > middle], "right lids": marks.lids[x[marks.lids] <= middle]}
+    blink = {"left lids": "eyeBlinkLeft", "right lids": "eyeBlinkRight"}
+    found = [_gap(name, skin, rim, shapes[expressions.index(blink[name])], moves="upper") for name, rim in lids.items()]
+    return [*found, _gap("lips", skin, marks.rim, shapes[expressions.index("jawOpen")], moves="lower")]
+
+
+def _gap(name: str, skin: Surface, rim: Ints, shape: Floats, *, moves: str) -> Gap:
+    x = skin.vertices[rim]
+    margin = CORNERS * float(np.ptp(x[:, 0]))
+    rim = rim[(x[:, 0] > x[:, 0].min() + margin) & (x[:, 0] < x[:, 0].max() - margin)]
+    down = -shape[rim, 1]
+    moving, still = rim[down > FOLLOWS * down.max()], rim[down <= FOLLOWS * down.max()]
+    upper, lower = (moving, still) if moves == "upper" else (still, moving)
+    across = skin.vertices[lower, 0][None] - skin.vertices[upper, 0][:, None]
+    return Gap(name, upper, lower[np.argmin(np.abs(across), axis=1)])
+
+
+@dataclass(frozen=True)
+class Closures(Study):
+    """Openings of the mean of the default people over a take."""
+
+    name = "closures"
+    heading = "Do lids and lips close as simulated?"
+    question = "How far are lids and lips apart over a take, by blendshapes, PD and the surrogate?"
+    columns = (
+        Column("gap", "opening"),
+        Column("by", "method"),
+        Column("largest", "largest difference of its width from PD's [mm]"),
+        Column("mean", "mean difference [mm]"),
+        Column("least", "least width [mm]"),
+        Column("least_simulated", "least width by PD [mm]"),
+    )
+    note = "On the mean of the default people. A width is negative where lids or lips cross."
+
+    take: str = field(default="conversation:3", metadata={"help": "a take, as `softdeca simulate` reads it"})
+    frames: str = field(default="", metadata={"help": "A:B, only these frames of the take, B left out"})
+    parameters: str = field(default="", metadata={"help": "TOML of named parameters p"})
+    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
+    dynamic: bool = field(default=False, metadata={"help": "with inertia, simulated and by the surrogate"})
+
+    def tasks(self) -> Sequence[Task]:
+        """The take; InputError for one that cannot be read."""
+        check_person(0, self.level)
+        take = read_frames(self.take, self.frames)
+        return [Task(f"{self.take}, {len(take.times)} frames", "lids and lips")]
+
+    def measure(self, task: Task) -> Values:
+        """Play the take by all methods, some minutes a hundred frames; differences, and all widths."""
+        take = read_frames(self.take, self.frames)
+        p = read_parameters(Path(self.parameters)) if self.parameters else Parameters()
+        openings, widths = self._widths(take, p)
+        lines = [
+            {
+                "gap": gap.name,
+                "by": name,
+                "largest": float(np.abs(values[:, k] - widths[TRUTH][:, k]).max()),
+                "mean": float(np.abs(values[:, k] - widths[TRUTH][:, k]).mean()),
+                "least": float(values[:, k].min()),
+                "least_simulated": float(widths[TRUTH][:, k].min()),
+            }
+            for k, gap in enumerate(openings)
+            for name, values in widths.items()
+            if name != TRUTH
+        ]
+        return {
+            "rows": lines,
+            "times": take.times.tolist(),
+            "gaps": [gap.name for gap in openings],
+            "widths_mm": {name: values.tolist() for name, values in widths.items()},
+            "widths": _curves(take.times, openings, widths),
+        }
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """The largest difference of the network."""
+        lines = [line for row in rows for line in row.values["rows"] if line["by"] == NETWORK]
+        worst = max(lines, key=lambda line: line["largest"])
+        return f"The network's {worst['gap']} are at most {worst['largest']:.2f} mm wider or narrower than simulated."
+
+    def _widths(self, take: Take, parameters: Parameters) -> tuple[list[Gap], dict[str, Floats]]:
+        """The openings, and their widths [mm], shape (frames, openings), by method."""
+        space, surrogate = identities.Anny(), Surrogate.load()
+        skin, code = space.mean, np.zeros(space.code_size)
+        head = fit_head(load_template(space, level=self.level), skin)
+        openings = gaps(skin, space.parts, space.expressions)
+        step = 1.0 / take.rate
+        rigs = {
+            NETWORK: surrogate.bind(skin, code, parameters),
+            "network + simulator at bind": surrogate.bind(skin, code, parameters, exact=True, head=head),
+        }
+        simulation = Simulation.from_face(settle(head, parameters), time_step=step, dynamic=self.dynamic)
+        playing = {name: rig.dynamic(step) if self.dynamic else rig for name, rig in rigs.items()}
+        widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
+        for weights in take.weights:
+            drawn = blend_linearly(skin, space.expressions, weights)
+            skins: dict[str, np.ndarray] = {"blendshapes": drawn}
+            skins[TRUTH] = simulation.skin(drawn, simulation.frame(drawn))
+            skins |= {name: rig.frame(weights) for name, rig in playing.items()}
+            for name, shown in skins.items():
+                widths[name].append([gap.width(shown) for gap in openings])
+        return openings, {name: np.array(rows) for name, rows in widths.items()}
+
+
+def _curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -> bytes:
+    figure, axes = plots.subplots(len(openings), 1, figsize=(9, 2.4 * len(openings)), sharex=True)
+    styles = {"blendshapes": ":", TRUTH: "-", "network": "--"}
+    for k, (axis, gap) in enumerate(zip(axes, openings, strict=True)):
+        for name, values in widths.items():
+            axis.plot(times, values[:, k], styles.get(name, "-."), label=name, lw=2.2 if name == TRUTH else 1.2)
+        axis.set_ylabel(f"{gap.name} [mm]")
+    axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axes[-1].set_xlabel("time [s]")
+    return plots.to_png(figure)

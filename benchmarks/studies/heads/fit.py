@@ -1,0 +1,261 @@
+"""Heads of many random identities, fitted and checked, and a gallery of some as they move."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....animation import plots
+from ....animation.head_pictures import FRONT, LARGEST_GAP
+from ....animation.pictures import Panel, draw_cut_away, draw_strip
+from ....lhm import (
+    HeadReport,
+    LayeredHead,
+    Surface,
+    Template,
+    check_head,
+    expressions,
+    fit_head,
+    identities,
+    load_template,
+)
+from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.geometry.bvh import TriangleTree
+from ....lhm.base.geometry.topology import find_openings
+from ....lhm.check import Figure
+from ....lhm.head_file import load_head
+from ....lhm.identities.space import CLIP, LinearSpace
+from ....reference import Parameters, facial_scene, solve
+from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..measures import Stopwatch
+from ..person import OfPerson
+
+POSES = {
+    "jawOpen": ("jawOpen",),
+    "smile": ("mouthSmileLeft", "mouthSmileRight"),
+    "blink": ("eyeBlinkLeft", "eyeBlinkRight"),
+}
+SIZE = 300
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One head of the gallery: its figures by name, two pictures (PNG), and what was found and changed in its file."""
+
+    name: str
+    figures: dict[str, Any]
+    faces: bytes
+    layers: bytes
+    notes: tuple[str, ...]
+
+
+def shown_head(name: str, head: LayeredHead) -> Shown:
+    """Simulate and draw a head that has a rig (some ten seconds); InputError without one."""
+    skin, report = head.skin, check_head(head)
+    gap = TriangleTree(head.skin_wrap.vertices, head.skin_wrap.triangles).closest(skin.vertices)[2]
+    panels = [Panel("distance to its wrap", skin, gap, LARGEST_GAP)]
+    crossings = sum(figure.value or 0.0 for figure in report.figures if figure.name.startswith("crossings"))
+    figures: dict[str, Any] = {
+        "skin vertices": len(skin.vertices),
+        "openings of the skin": len(find_openings(skin.triangles)),
+        "wrap to skin, mean [mm]": report.wrap_to_skin_mean,
+        "smallest dihedral [°]": report.smallest_dihedral,
+        "crossings of the wraps": int(crossings),
+        "gates missed at rest": "; ".join(report.problems) or "none",
+        "skin torn by jawOpen [mm²]": report.jaw_open_torn,
+        "skin torn by blinks [mm²]": report.blink_torn,
+    }
+    for pose, names in POSES.items():
+        shape = head.expression(expressions.weights_of(dict.fromkeys(names, 1.0)))
+        solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
+        moved = head.skin_after(shape, solution.positions[: len(head.bone)])
+        panels.append(Panel(pose, skin.with_vertices(moved)))
+        figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
+        figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
+    faces = draw_strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
+    return Shown(name, figures, faces, draw_cut_away(head, size=SIZE), head.notes)
+
+
+FAILURES_PER_HEAD = 1e-3
+WORST = 5
+PLOTTED = (
+    "smallest_dihedral", "share_below_5_degrees", "aspect_95", "aspect_max", "least_thickness", "mean_thickness",
+    "wrap_to_skin_mean", "wrap_to_skin_95", "wrap_to_skin_max", "skin_to_wrap_mean", "lip_path", "lid_detour",
+)  # fmt: skip
+SECONDS = ("fit_s", "fit_cpu_s", "check_s", "check_cpu_s")
+FITTED, DRAWN = "fit and check", "simulated and drawn"
+
+
+@dataclass(frozen=True)
+class Heads(OfPerson):
+    """Random identities, of seeds from the study's on; a code of 2.5 standard deviations is scaled to `sigma`."""
+
+    name = "heads"
+    heading = "Does every person get a valid head?"
+    question = "Does every identity get a valid head, in how long, and what does it look like when it moves?"
+    columns = (
+        Column("error", "could not be fitted because"),
+        Column("problems", "gates missed"),
+        Column("fit_s", "fit [s]", cost=True),
+        Column("check_s", "check [s]", cost=True),
+    )
+    note = (
+        "Each head counts once, with its smallest, mean or largest value. `softdeca bench heads --seed N --count 1` "
+        "repeats seed N; at 2.5 standard deviations `softdeca head fit --seed N` does too. The gallery shows "
+        "expressions at full weight, simulated by projective dynamics with default parameters."
+    )
+
+    count: int = field(default=1000, metadata={"help": "how many random identities"})
+    sigma: float = field(default=CLIP, metadata={"help": "largest coefficient, in standard deviations"})
+    gallery: int = field(default=2, metadata={"help": "how many of them are simulated and drawn"})
+    heads: tuple[str, ...] = field(default=(), metadata={"help": "by `head fit`, drawn as well; repeat for several"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each identity, and the gallery; InputError for a value out of range and for a file that holds no head."""
+        self.check()
+        for name, least in (("count", 1), ("gallery", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"{name}: must be at least {least}, got {getattr(self, name)}")
+        if not (math.isfinite(self.sigma) and 0 < self.sigma <= 10):
+            raise InputError(f"sigma: must be above 0 and at most 10, got {self.sigma:g}")
+        for path in self.heads:
+            load_head(Path(path))
+        seeds = [f"seed {seed}" for seed in range(self.seed, self.seed + self.count)]
+        drawn = [*self.heads, *seeds[: self.gallery]]
+        return [*(Task(case, FITTED) for case in seeds), *(Task(case, DRAWN) for case in drawn)]
+
+    def measure(self, task: Task) -> Values:
+        """A head's figures, or why there is none; or its pictures."""
+        space, template = _space(self.identities, self.level)
+        seed = None if task.case in self.heads else int(task.case.split()[1])
+        if task.method == FITTED:
+            assert seed is not None
+            return fitted(template, sample(space, seed, self.sigma))
+        own = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed, self.sigma))
+        seen = shown_head(task.case, own)
+        return {
+            "shown": dict(seen.figures),
+            "notes": list(seen.notes),
+            "as it moves": seen.faces,
+            "cut open": seen.layers,
+        }
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Nearly every identity has a valid head."""
+        of = _fits(rows)
+        failed = sum(bool(row.values["error"] or row.values["problems"]) for row in of)
+        what = f"heads of {len(of)} that could not be fitted or miss a gate"
+        return [at_most(what, failed, FAILURES_PER_HEAD * len(of))]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """How many there are, and how long a fit takes."""
+        of = _fits(rows)
+        done = [row.values for row in of if not row.values["error"]]
+        said = f"{len(done)} of {len(of)} random identities have a layered head"
+        if done:
+            said += f"; a fit takes {np.median([values['fit_cpu_s'] for values in done]):.2f} s of a processor (median)"
+        return said + "."
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """Failures and their reasons, distributions, and the gallery's figures."""
+        of = _fits(rows)
+        unfit = [(row.case, row.values["error"]) for row in of if row.values["error"]]
+        unfit += [(row.case, "; ".join(row.values["problems"])) for row in of if row.values["problems"]]
+        reasons = Counter(reason.partition(":")[0] for _, reason in unfit).most_common()
+        head = ["figure", "gate", "missed by", "min", "5 %", "median", "mean", "95 %", "max", "worst seeds"]
+        figures = [_described(figure, values) for figure, values in distributions(of)]
+        drawn = [row for row in rows if row.method == DRAWN]
+        shown = [(row.case, *pair) for row in drawn for pair in row.values["shown"].items()]
+        shown += [(row.case, "found in its file", note) for row in drawn for note in row.values["notes"]]
+        return [
+            *([Table("Failures", ["head", "reason"], unfit), Table("By reason", ["reason", "heads"], reasons)]
+              if unfit else []),
+            *([Table("Distributions", head, figures)] if figures else []),
+            *([Table("The gallery's figures", ["head", "figure", "value"], shown)] if shown else []),
+        ]  # fmt: skip
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """How often each value occurs."""
+        panels = [
+            (_words(figure), figure.unit, [value for value, _ in values], figure.bound)
+            for figure, values in distributions(_fits(rows))
+            if figure.name in PLOTTED or figure.name in SECONDS[::2]
+        ]
+        return {"Distributions; red: the bound of a gate.": plots.draw_histograms(panels)} if panels else {}
+
+
+@lru_cache(maxsize=1)
+def _space(whose: str, level: int) -> tuple[LinearSpace, Template]:
+    space = identities.from_text(whose)
+    template = load_template(space, level=level)
+    check_head(fit_head(template, space.mean))  # what is done once per process is in no head's time
+    return space, template
+
+
+def sample(space: LinearSpace, seed: int, sigma: float) -> Surface:
+    """The neutral skin [mm] of one identity; at the default sigma that of `softdeca head fit --seed`."""
+    code, skin = space.sample(np.random.default_rng(seed))
+    return skin if sigma == CLIP else space.skin(code * (sigma / CLIP))
+
+
+def fitted(template: Template, skin: Surface) -> dict:
+    """Figures, gates missed and seconds of the head of a skin; or why it has none, which is an outcome of the study."""
+    watch = Stopwatch()
+    try:
+        head: LayeredHead = fit_head(template, skin)
+        fit = watch.lap()
+        report = check_head(head)
+    except Exception as error:
+        # Also a failure that is no FitError: the reason is told.
+        reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
+        return {"error": " ".join(reason.split()), "problems": [], "figures": None}
+    seconds = {name: round(span, 4) for name, span in zip(SECONDS, (*fit, *watch.lap()), strict=True)}
+    return {"error": None, "problems": list(report.problems), "figures": asdict(report), **seconds}
+
+
+def _fits(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.method == FITTED]
+
+
+Occurring = list[tuple[float, str]]
+
+
+def distributions(rows: Sequence[Row]) -> list[tuple[Figure, Occurring]]:
+    """Each figure of a head, its gate with it, and seconds, with the values of all heads that have it, and whose."""
+    done = [row for row in rows if not row.values["error"]]
+    found = []
+    for item in fields(HeadReport):
+        values = [(row.values["figures"][item.name], row.case.split()[1]) for row in done]
+        known: Occurring = [(float(value), seed) for value, seed in values if value is not None]
+        if known:
+            found.append((Figure(item.name, None, **item.metadata), known))
+    if done:
+        found += [
+            (Figure(name, None, "s", None, None), [(row.values[name], row.case.split()[1]) for row in done])
+            for name in SECONDS
+        ]
+    return found
+
+
+def _words(figure: Figure) -> str:
+    named = {"fit_s": "fit", "fit_cpu_s": "fit, processor", "check_s": "check", "check_cpu_s": "check, processor"}
+    return named.get(figure.name) or figure.words
+
+
+def _described(figure: Figure, values: Occurring) -> list:
+    """A row: the seeds are those nearest to the wrong side of the bound, else of the largest values."""
+    x = np.array([value for value, _ in values])
+    small_is_bad = figure.direction in ("at least", "above")
+    worst = sorted(values, key=lambda pair: pair[0] if small_is_bad else -pair[0])[:WORST]
+    missed = sum(Figure(figure.name, v, figure.unit, figure.direction, figure.bound).missed for v, _ in values)
+    unit = f" [{figure.unit}]" if figure.unit else ""
+    spread = (x.min(), np.quantile(x, 0.05), np.median(x), x.mean(), np.quantile(x, 0.95), x.max())
+    gate = [figure.limit, missed] if figure.limit else [None, None]
+    return [_words(figure) + unit, *gate, *map(float, spread), ", ".join(seed for _, seed in worst)]

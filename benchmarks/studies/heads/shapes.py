@@ -1,0 +1,142 @@
+"""Every ARKit shape at full weight on random identities: which invert tets of soft tissue, and what lids and lips miss.
+
+Scenes are `facial_scene`'s at default parameters, solved by projective dynamics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ....animation.plots import subplots, to_svg
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats
+from ....lhm.expressions import ARKIT
+from ....lhm.head import LayeredHead
+from ....reference import Parameters, Prepared, facial_scene, prepare
+from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..person import OfPerson, Person
+
+ALLOWED = 0.02
+"""Share of the pairs of identity and shape that may have an inverted tet in soft tissue."""
+REGIONS = ("face", "lids", "lips")
+TOLERANCE = 3e-4
+"""Of the gradient norm, as a corpus' frames have it."""
+
+
+@dataclass(frozen=True)
+class Shapes(OfPerson):
+    """Random identities, of seeds from the study's on, in every shape that their space has."""
+
+    name = "shapes"
+    heading = "Which expressions turn tetrahedra inside out?"
+    question = "Which ARKit shapes at full weight invert tets of soft tissue, and how far do lids and lips stay off?"
+    columns = (
+        Column("shape", "shape"),
+        Column("soft", "inverted tets, soft tissue"),
+        Column("muscle", "inverted tets, muscle"),
+        Column("least_j", "smallest volume ratio, soft tissue"),
+        *(Column(f"{region}_mean", f"{region}: from targets, mean [mm]") for region in REGIONS),
+        Column("iterations", "iterations", cost=True),
+    )
+
+    count: int = field(default=20, metadata={"help": "how many random identities, half a minute each"})
+
+    def tasks(self) -> Sequence[Task]:
+        """An identity each; InputError for none."""
+        self.check()
+        if self.count < 1:
+            raise InputError(f"count: must be at least 1, got {self.count}")
+        return [Task(f"identity {seed}", "PD") for seed in range(self.seed, self.seed + self.count)]
+
+    def measure(self, task: Task) -> Values:
+        """A row per shape."""
+        return {"rows": shapes_of(self.person(seed=int(task.case.split()[1])))}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Few pairs have an inverted tet, and all frames converge."""
+        lines = _lines(rows)
+        share = sum(line["soft"] > 0 for line in lines) / len(lines)
+        return [
+            at_most("share of pairs with an inverted tet in soft tissue", share, ALLOWED),
+            at_most("frames that did not converge", sum(not line["converged"] for line in lines), 0),
+        ]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """How many invert."""
+        lines = _lines(rows)
+        inverted = sum(line["soft"] > 0 for line in lines)
+        return f"{inverted} of {len(lines)} pairs of identity and shape have an inverted tet in soft tissue."
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """The identities together, by shape."""
+        head = ["shape", "identities", "with an inverted tet in soft tissue", "most in soft tissue", "most in muscle",
+                "smallest volume ratio", "did not converge",
+                *(f"{region}: from targets, mean [mm]" for region in REGIONS)]  # fmt: skip
+        return [Table("By shape", head, [list(row.values()) for row in by_shape(_lines(rows))])]
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """How far lids and lips stay from their targets."""
+        found = by_shape(_lines(rows))
+        figure, axis = subplots(figsize=(11, 3.6))
+        for region in REGIONS:
+            axis.plot([row[f"{region}_mean"] for row in found], "o", ms=4, label=region)
+        axis.set_xticks(range(len(found)), [row["shape"] for row in found], rotation=90, fontsize=7)
+        axis.set_ylabel("distance from targets, mean [mm]")
+        axis.legend()
+        return {"How far face, lids and lips stay from their targets, mean over identities.": to_svg(figure)}
+
+
+def _lines(rows: Sequence[Row]) -> list[Values]:
+    return [line for row in rows for line in row.values["rows"]]
+
+
+def shapes_of(of: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> list[dict]:
+    """A row per shape (numbers in ARKit's order) that a person's space has."""
+    head, deltas = of.head, of.space.expression_deltas(of.code)
+    skin, rows = head.skin, []
+    prepared: Prepared | None = None
+    for shape in chosen:
+        if deltas[shape].any():
+            scene = facial_scene(head, Parameters(), skin.vertices + deltas[shape])
+            prepared = prepare(scene, solver="projective") if prepared is None else prepared
+            solution = prepared.solve(scene, tolerance=TOLERANCE)
+            row = {"shape": ARKIT[shape], "converged": solution.converged}
+            targets = head.wrap_targets(skin.vertices + deltas[shape])
+            row |= _figures(head, solution.volume_ratio, solution.positions[: len(targets)] - targets)
+            rows.append(row | {"iterations": solution.iterations})
+    return rows
+
+
+def _figures(head: LayeredHead, volume_ratio: Floats, missed: Floats) -> dict:
+    """Inverted tets, and how far [mm] the wrap `missed` (n, 3) its targets in regions: mean, and the largest."""
+    soft, muscle = np.split(volume_ratio, [len(head.soft.tets)])
+    distance = np.linalg.norm(missed, axis=1)
+    figures: dict = {"soft": int((soft <= 0).sum()), "muscle": int((muscle <= 0).sum()), "least_j": float(soft.min())}
+    for region in REGIONS:
+        inside = distance[head.regions[region]]
+        figures |= {f"{region}_mean": float(inside.mean()), f"{region}_max": float(inside.max())}
+    return figures
+
+
+def by_shape(rows: Sequence[Values]) -> list[dict]:
+    """The rows of each shape as one: identities with an inverted tet in soft tissue, the worst and mean figures."""
+    table = []
+    for shape in ARKIT:
+        own = [row for row in rows if row["shape"] == shape]
+        if own:
+            table.append(
+                {
+                    "shape": shape,
+                    "identities": len(own),
+                    "inverted": sum(row["soft"] > 0 for row in own),
+                    "soft": max(row["soft"] for row in own),
+                    "muscle": max(row["muscle"] for row in own),
+                    "least_j": min(row["least_j"] for row in own),
+                    "unfinished": sum(not row["converged"] for row in own),
+                    **{f"{region}_mean": float(np.mean([row[f"{region}_mean"] for row in own])) for region in REGIONS},
+                }
+            )
+    return table

@@ -1,0 +1,279 @@
+"""What studies measure alike: distances, time, memory, one solve as seen from the truth, and limits of meshes."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from ...lhm.base.mesh import Floats
+from ...reference import Scene, Solution, prepare, ranks, terms
+from ...reference.projective import ProjectivePrepared
+from ...reference.solve import Prepared
+from ..harness.processes import forget_peak, held_megabytes, peak_megabytes
+from ..harness.study import Column, Values
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Vertex distances [mm]: mean, root mean square, 95th percentile, max; and max over the largest displacement."""
+
+    mean: float
+    rms: float
+    p95: float
+    max: float
+    relative: float
+
+
+def distances(a: Floats, b: Floats) -> Floats:
+    """Distance of each vertex [mm], shape (n,), of positions (n, 3)."""
+    return np.linalg.norm(a - b, axis=1)
+
+
+def difference(a: Floats, b: Floats, rest: Floats, mask: np.ndarray | None = None) -> Difference:
+    """Of positions `a` to reference `b`, both (n, 3) [mm]; displacement is counted from `rest`; over mask (n,)."""
+    if mask is not None:
+        a, b, rest = a[mask], b[mask], rest[mask]
+    d = distances(a, b)
+    largest = distances(b, rest).max()
+    return Difference(
+        mean=float(d.mean()),
+        rms=float(np.sqrt(np.mean(d**2))),
+        p95=float(np.percentile(d, 95)),
+        max=float(d.max()),
+        relative=float(d.max() / largest) if largest > 0 else float(d.max() > 0),
+    )
+
+
+TIGHT = 1e-10
+"""Gradient norm relative to its start at which a truth is taken."""
+ACCURACY = 0.01
+"""[mm], the largest distance of any vertex from the truth that a frame may have."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Per iteration, the start first: time [s], largest distance of a vertex from the truth [mm], gradient norm [1].
+
+    The gradient norm is over that of the start.
+    """
+
+    seconds: Sequence[float]
+    error: Sequence[float]
+    gradient: Sequence[float]
+
+    def settled(self, bound: float) -> int | None:
+        """The iteration from which on the error stays at most `bound` [mm]; None if the last one is above."""
+        above = np.flatnonzero(~(np.asarray(self.error) <= bound))
+        first = int(above[-1]) + 1 if above.size else 0
+        return first if first < len(self.error) else None
+
+    def seconds_to(self, bound: float) -> float | None:
+        """Time [s] from which on the error stays at most `bound` [mm], None if it does not."""
+        at = self.settled(bound)
+        return None if at is None else float(self.seconds[at])
+
+    def tolerance_for(self, bound: float) -> float | None:
+        """The tolerance with which this solve stops at the first iteration from which its error is at most `bound`."""
+        at = self.settled(bound)
+        return None if at is None else float(np.min(self.gradient[: at + 1]))
+
+
+def traced(
+    prepared: Prepared,
+    truth: Floats,
+    *,
+    start: Floats | None = None,
+    tolerance: float = TIGHT,
+    max_iterations: int | None = None,
+    enough: float = -1.0,
+) -> tuple[Solution, Trace]:
+    """Solve and compare each iteration with the truth [mm], (n, 3); stop where the error is at most `enough` [mm].
+
+    What the comparison costs does not count.
+    """
+    error: list[float] = []
+
+    def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
+        error.append(farthest(positions, truth))
+        return error[-1] <= enough
+
+    solution = prepared.solve(start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=see)
+    return solution, _trace(solution, error)
+
+
+def traced_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
+    """A tight solve as seen from its own end, to 1e-5 mm: positions on the way are kept in float32."""
+    visited: list[np.ndarray] = []
+
+    def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
+        visited.append(positions.astype(np.float32))
+        return False
+
+    solution = prepared.solve(tolerance=tolerance, on_iteration=see)
+    return solution, _trace(solution, [farthest(x, solution.positions) for x in visited])
+
+
+def _trace(solution: Solution, error: Sequence[float]) -> Trace:
+    norms = solution.history.gradient_norm
+    return Trace(solution.history.time.tolist(), error, (norms / max(norms[0], 1e-300)).tolist())
+
+
+def farthest(a: Floats, b: Floats) -> float:
+    """The largest distance [mm] of two arrays of points, both (n, 3)."""
+    return float(np.linalg.norm(a - b, axis=1).max())
+
+
+class Stopwatch:
+    """Wall and processor time [s] since it was made or last read."""
+
+    def __init__(self):
+        self._begin = time.perf_counter(), time.process_time()
+
+    def lap(self) -> tuple[float, float]:
+        """Wall and processor time since the last lap."""
+        now = time.perf_counter(), time.process_time()
+        wall, cpu = now[0] - self._begin[0], now[1] - self._begin[1]
+        self._begin = now
+        return wall, cpu
+
+
+BUDGET = 30.0
+"""Seconds after which a solve is repeated no more."""
+Result = TypeVar("Result")
+PD_ENERGY, NEO_HOOKEAN = "PD", "neo-Hookean"
+"""What studies call the energy of a scene as it is, and of one with that law."""
+TIMES = (
+    Column("scene_s", "scene [s]", cost=True),
+    Column("prepare_s", "prepare [s]", cost=True),
+    Column("solve_s", "solve [s]", cost=True),
+    Column("cpu_s", "processor time of all three [s]", cost=True),
+)
+COUNTS = (
+    Column("iterations", "iterations", cost=True),
+    Column("linear_iterations", "CG iterations", cost=True),
+)
+ENDED = Column("reason", "ended")
+MEMORY = Column("scene_mb", "scene and solver [MB]", cost=True)
+
+
+def timed(make: Callable[[], Scene], tolerance: float, *, start: Floats | None = None, **how) -> tuple[Solution, dict]:
+    """Make, prepare and solve a scene, by `how` as `prepare` takes it; the solution, and the values of the columns."""
+    watch = Stopwatch()
+    scene = make()
+    laps = [watch.lap()]
+    prepared = prepare(scene, **how)
+    laps.append(watch.lap())
+    solution = prepared.solve(tolerance=tolerance, start=start)
+    laps.append(watch.lap())
+    walls = dict(zip(("scene_s", "prepare_s", "solve_s"), (wall for wall, _ in laps), strict=True))
+    return solution, {**walls, "cpu_s": float(np.sum([cpu for _, cpu in laps])), **counts(solution)}
+
+
+def again(work: Callable[[], Result], repeats: int) -> list[Result]:
+    """What `work` returns, so often, after one call that is not counted; less often where that takes over BUDGET."""
+    work()
+    found: list[Result] = []
+    begin = time.perf_counter()
+    while not found or ranks.first(len(found) < repeats and time.perf_counter() - begin < BUDGET):
+        found.append(work())
+    return found
+
+
+def counts(solution: Solution) -> dict:
+    """How often a solver iterated, its linear solver where it counts, and why it ended."""
+    return {
+        "iterations": solution.iterations,
+        "linear_iterations": solution.detail.get("linear_iterations"),
+        "converged": solution.converged,
+        "reason": solution.reason.name,
+    }
+
+
+def repeated(rows: Sequence[Values]) -> dict:
+    """Rows of one measure, repeated, as one: times as lists, what does not differ as it is."""
+    return {key: [row[key] for row in rows] if key.endswith("_s") else value for key, value in rows[0].items()}
+
+
+def unfinished(rows: Sequence[Values]) -> int:
+    """How many solves of the rows' values did not reach what was asked."""
+    return sum(not values["converged"] for values in rows)
+
+
+def slope(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
+    """The exponent of a figure over sizes, by least squares of logarithms; None where it is not there, or one only."""
+    if len(set(sizes)) < 2 or not all(values):
+        return None
+    return float(np.polyfit(np.log(sizes), np.log(np.asarray(values, dtype=np.float64)), 1)[0])
+
+
+def megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> float:
+    """The most memory [MB] that making, preparing and solving a scene takes beside what this process holds.
+
+    To be called in a process of its own, before other scenes: what is freed is used again unseen.
+    """
+    load_kernels(**how)
+    forget_peak()
+    before = held_megabytes()
+    prepare(make(), **how).solve(max_iterations=iterations)
+    return peak_megabytes() - before
+
+
+def load_kernels(**how) -> None:
+    """Solve a scene of one tet, which compiles what is compiled when it is first called, or reads it from the disk."""
+    vertices = np.vstack([np.zeros(3), np.eye(3)])
+    ids = np.arange(4)
+    parts = (
+        terms.Strain(1.0),
+        terms.Volume(1.0),
+        terms.SurfaceStrain(np.array([[1, 2, 3]]), 1.0),
+        terms.Target(ids, 1.1 * vertices, 1.0),
+    )
+    prepare(Scene(vertices, np.array([[0, 1, 2, 3]]), parts), **how).solve()
+
+
+LEAST_ORDER, GREATEST_ORDER = 0.5, 2.0
+"""Orders used for extrapolation; one that is seen outside of them is brought to the nearer end."""
+SAFETY_OF_THREE = 1.25
+SAFETY_OF_TWO = 3.0
+"""Roache's factors of safety: three meshes show their order, with two it is taken on trust."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """Where a sequence of answers goes.
+
+    `positions` [mm], shape (n, 3), of the limit; `observed` order (None where two answers are the same or there are
+    only two), the order `used`, and `index` [mm]: the GCI, a bound of the finest answer's RMS error.
+    """
+
+    positions: Floats
+    observed: float | None
+    used: float
+    index: float
+
+
+def rms(difference: Floats) -> float:
+    """Root mean square of the lengths of vectors (n, 3)."""
+    return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+
+
+def limit_of_three(coarse: Floats, middle: Floats, fine: Floats) -> Limit:
+    """The limit [mm] of answers (n, 3) on meshes each of half the last one's size; the order is what they show."""
+    first, second = rms(middle - coarse), rms(fine - middle)
+    if second == 0.0:
+        return Limit(fine, None, GREATEST_ORDER, 0.0)
+    observed = math.log2(first / second) if first > 0.0 else -math.inf
+    used = min(max(observed, LEAST_ORDER), GREATEST_ORDER)
+    step = (fine - middle) / (2.0**used - 1.0)
+    return Limit(fine + step, observed if math.isfinite(observed) else None, used, SAFETY_OF_THREE * rms(step))
+
+
+def limit_of_two(coarse: Floats, fine: Floats, order: float) -> Limit:
+    """The limit [mm] of answers (n, 3) on a mesh and one of half its size, for an order that is assumed."""
+    step = (fine - coarse) / (2.0**order - 1.0)
+    return Limit(fine + step, None, order, SAFETY_OF_TWO * rms(step))

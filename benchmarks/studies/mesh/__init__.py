@@ -1,0 +1,1 @@
+"""Errors of the mesh: discretisation and locking."""

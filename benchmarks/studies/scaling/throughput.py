@@ -1,0 +1,263 @@
+"""Frames per hour of the simulator: cold frames, a sequence, a worker's memory, and the floor of an iteration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from ....animation.plots import subplots, to_svg
+from ....lhm import expressions
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats
+from ....reference import Parameters, Prepared, facial_scene, prepare, projective
+from ....reference.face.sequence import TOLERANCE
+from ....reference.face.sequence import Sequence as Simulation
+from ....surrogate.corpus.mixture import FEW
+from ...harness.processes import held_megabytes, peak_megabytes
+from ...harness.study import Column, Row, Task, Values, at_least, at_most
+from ..measures import ACCURACY, TIMES, Stopwatch, farthest, timed, traced_to_itself, unfinished
+from ..person import OfPerson
+from . import floor
+
+REFERENCE = 1e-9
+"""Tolerance of tight runs, far below what 0.01 mm needs."""
+MARGIN = 0.5
+"""Of the tolerance that the hardest frame of a kind needs, what all of that kind are run with."""
+RATE = 60.0
+"""[Hz] of the sequence."""
+CHECKED_EVERY = 12
+"""Frames of the sequence between two that are compared with a tight run."""
+HALVINGS = 4
+"""Of the sequence's own tolerance, to be tried at most."""
+KINDS = {
+    "default p": (),
+    "the corpus' p at random": FEW,
+    "every p at random": tuple(info.name for info in Parameters.infos()),
+}
+"""Which parameters are drawn, each over its whole range; the others are default."""
+COLD, SEQUENCE, WORKER, ITERATION = "cold frames", "a sequence", "a worker that fits a head and simulates", "iteration"
+COLD_SECONDS, WARM_SECONDS = 1.0, 0.2
+COLD_PER_HOUR, WARM_PER_HOUR = 4000, 15000
+WORKER_MB = 600.0
+OVER_FLOOR = 2.0
+
+
+@dataclass(frozen=True)
+class Throughput(OfPerson):
+    """Cold frames of several heads and materials; talk on one head; memory; bytes."""
+
+    name = "throughput"
+    heading = "How many frames does one core simulate in an hour?"
+    question = (
+        "How many frames an hour does a core simulate to 0.01 mm, in how much memory, and how far is it from its floor?"
+    )
+    columns = (
+        Column("what", "what"),
+        *TIMES,
+        Column("iterations", "iterations", cost=True),
+        Column("error_mm", "largest error [mm]"),
+        Column("per_hour", "frames per core-hour"),
+        Column("tolerance", "tolerance"),
+        Column("value", "value"),
+    )
+    note = (
+        "A cold frame has its own head, parameters and a lively frame of made-up talk; the fit is not counted. It is "
+        "scene, preparation (assembly and factorisation) and solve from rest. The tolerance is a gradient norm "
+        "relative to its start: half of what the hardest frame of its kind needs for 0.01 mm. Tight runs find it, and "
+        "the error is the largest distance of a vertex to them. The sequence is made-up talk at 60 Hz, prepared once; "
+        "each frame starts from the last, its scene is made anew. Its tolerance is relative to the force of skin 1 mm "
+        "off its target. Seconds are those of a frame. The tight run of a frame starts from its answer, since closed "
+        "lids fold and have several minima. The floor of an iteration reads the factor's bytes twice and the tets' "
+        "once, at the measured bandwidth. A factor that stays in the last-level cache can be read faster."
+    )
+    timed = True
+    alone = True
+
+    people: int = field(default=3, metadata={"help": "of cold frames, of seeds from the study's on"})
+    frames: int = field(default=49, metadata={"help": "of the sequence, at 60 Hz; at least 13"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each kind of cold frames, the sequence, the memory, the floor."""
+        self.check()
+        if self.frames < CHECKED_EVERY + 1 or self.people < 1:
+            raise InputError(f"frames: {self.frames}, expected 13 or more; people: {self.people}, expected 1 or more")
+        cold = [Task(COLD, kind) for kind in KINDS]
+        return [*cold, Task(SEQUENCE, "PD"), Task(WORKER, "PD"), Task(ITERATION, "PD")]
+
+    def measure(self, task: Task) -> Values:
+        """What is told of a kind."""
+        if task.case == COLD:
+            return self._cold(task.method)
+        return {SEQUENCE: self._sequence, WORKER: self._memory, ITERATION: self._floor}[task.case]()
+
+    def _frame(self, seed: int, kind: str) -> partial:
+        """The scene of a lively frame of talk of a seed's head, with parameters of a kind."""
+        of = self.person(seed=seed)
+        weights = expressions.conversation(np.random.default_rng([seed, 2]), 120)
+        shape = of.blend(weights[np.argmax(weights.sum(axis=1))][None])[0]
+        rng = np.random.default_rng([seed, 1])
+        drawn = Parameters(**{name: Parameters.info(name).sample(rng) for name in KINDS[kind]})
+        return partial(facial_scene, of.head, drawn, shape)
+
+    def _cold(self, kind: str) -> Values:
+        seeds = range(self.seed, self.seed + self.people)
+        frames = [self._frame(seed, kind) for seed in seeds]
+        tight = [traced_to_itself(prepare(frame()), tolerance=REFERENCE) for frame in frames]
+        needed = [trace.tolerance_for(ACCURACY) or REFERENCE for _, trace in tight]
+        tolerance = _rounded_down(MARGIN * min(needed))
+        rows = []
+        for seed, frame, (truth, _) in zip(seeds, frames, tight, strict=True):
+            solution, row = timed(frame, tolerance)
+            seconds = row["scene_s"] + row["prepare_s"] + row["solve_s"]
+            error = farthest(solution.positions, truth.positions)
+            more = {"error_mm": error, "seconds": seconds, "per_hour": 3600.0 / seconds, "tolerance": tolerance}
+            rows.append({"what": f"identity {seed}", **row, **more})
+        return {"rows": rows}
+
+    def _sequence(self) -> Values:
+        """The tolerance is that of `Sequence`, halved until the checked frames are within 0.01 mm."""
+        of = self.person()
+        skins = of.blend(expressions.conversation(np.random.default_rng(3), self.frames, rate=RATE))
+        prepared = prepare(facial_scene(of.head, Parameters(), skins[0]))
+        for halvings in range(HALVINGS + 1):
+            found = self._played(skins, prepared, TOLERANCE / 2**halvings)
+            if found["error_mm"] <= ACCURACY:
+                break
+        return {"rows": [found]}
+
+    def _played(self, skins: Floats, prepared: Prepared, tolerance: float) -> dict:
+        """Errors are to the minimum that a frame is near: closed lids fold, and have more than one."""
+        head = self.person().head
+        running = Simulation(head, Parameters(), time_step=1.0 / RATE, tolerance=tolerance)
+        running.frame(skins[0])
+        walls, cpus, iterations, errors = [], [], [], []
+        for t, skin in enumerate(skins[1:], 1):
+            watch = Stopwatch()
+            solution = running.frame(skin)
+            wall, cpu = watch.lap()
+            walls.append(wall)
+            cpus.append(cpu)
+            iterations.append(solution.iterations)
+            if t % CHECKED_EVERY == 0:
+                scene = facial_scene(head, Parameters(), skin)
+                truth = prepared.solve(scene, start=solution.positions, tolerance=REFERENCE)
+                errors.append(farthest(solution.positions, truth.positions))
+        return {
+            "what": "a frame",
+            "solve_s": walls,
+            "cpu_s": cpus,
+            "iterations": float(np.mean(iterations)),
+            "frame_iterations": iterations,
+            "error_mm": max(errors),
+            "per_hour": 3600.0 / float(np.mean(walls)),
+            "tolerance": tolerance,
+            "converged": True,
+        }
+
+    def _memory(self) -> Values:
+        """Of this process: with its libraries, the fit, and at all."""
+        loaded = held_megabytes()
+        frame = self._frame(self.seed, "default p")
+        fitted = peak_megabytes()
+        prepare(frame()).solve(max_iterations=30)
+        figures = {"libraries [MB]": loaded, "peak of the fit [MB]": fitted, "peak [MB]": peak_megabytes()}
+        return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
+
+    def _floor(self) -> Values:
+        """What an iteration must read, at what bandwidth, and how long it takes beside that."""
+        prepared = projective.prepare(self._frame(self.seed, "default p")())
+        solution = prepared.solve(tolerance=1e-5)
+        iteration = float(np.median(np.diff(solution.history.time)))
+        factor, tets, bandwidth = floor.factor_bytes(prepared), floor.tet_bytes(prepared), floor.bandwidth()
+        # Forward and backward substitution each read the factor once, for all three components together.
+        least = (2 * factor + tets) / bandwidth
+        split = floor.split(prepared, solution.positions, iteration)
+        figures = {
+            "bandwidth of one core, triad [GB/s]": bandwidth / 1e9,
+            "factor [MB], read twice an iteration": factor / 1e6,
+            "tets [MB], read once": tets / 1e6,
+            "floor of an iteration [ms]": 1e3 * least,
+            "an iteration [ms]": split["iteration"],
+            RATIO: iteration / least,
+            "energy and gradient (local step) [ms]": split["local"],
+            LOCAL_58K: 1e3 * projective.time_local_step(prepared, repeats=30) * TETS / len(prepared.scene.tets),
+            "solve with A (global step) [ms]": split["solve"],
+            "the rest: L-BFGS, further evaluations [ms]": split["rest"],
+            "evaluations per iteration": solution.detail["evaluations"] / max(solution.iterations, 1),
+        }
+        return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """Right to 0.01 mm; fast and small enough."""
+        found: list[dict] = []
+        for row in rows:
+            lines = row.values["rows"]
+            if row.case == COLD:
+                slowest = float(np.max([line["seconds"] for line in lines]))
+                mean = 3600.0 / float(np.mean([line["seconds"] for line in lines]))
+                found += [
+                    at_most(f"cold frame, {row.method}: slowest, scene to solution [s]", slowest, COLD_SECONDS,
+                            answer=False),
+                    at_least(f"cold frames per core-hour, {row.method}", mean, COLD_PER_HOUR, answer=False),
+                    at_most(f"cold frame, {row.method}: largest error [mm]",
+                            float(np.max([line["error_mm"] for line in lines])), ACCURACY),
+                    at_most(f"cold frames, {row.method}: not converged", unfinished(lines), 0),
+                ]  # fmt: skip
+            elif row.case == SEQUENCE:
+                (line,) = lines
+                median = float(np.median(line["solve_s"]))
+                found += [
+                    at_most("warm frame of a sequence, median [s]", median, WARM_SECONDS, answer=False),
+                    at_least("warm frames per core-hour", line["per_hour"], WARM_PER_HOUR, answer=False),
+                    at_most("warm frame: largest error [mm]", line["error_mm"], ACCURACY),
+                ]
+            elif row.case == WORKER:
+                found.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], WORKER_MB))
+            else:
+                said = {line["what"]: line["value"] for line in lines}
+                ratio = "time of an iteration over its floor (an aim)"
+                found.append(at_most(ratio, said[RATIO], OVER_FLOOR, answer=False))
+                found.append(at_most(LOCAL_58K, said[LOCAL_58K], LOCAL_STEP_MS, answer=False))
+        return found
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Frames per hour."""
+        said = []
+        for row in rows:
+            if row.case == COLD:
+                mean = 3600.0 / float(np.mean([line["seconds"] for line in row.values["rows"]]))
+                said.append(f"{mean:,.0f} cold frames of {row.method}")
+            elif row.case == SEQUENCE:
+                said.append(f"{row.values['rows'][0]['per_hour']:,.0f} frames of a sequence")
+        return f"A core simulates, per hour, {', '.join(said)}." if said else ""
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Milliseconds and iterations of each frame of the sequence."""
+        line = next((row.values["rows"][0] for row in rows if row.case == SEQUENCE), None)
+        if line is None:
+            return {}
+        figure, axis = subplots(figsize=(8, 3))
+        frames = range(1, len(line["solve_s"]) + 1)
+        axis.plot(frames, [1e3 * seconds for seconds in line["solve_s"]], label="wall time")
+        axis.plot(frames, [1e3 * seconds for seconds in line["cpu_s"]], label="processor time", ls="--")
+        axis.set(xlabel="frame (60 Hz)", ylabel="ms", ylim=(0, None))
+        right = axis.twinx()
+        right.grid(False)
+        right.plot(frames, line["frame_iterations"], color="#999999", lw=0.9)
+        right.set(ylabel="iterations (grey)", ylim=(0, None))
+        axis.legend(loc="upper right")
+        return {"A sequence of talk.": to_svg(figure)}
+
+
+RATIO = "an iteration over its floor"
+LOCAL_58K = "a local step per 58 k tets, float64, one core [ms]"
+TETS, LOCAL_STEP_MS = 58_080, 8.0
+
+
+def _rounded_down(value: float) -> float:
+    power = math.floor(math.log10(value))
+    return float(f"{math.floor(value / 10.0**power)}e{power}")

@@ -1,0 +1,294 @@
+"""How FEniCSx' time and memory grow with the unknowns, beside what the default mesh must cost at least.
+
+One head on meshes from its coarsest template to the finest with sub-layers, under PD's energy and the neo-Hookean law,
+each mesh in a process of its own; up to the default one from rest, finer ones from its answer. The floor: the bytes of
+an assembly and of a product with the matrix over the bandwidth of memory.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from ....animation.plots import subplots, to_svg
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats
+from ....reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
+from ...harness.processes import forget_peak, peak_megabytes
+from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..measures import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, Stopwatch, load_kernels, slope, timed, unfinished
+from ..person import OfPerson
+from .floor import bandwidth
+
+TOLERANCE = 1e-8
+CPU_SECONDS = {PD_ENERGY: 4.0, NEO_HOOKEAN: 3.0}
+"""What a whole solve may take on the default mesh."""
+GROWING = ("cpu_s", "cpu_per_linear_iteration", "linear_iterations", "peak_mb")
+ENTRY_BYTES = 12
+"""Of a matrix: a value in float64 and a column in int32."""
+TET_BYTES = 4 * 8 + 16 * 4 + 9 * 8 + 8 + 2 * 9 * 8 + 9 * 8 + 2 * 3 * 8
+"""What assembly reads of a linear tet: nodes, slots, inverse of the Jacobian, volume, U and V, and dP/dF's modes."""
+REPEATS = 7
+FLOORS = "floors of the default mesh"
+
+Coarse = tuple[Scene, Callable[[Floats], Floats]]
+"""The scene on a coarser mesh, and the start that its answer gives."""
+Mesh = tuple[int, int, str]
+"""Level of the template, sub-layers of each tissue, and element."""
+DEFAULT_MESH: Mesh = (2, 1, "P1")
+NEAR = 1e-3
+"""Tolerance of the default mesh's answer that a finer one starts from."""
+MESHES: dict[Mesh, int] = {
+    (1, 2, "P1"): 18_180,
+    DEFAULT_MESH: 43_578,
+    (2, 2, "P1"): 72_630,
+    (2, 4, "P1"): 130_734,
+    (3, 2, "P1"): 290_430,
+    (3, 5, "P1"): 638_946,
+    (1, 1, "P2"): 72_630,
+    (2, 1, "P2"): 290_430,
+}
+"""The unknowns of each, three per node, to choose by."""
+USUAL = 150_000
+"""Meshes up to so many unknowns take some minutes; all of them, to 639 k, about half an hour and 6 GB."""
+
+
+def _named(mesh: Mesh) -> str:
+    level, layers, element = mesh
+    return f"level {level}, {layers} sub-layer{'s' if layers > 1 else ''}, {element}"
+
+
+@dataclass(frozen=True)
+class Unknowns(OfPerson):
+    """Meshes of at most so many unknowns, by energy."""
+
+    name = "unknowns"
+    heading = "How large a mesh can FEniCSx solve?"
+    question = (
+        "How do FEniCSx' time and memory grow with the unknowns, and how far are they from what the memory's "
+        "bandwidth allows?"
+    )
+    columns = (
+        Column("unknowns", "unknowns"),
+        Column("tets", "tets"),
+        *TIMES,
+        *COUNTS,
+        Column("assemblies", "assemblies", cost=True),
+        Column("fallback_solves", "fallback solves", cost=True),
+        Column("coarse_s", "coarse mesh before these three [s]", cost=True),
+        Column("coarse_cpu_s", "of processor time the coarse mesh [s]", cost=True),
+        Column("cpu_us_per_unknown", "processor time per unknown [µs]", cost=True),
+        Column("peak_mb", "most memory [MB]", cost=True),
+        Column("ms", "measured [ms]", cost=True),
+        Column("floor_ms", "floor [ms]"),
+        Column("ratio", "measured over floor"),
+        Column("megabytes", "bytes moved [MB]"),
+        ENDED,
+    )
+    note = (
+        "Newton ends at a gradient norm of 1e-8 of its start, with prescribed bones and default parameters; each mesh "
+        "has its own process. Linear meshes finer than the default one start at its answer to 1e-3, whose cost is "
+        "counted; the others start at rest. Memory is the most that the process held during preparation and solve, "
+        "with the programs and the head's fit. Floors are bytes that must be read or written once, over the bandwidth "
+        "of the triad a = b + s c. Energy, gradient and assembly are bound by arithmetic, not by memory. A multigrid "
+        "cycle is about ten products with the matrix."
+    )
+    timed = True
+    alone = True
+
+    up_to: int = field(default=USUAL, metadata={"help": "unknowns of a mesh; 640000 for all: forty minutes"})
+    expression: str = field(default="mouthSmileLeft+mouthSmileRight", metadata={"help": "as jawOpen*0.5+cheekPuff"})
+
+    @property
+    def meshes(self) -> dict[str, Mesh]:
+        """Those that are asked for, by name."""
+        return {_named(mesh): mesh for mesh, count in MESHES.items() if count <= self.up_to}
+
+    def tasks(self) -> Sequence[Task]:
+        """Each mesh by each energy, and the floors; InputError for fewer unknowns than the smallest mesh has."""
+        self.check([self.expression])
+        if not self.meshes:
+            raise InputError(f"up_to: the smallest mesh has {min(MESHES.values())} unknowns, got {self.up_to}")
+        found = [Task(mesh, law) for law in (NEO_HOOKEAN, PD_ENERGY) for mesh in self.meshes]
+        return [*found, *(Task(FLOORS, part) for part in PARTS)]
+
+    def measure(self, task: Task) -> Values:
+        """What a solve costs, or a part of it must."""
+        if task.case == FLOORS:
+            return measure_floor(self.scene(DEFAULT_MESH), task.method)
+        level, layers, element = self.meshes[task.case]
+        load_kernels(solver="fenicsx", element=element)
+        mesh = (level, layers, element)
+        scene = self.scene(mesh)
+        begin: Coarse | None = None
+        if element == "P1" and MESHES[mesh] > MESHES[DEFAULT_MESH]:
+            head, coarse = (self.person(of).head for of in (level, DEFAULT_MESH[0]))
+            begin = self.scene(DEFAULT_MESH), lambda x: nested_start(scene, head, x, coarse, layers=(layers, layers))
+        return {"law": task.method, "element": element} | measure(task.method, scene, element, begin)
+
+    def scene(self, mesh: Mesh) -> Scene:
+        """PD's energy on a mesh."""
+        level, layers, _ = mesh
+        of = self.person(level)
+        shape = of.shape(self.expression)
+        return facial_scene(of.head, Parameters(), shape, bones="prescribed", layers=(layers, layers))
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """All converge; the default mesh in time."""
+        solves = [row for row in rows if row.case != FLOORS]
+        found = [at_most("solves that did not reach what was asked", unfinished([row.values for row in solves]), 0)]
+        return found + [
+            at_most(f"whole solve to {TOLERANCE:g} on the default mesh, {row.method} [CPU s]", row.values["cpu_s"],
+                    CPU_SECONDS[row.method], answer=False)
+            for row in solves if row.case == _named(DEFAULT_MESH)
+        ]  # fmt: skip
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """The exponents."""
+        said = [f"{law}, {element}: unknowns^{slopes['cpu_s']:.2f}" for law, element, _, slopes in exponents(rows)]
+        return f"Processor time grows as {'; '.join(said)}." if said else ""
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """The exponents of all that grows."""
+        head = ["law", "element", "meshes", "processor time", "time of a CG iteration", "CG iterations", "most memory"]
+        lines = [
+            [law, element, count, *(slopes[key] for key in GROWING)] for law, element, count, slopes in exponents(rows)
+        ]
+        return [Table("Exponents over unknowns", head, lines)]
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Processor time per unknown, and memory, against unknowns: a line per energy and element."""
+        figure, axes = subplots(1, 2, figsize=(8.6, 3.4))
+        for (law, element), of in _series(rows).items():
+            sizes = [values["unknowns"] for values in of]
+            axes[0].plot(sizes, [v["cpu_us_per_unknown"] for v in of], "o-", label=f"{law}, {element}", ms=4)
+            axes[1].plot(sizes, [v["peak_mb"] for v in of], "o-", ms=4)
+        for axis, what in zip(axes, ("processor time per unknown [µs]", "most memory [MB]"), strict=True):
+            axis.set(xscale="log", yscale="log", xlabel="unknowns", ylabel=what)
+        axes[0].legend()
+        return {"Time and memory against unknowns.": to_svg(figure)}
+
+
+def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
+    """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
+    forget_peak()
+    of = (lambda scene: scene) if law == PD_ENERGY else apply_law
+    start, watch = None, Stopwatch()
+    if coarse is not None:
+        near = prepare(of(coarse[0]), solver="fenicsx").solve(tolerance=NEAR)
+        start = coarse[1](near.positions)
+    coarse_s, coarse_cpu_s = watch.lap()
+    solution, costs = timed(lambda: of(scene), TOLERANCE, start=start, solver="fenicsx", element=element)
+    costs["cpu_s"] += coarse_cpu_s
+    unknowns, linear = 3 * nodes_of(scene, element), solution.detail["linear_iterations"]
+    return {
+        "unknowns": unknowns,
+        "tets": len(scene.tets),
+        **costs,
+        "coarse_s": coarse_s,
+        "coarse_cpu_s": coarse_cpu_s,
+        "assemblies": solution.detail["assemblies"],
+        "fallback_solves": solution.detail["fallback_solves"],
+        "cpu_per_linear_iteration": costs["cpu_s"] / max(linear, 1),
+        "cpu_us_per_unknown": 1e6 * costs["cpu_s"] / unknowns,
+        "peak_mb": peak_megabytes(),
+    }
+
+
+def nodes_of(scene: Scene, element: str) -> int:
+    """The nodes of an element on a scene: its vertices in tets, and of quadratic ones the middles of the edges."""
+    vertices = len(np.unique(scene.tets))
+    return vertices if element == "P1" else vertices + len(_edges(scene))
+
+
+def _edges(scene: Scene) -> np.ndarray:
+    pairs = np.sort(scene.tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0)
+
+
+def matrix_entries(scene: Scene) -> int:
+    """Entries of the stiffness matrix of linear tets: nine per vertex and per edge and direction."""
+    return 9 * (len(np.unique(scene.tets)) + 2 * len(_edges(scene)))
+
+
+def _gradient(problem, u: Floats) -> Floats:
+    return problem.at(u).gradient()
+
+
+def _gradient_ms(problem, x: Floats, _) -> float:
+    return _median_ms([partial(_gradient, problem, 1e-3 * k * x) for k in range(1, REPEATS + 1)])
+
+
+def _assembly_ms(problem, x: Floats, _) -> float:
+    return _median_ms([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
+
+
+def _cg_ms(problem, x: Floats, held: np.ndarray) -> float:
+    """Of an iteration: the difference of a solve to few digits and one to many."""
+    from ....reference.fenicsx.linear_solvers import ConjugateGradients, hold
+
+    matrix = problem.at(np.zeros_like(x)).softened_hessian(0.0)
+    b = np.random.default_rng(0).normal(size=x.size)
+    hold(matrix, held, np.zeros(len(held)), b)
+    solver = ConjugateGradients(matrix)
+    solver.solve(b, relative=1e-2)
+    few, many = (
+        (_median_ms([partial(solver.solve, b, relative=to)] * REPEATS), solver.solve(b, relative=to).iterations)
+        for to in (1e-2, 1e-8)
+    )
+    return (many[0] - few[0]) / (many[1] - few[1])
+
+
+PARTS: dict[str, tuple[Callable, Callable[[int, int], int]]] = {
+    "energy and gradient at a new place": (_gradient_ms, lambda tets, entries: tets * TET_BYTES),
+    "assembly of the Hessian": (_assembly_ms, lambda tets, entries: 2 * 8 * entries + tets * TET_BYTES),
+    "iteration of CG with GAMG (floor: one product with the matrix)": (
+        _cg_ms,
+        lambda tets, entries: ENTRY_BYTES * entries,
+    ),
+}
+"""Parts of an iteration: what measures one, and the bytes that it moves."""
+
+
+def measure_floor(scene: Scene, part: str) -> dict:
+    """Milliseconds that a part of an iteration takes on a scene, and at least needs for its bytes."""
+    from ....reference.fenicsx.numbering import Numbering
+    from ....reference.fenicsx.problem import Problem
+
+    problem = Problem(scene, Numbering(scene))
+    held = np.flatnonzero(problem.numbering.held(scene.dirichlet()[0]))
+    work, size = PARTS[part]
+    ms, moved = work(problem, problem.numbering.X, held), size(len(scene.tets), matrix_entries(scene))
+    floor = 1e3 * moved / bandwidth()
+    return {"ms": ms, "floor_ms": floor, "ratio": ms / floor, "megabytes": moved / 1e6}
+
+
+def _median_ms(calls: Sequence[Callable[[], object]]) -> float:
+    calls[0]()
+    times = []
+    for call in calls:
+        begin = time.process_time()
+        call()
+        times.append(time.process_time() - begin)
+    return 1e3 * float(np.median(times))
+
+
+def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
+    """The solves by law and element, in the order of their unknowns."""
+    found: dict[tuple[str, str], list[Values]] = {}
+    for row in sorted((row for row in rows if row.case != FLOORS), key=lambda row: row.values["unknowns"]):
+        found.setdefault((row.values["law"], row.values["element"]), []).append(row.values)
+    return found
+
+
+def exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
+    """Law, element, meshes, and the slopes of what grows over unknowns, where there are two meshes or more."""
+    return [
+        (law, element, len(of), {key: slope([v["unknowns"] for v in of], [v[key] for v in of]) for key in GROWING})
+        for (law, element), of in _series(rows).items()
+        if len(of) > 1
+    ]
