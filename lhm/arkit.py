@@ -1,4 +1,4 @@
-"""The names of Apple's 52 face blendshapes."""
+"""Apple's 52 face expressions: their names, spellings of other programs, and weights."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ ARKIT = tuple(
 """The names of Apple's 52 blendshapes, alphabetical: the order of every array of weights."""
 
 
-# DOC """ARKit's names as programs and phone apps write them: eyeBlink_L, blendShape1.jawOpen, MouthSmileLeft."""
 _SIDES = {"_l": "left", "_r": "right", ".l": "left", ".r": "right", "-l": "left", "-r": "right"}
 _KNOWN = {name.lower(): name for name in ARKIT}
 _HALVED = {name.lower() for name in ("browInnerUp", "cheekPuff")}
@@ -61,7 +60,6 @@ def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
     return found
 
 
-# DOC """ARKit's 52 expressions: their names and order, and linear blending of an identity space's shapes."""
 @check_arguments
 def index(name: str) -> int:
     """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""

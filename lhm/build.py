@@ -43,6 +43,11 @@ MUSCLE = 0.6
 """The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
 MUSCLE_BOUNDS = (0.35, 0.7)
 """Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
+LONGEST_RAY = 45.0  # [mm]
+OFF_SKIN = 1e-3
+"""[mm] by which a ray starts inside the wrap, so that it does not meet the triangles that it starts from."""
+GRAZING = 0.2
+"""A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
 
 
 class SpaceOptions(TypedDict):
@@ -258,14 +263,6 @@ def _middle_around(columns: Columns, values: Floats) -> Floats:
     """The median of each vertex's own value and its neighbours', shape (n,)."""
     starts, others = columns.edges.indptr, columns.edges.indices
     return np.array([np.median([values[v], *values[others[starts[v] : starts[v + 1]]]]) for v in range(columns.n)])
-
-
-# DOC """The way from a skin wrap inward to a surface of the anatomy."""
-LONGEST_RAY = 45.0  # [mm]
-OFF_SKIN = 1e-3
-"""[mm] by which a ray starts inside the wrap, so that it does not meet the triangles that it starts from."""
-GRAZING = 0.2
-"""A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
 
 
 def find_connectors(

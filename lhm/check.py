@@ -322,8 +322,8 @@ def _parted(
 
 
 INVERTED = 100
-"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may stay
-below it: `jaw_open_torn` tells those."""
+"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may
+stay below it: `jaw_open_torn` tells those."""
 
 
 def check_posed(head: LayeredHead, volume_ratios: Callable[[Floats], Floats]) -> tuple[Figure, ...]:

@@ -36,6 +36,7 @@ LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 60.0
 """Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
 LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
 """Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
+LEADERS = 400
 
 
 class _Prepared:
@@ -80,8 +81,8 @@ def fit_head(
     that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
 
     A skin with the template's triangles needs nothing else. On another topology the template's skin is laid first,
-    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the head's
-    skin is then the given one, tied to the wraps through the other.
+    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the
+    head's skin is then the given one, tied to the wraps through the other.
 
     The head's rig has the expressions of the template's space, transferred to the registered skin (Sumner and Popović
     2004), but for those in `own`: displacements [mm], shape (n, 3), of this skin by ARKit names.
@@ -222,10 +223,6 @@ def _muscle(template: Template, wrap: Floats, skull: Floats) -> Floats:
     most = MOST_MUSCLE * depth
     thickness = np.clip(thickness, np.minimum(LEAST_MUSCLE, most), most)
     return skull + (thickness / np.maximum(depth, 1e-12))[:, None] * (wrap - skull)
-
-
-# DOC """Muscles and skull carried by their wraps (SoftDECA 3.1.1, last step: B = RBF of the skull wrap's motion at B_T)."""
-LEADERS = 400
 
 
 @dataclass(frozen=True, eq=False)

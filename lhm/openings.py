@@ -1,4 +1,4 @@
-"""Whether mouth and eyes are open in a wrap: the way along it from upper to lower lip, and from lid to lid."""
+"""Whether mouth and eyes are open: ways along a wrap from lip to lip, and skin torn or folded where they part."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from .base.mesh import Floats, Ints, Surface
 from .rig import Rig
 
 LIP_MIDDLE = 6.0
+MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
+"""Regions of a wrap."""
+OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
 
 
 def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np.bool_]]) -> float | None:
@@ -106,12 +109,6 @@ def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
     # The two triangles at an edge name it in opposite directions, so no entry is there twice to be summed.
     graph = csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices), len(vertices)))
     return dijkstra(graph, directed=False, indices=start, min_only=True)
-
-
-# DOC """Skin that is drawn out between lips or lids when they part: stretched fivefold and more."""
-MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
-"""Regions of a wrap."""
-OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
 
 
 def triangles_at(

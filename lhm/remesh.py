@@ -1,4 +1,4 @@
-"""Finer meshes of an unchanged domain, for studies of how an answer depends on the mesh."""
+"""Other tets for a head's layers: each split into eight, or free ones by gmsh (`pip install softdeca[mesh]`)."""
 
 from __future__ import annotations
 
@@ -22,6 +22,11 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 CORNER_TETS = np.array([[0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3]])
 DIAGONALS = np.array([[4, 9], [5, 8], [6, 7]])
 AROUND = np.array([[5, 6, 8, 7], [4, 7, 9, 6], [4, 5, 9, 8]])
+TRIANGLE, TET = 2, 4
+"""Numbers of gmsh's types of elements."""
+NETGEN = "Netgen"
+"""The optimiser that takes slivers away: of the default head's tets below 2 degrees, all but 1 in 30,000."""
+SMALLEST_SIZE = 0.2
 
 
 def refine_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
@@ -97,14 +102,6 @@ def _refined_volume(head: LayeredHead, ends: Ints) -> tuple[TetMesh, TetMesh]:
 
 def _carried(carry: csr_matrix, vertices: Floats) -> Floats:
     return np.asarray(carry @ vertices)
-
-
-# DOC """Volume meshes between a head's wraps at a chosen size, by gmsh (an extra: `pip install softdeca[mesh]`)."""
-TRIANGLE, TET = 2, 4
-"""Numbers of gmsh's types of elements."""
-NETGEN = "Netgen"
-"""The optimiser that takes slivers away: of the default head's tets below 2 degrees, all but 1 in 30,000."""
-SMALLEST_SIZE = 0.2
 
 
 def remesh(head: LayeredHead, size: float) -> LayeredHead:

@@ -30,6 +30,38 @@ _EYES, _MANDIBLE = "eyeball", "mandible"
 LARGEST = 1e5
 """[mm] of a coordinate: whole bodies have 2,000."""
 _MUSCLES = ("expression", "jaw")
+SHIFT = np.array([0.0, 1500.0, 120.0])
+"""[mm] from the body's height and depth to about the head's centre."""
+FMA_PARTS = {
+    "skull": """
+        52734 frontal bone, 52735 occipital bone, 52736 sphenoid bone, 52740 ethmoid, 9710 vomer, 52748 mandible,
+        52738 52739 temporal bone, 52788 52789 parietal bone, 52892 52893 zygomatic bone, 53645 53646 lacrimal bone,
+        53649 53650 maxilla, 53655 53656 palatine bone, 54737 54738 inferior nasal concha""",
+    "teeth": """
+        55681 55682 upper central incisor, 55680 55683 upper lateral incisor, 55798 55799 upper canine,
+        55689 55690 upper first premolar, 55688 55691 upper second premolar, 55698 55699 upper first molar,
+        55697 55700 upper second molar, 57142 57143 lower central incisor, 57140 57141 lower lateral incisor,
+        55686 55687 lower canine, 55694 55693 lower first premolar, 55695 55692 lower second premolar,
+        55705 55704 lower first molar, 55706 55703 lower second molar""",
+    "expression": """
+        46841 orbicularis oris, 45739 45740 platysma, 46759 46760 frontalis, 46761 46762 occipitalis,
+        46782 46783 orbital part of orbicularis oculi, 46785 46786 palpebral part of orbicularis oculi,
+        46796 46797 corrugator supercilii, 46803 46804 levator labii superioris alaeque nasi,
+        46806 46807 levator labii superioris, 46812 46813 zygomaticus major, 46814 46815 zygomaticus minor,
+        46817 46818 depressor labii inferioris, 46823 46824 levator anguli oris, 46826 46827 mentalis,
+        46829 46830 depressor anguli oris, 46835 46836 buccinator, 46839 46840 risorius, 55606 55607 nasalis,
+        55608 55609 depressor septi nasi, 55610 55611 procerus""",
+    "jaw": """
+        49001 49002 superficial part of masseter, 49004 49005 deep part of masseter, 49012 49013 medial pterygoid,
+        49022 49023 lower head of lateral pterygoid, 49024 49025 upper head of lateral pterygoid,
+        45826 45827 stylohyoid, 46304 46305 anterior belly of digastric, 46306 46307 posterior belly of digastric,
+        46321 46322 mylohyoid, 46326 46327 geniohyoid""",
+    "other": "12513 eyeball, 58271 58272 sclera of the eyeball, 12519 atlas, 12520 axis, 52749 hyoid bone",
+}
+"""Groups of parts by their numbers in the Foundational Model of Anatomy (FMA), of two the right and the left one."""
+_CONCEPT = re.compile(r"#\s*Concept ID\s*:\s*(FMA\d+)")
+HEADER = 40
+"""Lines of an OBJ file within which its concept is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,41 +148,6 @@ def _centre(points: Floats) -> Floats:
     if not len(points):
         raise InputError("an eyeball is missing on one side")
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
-
-
-# DOC """BodyParts3D as its project publishes it, a folder of OBJ files, made the arrays that `bodyparts` reads."""
-SHIFT = np.array([0.0, 1500.0, 120.0])
-"""[mm] from the body's height and depth to about the head's centre."""
-FMA_PARTS = {
-    "skull": """
-        52734 frontal bone, 52735 occipital bone, 52736 sphenoid bone, 52740 ethmoid, 9710 vomer, 52748 mandible,
-        52738 52739 temporal bone, 52788 52789 parietal bone, 52892 52893 zygomatic bone, 53645 53646 lacrimal bone,
-        53649 53650 maxilla, 53655 53656 palatine bone, 54737 54738 inferior nasal concha""",
-    "teeth": """
-        55681 55682 upper central incisor, 55680 55683 upper lateral incisor, 55798 55799 upper canine,
-        55689 55690 upper first premolar, 55688 55691 upper second premolar, 55698 55699 upper first molar,
-        55697 55700 upper second molar, 57142 57143 lower central incisor, 57140 57141 lower lateral incisor,
-        55686 55687 lower canine, 55694 55693 lower first premolar, 55695 55692 lower second premolar,
-        55705 55704 lower first molar, 55706 55703 lower second molar""",
-    "expression": """
-        46841 orbicularis oris, 45739 45740 platysma, 46759 46760 frontalis, 46761 46762 occipitalis,
-        46782 46783 orbital part of orbicularis oculi, 46785 46786 palpebral part of orbicularis oculi,
-        46796 46797 corrugator supercilii, 46803 46804 levator labii superioris alaeque nasi,
-        46806 46807 levator labii superioris, 46812 46813 zygomaticus major, 46814 46815 zygomaticus minor,
-        46817 46818 depressor labii inferioris, 46823 46824 levator anguli oris, 46826 46827 mentalis,
-        46829 46830 depressor anguli oris, 46835 46836 buccinator, 46839 46840 risorius, 55606 55607 nasalis,
-        55608 55609 depressor septi nasi, 55610 55611 procerus""",
-    "jaw": """
-        49001 49002 superficial part of masseter, 49004 49005 deep part of masseter, 49012 49013 medial pterygoid,
-        49022 49023 lower head of lateral pterygoid, 49024 49025 upper head of lateral pterygoid,
-        45826 45827 stylohyoid, 46304 46305 anterior belly of digastric, 46306 46307 posterior belly of digastric,
-        46321 46322 mylohyoid, 46326 46327 geniohyoid""",
-    "other": "12513 eyeball, 58271 58272 sclera of the eyeball, 12519 atlas, 12520 axis, 52749 hyoid bone",
-}
-"""Groups of parts by their numbers in the Foundational Model of Anatomy (FMA), of two the right and the left one."""
-_CONCEPT = re.compile(r"#\s*Concept ID\s*:\s*(FMA\d+)")
-HEADER = 40
-"""Lines of an OBJ file within which its concept is named."""
 
 
 def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) -> dict[str, np.ndarray]:

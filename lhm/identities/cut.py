@@ -1,4 +1,4 @@
-"""Cut a head off a body and close the cut: a linear map from the body's vertices to the head's."""
+"""A head's skin out of a larger model: cut off, closed, and lips that keep their distance."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from .space import MOUTH, OUTSIDE
 
 RINGS = 5
 EVEN = 6
+REACH = 6.0
+WIDTH = 5.0
 
 
 def boundary_loops(triangles: Ints) -> list[Ints]:
@@ -90,11 +92,6 @@ def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints, I
     kept = csr_matrix((np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), n_vertices))
     kept = even_loop(loops[0], len(used)) @ kept
     return vstack([kept, lid @ kept]).tocsr(), np.vstack([triangles, more]), used
-
-
-# DOC """Identity directions under which upper and lower lip keep their distance."""
-REACH = 6.0
-WIDTH = 5.0
 
 
 def keep_lips_together(mean: Floats, triangles: Ints, parts: Ints, directions: Floats) -> Floats:

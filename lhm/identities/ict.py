@@ -38,6 +38,30 @@ _NEEDED = (
     "expression_deltas",
     "expression_arkit",
 )
+NEUTRAL = "generic_neutral_mesh.obj"
+DIGITS = 6
+"""Decimals [cm] of the files: differences have no more, but for rounding."""
+KIT_VERTICES = 26719
+KIT_PARTS = (
+    ("face", 18460),
+    ("head_neck", 3828),
+    ("mouth_socket", 4164),
+    ("eye_socket_l", 808),
+    ("eye_socket_r", 808),
+    ("gums_tongue", 5808),
+    ("teeth", 8696),
+    ("eyeball_l", 3132),
+    ("eyeball_r", 3132),
+    ("lacrimal_l", 326),
+    ("lacrimal_r", 326),
+    ("eyeblend_l", 30),
+    ("eyeblend_r", 30),
+    ("eyeocc_l", 256),
+    ("eyeocc_r", 256),
+    ("eyelash_l", 1080),
+    ("eyelash_r", 1080),
+)
+"""Parts of the mesh and their triangles (its polygons as fans), one after another: the README's table of topology."""
 
 
 def load(path: str | os.PathLike[str]) -> LinearSpace:
@@ -112,33 +136,6 @@ def _space(given: Mapping[str, np.ndarray]) -> LinearSpace:
 def _inside(triangles: Ints, part_of: Ints, part: int) -> Ints:
     """Vertices that only triangles of `part` have."""
     return np.setdiff1d(triangles[part_of == part], triangles[(part_of != part) & (part_of >= 0)])
-
-
-# DOC """ICT-FaceKit as its project publishes it, a folder of OBJ files, made the arrays that `ict` reads."""
-NEUTRAL = "generic_neutral_mesh.obj"
-DIGITS = 6
-"""Decimals [cm] of the files: differences have no more, but for rounding."""
-KIT_VERTICES = 26719
-KIT_PARTS = (
-    ("face", 18460),
-    ("head_neck", 3828),
-    ("mouth_socket", 4164),
-    ("eye_socket_l", 808),
-    ("eye_socket_r", 808),
-    ("gums_tongue", 5808),
-    ("teeth", 8696),
-    ("eyeball_l", 3132),
-    ("eyeball_r", 3132),
-    ("lacrimal_l", 326),
-    ("lacrimal_r", 326),
-    ("eyeblend_l", 30),
-    ("eyeblend_r", 30),
-    ("eyeocc_l", 256),
-    ("eyeocc_r", 256),
-    ("eyelash_l", 1080),
-    ("eyelash_r", 1080),
-)
-"""Parts of the mesh and their triangles (its polygons as fans), one after another: the README's table of topology."""
 
 
 def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) -> dict[str, np.ndarray]:

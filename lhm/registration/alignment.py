@@ -1,4 +1,4 @@
-"""Matches of points with a skin: the closest point that faces the same way, and which of these are to be believed."""
+"""Where the template stands before it is deformed: matches with a skin, and the similarity that fits them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from ..base.mesh import Floats, Ints, Surface
 
 FACING = np.cos(np.radians(60.0))
 SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towards it
+PITCHES, HEIGHTS, SCALES = (-15.0, 0.0, 15.0), (-25.0, 0.0, 25.0), (0.9, 1.0, 1.1)
+FEW, COARSE_STEPS, FINE_STEPS = 250, 15, 40
+CAP = 10.0
+"""[mm] Farther matches count as this far in a start's score."""
 
 
 class Target:
@@ -69,13 +73,6 @@ def open_edges(triangles: Ints) -> Ints:
 
 def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
-
-
-# DOC """Where the template stands before it is deformed: rotation, translation and scale."""
-PITCHES, HEIGHTS, SCALES = (-15.0, 0.0, 15.0), (-25.0, 0.0, 25.0), (0.9, 1.0, 1.1)
-FEW, COARSE_STEPS, FINE_STEPS = 250, 15, 40
-CAP = 10.0
-"""[mm] Farther matches count as this far in a start's score."""
 
 
 @dataclass(frozen=True)

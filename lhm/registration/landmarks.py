@@ -112,7 +112,6 @@ def check_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     return ids.astype(np.int64), points
 
 
-# DOC """What a skin of any topology has to be before a template is registered with it."""
 def check_placed(template: Floats, pairs: Pairs, skin: Surface) -> None:
     """Raise InputError for landmarks that are mirrored, of another scale, off the skin, or that contradict each other.
 

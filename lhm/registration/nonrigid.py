@@ -1,4 +1,4 @@
-"""Motions of a surface that vary smoothly: one affine map per vertex, as in non-rigid ICP."""
+"""Non-rigid ICP: a template laid onto a skin, stiff at first and ever softer (Amberg et al., CVPR 2007)."""
 
 from __future__ import annotations
 
@@ -21,6 +21,22 @@ RETURN = 0.01
 
 TIE = 4.0
 """Weight of what should move together, beside the edges' 1."""
+STIFFNESSES, LIMITS = np.geomspace(200.0, 0.1, 13), np.geomspace(25.0, 12.0, 13)
+"""The last limit [mm] is no smaller: a heavy neck is still that far off when the template is soft enough for it. With a
+last stiffness of .2 a ragged scan's face is .46 mm off in place of .37; slides and transferred shapes are the same."""
+TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
+"""[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
+STEPS = np.where(TURNED > 0, 10, 4)
+EARLY = 0.5
+"""Weight of a match while normals count: it may lie beside its point."""
+SEEN = 0.15
+"""What sees less of the sky (nostrils, folds of ears) has no counterpart on another head, or in a scan."""
+LATE = 8  # From this stage on matches are taken from lips and lids that cross.
+REPAIRS = 8
+LANDMARK, FADES = 5.0, 20.0
+"""Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
+exact."""
+LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
 
 
 class SmoothAffine:
@@ -63,25 +79,6 @@ class SmoothAffine:
         # The pattern stays, so that its analysis serves every step.
         self._factor = factorise_definite((stiffness * self._matrix + diags(data)).tocsc(), like=self._factor)
         return self._factor(right)[: self.n]
-
-
-# DOC """Non-rigid ICP: a template that is laid onto a skin, stiff at first and ever softer (Amberg et al., CVPR 2007)."""
-STIFFNESSES, LIMITS = np.geomspace(200.0, 0.1, 13), np.geomspace(25.0, 12.0, 13)
-"""The last limit [mm] is no smaller: a heavy neck is still that far off when the template is soft enough for it. With a
-last stiffness of .2 a ragged scan's face is .46 mm off in place of .37; slides and transferred shapes are the same."""
-TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
-"""[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
-STEPS = np.where(TURNED > 0, 10, 4)
-EARLY = 0.5
-"""Weight of a match while normals count: it may lie beside its point."""
-SEEN = 0.15
-"""What sees less of the sky (nostrils, folds of ears) has no counterpart on another head, or in a scan."""
-LATE = 8  # From this stage on matches are taken from lips and lids that cross.
-REPAIRS = 8
-LANDMARK, FADES = 5.0, 20.0
-"""Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
-exact."""
-LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
 
 
 def lay_onto(

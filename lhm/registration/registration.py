@@ -22,6 +22,9 @@ from .nonrigid import lay_onto
 
 LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
 WORST_FACE = 3.0
+MATCHED = 4.0
+"""[mm] Farther from the skin a vertex of the template lies on nothing: its displacement is that of those around it."""
+LEAST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -148,12 +151,6 @@ def _registration(surface: Surface, parts: Ints, face: Mask, skin: Surface, cros
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
     ties = skin_ties(surface, skin), template_ties(surface, skin, parts == CAP)
     return Registration(surface, residual, *ties, crossings)
-
-
-# DOC """What ties a registered template and the skin it lies on: displacements of the one as those of the other."""
-MATCHED = 4.0
-"""[mm] Farther from the skin a vertex of the template lies on nothing: its displacement is that of those around it."""
-LEAST = 1e-4
 
 
 def skin_ties(template: Surface, skin: Surface) -> csr_matrix:

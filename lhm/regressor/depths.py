@@ -1,4 +1,4 @@
-"""A linear map from the shape of a skin wrap to the logarithm of its depths."""
+"""A linear map from the shape of a skin wrap to the logarithm of its depths, and how far off its predictions are."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ RIDGES = np.logspace(-4, 4, 33)
 
 FARTHEST = 3.0
 """Standard deviations of the pairs' scores beyond which a skin counts as that far: logs turn a line into e^x."""
+LARGEST, LEAST_DEVIATION = 1e6, 1e-9
+"""[mm] of a regressor's numbers: far beyond a head's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +192,6 @@ class DepthRegressor:
         )
 
 
-LARGEST, LEAST_DEVIATION = 1e6, 1e-9
-"""[mm] of a regressor's numbers: far beyond a head's."""
 _ARRAYS = ("format", *DepthRegressor.__dataclass_fields__)
 
 
@@ -233,7 +233,6 @@ def _left_out(unit: Floats, shrink: Floats, wanted: Floats) -> float:
     return float(((left / (1 - hat)[:, None]) ** 2).sum())
 
 
-# DOC """How far predicted depths are from measured ones: for one head, and with each pair left out."""
 @dataclass(frozen=True)
 class DepthErrors:
     """Predicted minus measured depths of one head [mm]: mean, median and 95 % of the size, and the signed mean."""

@@ -1,4 +1,4 @@
-"""Depths measured on a head whose skull is known: from the skin wrap inward to the bone."""
+"""Pairs of skin and skull: read from a folder, their depths measured along rays inward."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
@@ -20,12 +20,11 @@ from ..base.geometry.rays import first_hits
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..identities.space import LinearSpace
+from ..registration import register
 from ..skin import check_skin
+from ..template import Template
 from ..wraps.landmarks import Mask
 from .depths import DepthPairs
-
-if TYPE_CHECKING:
-    from ..template import Template
 
 PLAUSIBLE = (1.0, 40.0)
 """Least and greatest depth [mm] of soft tissue over bone: over the nasal bones about 1, in a heavy cheek 30."""
@@ -35,6 +34,10 @@ SLIPPED = 2.0
 
 SMOOTH = 4.0
 """Implicit smoothing of the rays' directions, as of the layers' connectors."""
+LEAST_PAIRS = 3
+SKULL_EXTENT = (60.0, 300.0)
+OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
+"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,16 +82,6 @@ def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) 
     along, closest = first_hits(tree, skin_wrap, inward, PLAUSIBLE[1])[1], tree.closest(skin_wrap)[2]
     met = along <= np.maximum(SLIPPED * closest, PLAUSIBLE[0])
     return MeasuredDepths(np.clip(np.where(met, along, closest), *PLAUSIBLE), met)
-
-
-# DOC """Pairs of skin and skull from a folder."""
-if TYPE_CHECKING:
-    from ..template import Template
-
-LEAST_PAIRS = 3
-SKULL_EXTENT = (60.0, 300.0)
-OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
-"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap."""
 
 
 class PairReport(NamedTuple):
@@ -168,8 +161,6 @@ def read_skin(
         if skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles):
             check_skin(skin)
             return skin, 0.0
-        from ..registration import register  # loaded where a skin needs it: every import of `lhm` comes by here
-
         registered = register(space.mean, space.parts, skin, progress=progress)
     except SoftdecaError as error:
         raise InputError(f"{path}: {error}") from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -12,13 +11,11 @@ from ..base.files.cache import load_or_make
 from ..base.geometry.warp import farthest_points
 from ..base.mesh import Floats
 from ..identities.space import LinearSpace
+from ..template import Template
 from ..wraps import depth
 from ..wraps.landmarks import find_landmarks
 from .depths import DepthPairs, DepthRegressor
 from .pairs import move_wrap
-
-if TYPE_CHECKING:
-    from ..template import Template
 
 LABEL = "synthetic prior (published depths and spread), not anatomy"
 PAIRS, SEED = 60, 0

@@ -1,4 +1,4 @@
-"""Whether the eyes of a skin are open, solid (lids and eyeball are one surface), closed, or not to be made out."""
+"""The eyes of a skin, open, solid, closed or unclear; lids that are one surface stay still."""
 
 from __future__ import annotations
 
@@ -38,6 +38,15 @@ EDGE, LAID = 3.0, 82.0
 STILL: tuple[State, ...] = ("closed", "unclear")
 LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
 """What moves lids only; lids that are closed, or not to be made out, do not."""
+_WORDS = {
+    "closed": "closed; eyeBlink, eyeWide and eyeLook do nothing to the lids",
+    "solid": "solid, one surface with the lids; eyeBlink draws the lids over it",
+    "unclear": "one surface on which the template's lids are not made out; eyeBlink, eyeWide and eyeLook do nothing",
+}
+REACH = 8.0
+"""[mm] From the template's lid rims: its lids part or meet there, where this skin is one piece."""
+LEAST = 0.1
+"""[mm] Shorter edges count as this long."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +77,6 @@ class Eyes:
             return "" if self.left == "open" else f"eyes: {_WORDS[self.left]}"
         both = (("left", self.left), ("right", self.right))
         return "; ".join(f"{side} eye: {_WORDS[state]}" for side, state in both if state != "open")
-
-
-_WORDS = {
-    "closed": "closed; eyeBlink, eyeWide and eyeLook do nothing to the lids",
-    "solid": "solid, one surface with the lids; eyeBlink draws the lids over it",
-    "unclear": "one surface on which the template's lids are not made out; eyeBlink, eyeWide and eyeLook do nothing",
-}
 
 
 def classify_eyes(
@@ -158,13 +160,6 @@ def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> fl
     start, end = (np.linalg.norm(points - place, axis=1).argmin() for place in places)
     straight = np.linalg.norm(points[start] - points[end])
     return float(dijkstra(graph, directed=False, indices=start)[end] / max(straight, 1e-9))
-
-
-# DOC """Lids that are one surface, and stay shut or as they are while the face around them moves."""
-REACH = 8.0
-"""[mm] From the template's lid rims: its lids part or meet there, where this skin is one piece."""
-LEAST = 0.1
-"""[mm] Shorter edges count as this long."""
 
 
 def calm_lids(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:

@@ -26,7 +26,7 @@ from ..skin import check_skin
 from ..template import Template
 from .placing import Placement, find_placement, millimetres
 from .repair import Repaired, repair_scan
-from .seals import leave_sealed, mark_rig
+from .seals import keep_seals, mark_rig, open_seals
 
 ENOUGH = 5
 """So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
@@ -165,7 +165,7 @@ def fit_head_scan(
     the notes with the expressions that will not work, which the head's rig names too.
     """
     laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
-    open_ = unseal if unseal else leave_sealed
+    open_ = open_seals if unseal else keep_seals
     done = open_(template, laid, scan.skin, scan.own)
     head = fit_registered(template, done.skin, done.laid, regressor=regressor, own=done.own)
     if head.rig is not None:
@@ -206,7 +206,6 @@ def _told_openings(skin: Surface) -> str:
     return f"openings: {len(loops)} ({large} of them large); they stay open"
 
 
-# DOC """The named landmarks of a scan, found by laying the template on it."""
 def suggest_landmarks(scan: HeadScan, template: Template, *, progress: OnProgress = silent) -> dict[str, Floats]:
     """Points [mm] on the upright skin by the names of `landmark_ids` (half a minute); raises what `register` raises.
 

@@ -1,4 +1,12 @@
-"""A head whose expressions are the person's: scans of them are laid upon the head, and its rig is fitted to these."""
+"""A head whose expressions are the person's: scans of them are laid upon the head, and its rig is fitted to these.
+
+`read_guesses` reads which expressions the scans show, by guess, as JSON or CSV; the scans lie beside that file.
+
+{"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 1}, "open.ply": {"jawOpen": 0.8}}
+
+scan,jawOpen,mouthSmileLeft,mouthSmileRight          what is not named, or empty, is 0
+smile.obj,,1,1
+"""
 
 from __future__ import annotations
 
@@ -205,13 +213,6 @@ def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
     return lines
 
 
-# DOC """Which expressions the scans of a person show, by guess, as JSON or CSV; the scans lie beside that file.
-# DOC
-# DOC {"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 1}, "open.ply": {"jawOpen": 0.8}}
-# DOC
-# DOC scan,jawOpen,mouthSmileLeft,mouthSmileRight          what is not named, or empty, is 0
-# DOC smile.obj,,1,1
-# DOC """
 def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
     """Weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
     path = Path(path)

@@ -27,6 +27,10 @@ FOUND, TILTED = 3.2, 20.0
 SIEVES = ((50, 200, 3), (50, 60, 4), (120, 12, 6), (250, 4, 10))
 """Points of the face, how many starts are kept, and steps of each."""
 MORE = 400
+POINTS = 4000
+TURNED = 25.0
+"""[mm] What a unit of difference between normals counts as beside a distance."""
+FAR, LEAST, MOST = 30.0, 0.4, 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +225,6 @@ def _upright(rotation: Floats, *, known: bool) -> tuple[Floats, str]:
     if angle <= TILTED or known:
         return nearest, f"axes: {up} is up, {front} the front"
     return rotation, f"axes: turned upright ({angle:.0f}° from {up} up and {front} the front)"
-
-
-# DOC """Many rigid starts at once, laid upon a surface's points and normals and sorted by how well they fit."""
-POINTS = 4000
-TURNED = 25.0
-"""[mm] What a unit of difference between normals counts as beside a distance."""
-FAR, LEAST, MOST = 30.0, 0.4, 2.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""What the stacked wraps' triangulation alone decides: edges, tets, and which tets are around each column."""
+"""The wraps' one triangulation: neighbours, tets, the tets around each column, and values spread over it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,6 @@ class Columns:
         return np.bincount(rows, length, self.n) / np.diff(self.edges.indptr)
 
 
-# DOC """Values spread over a mesh's vertices from those that are given, as evenly as edges allow."""
 def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Floats:
     """Values (n, ...) where `given` (n,) holds; elsewhere each the mean of its neighbours'.
 

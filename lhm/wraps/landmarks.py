@@ -1,4 +1,4 @@
-"""Places and regions of a skin that follow from its parts: the lips' rim, the lids, the eyes' centres, masks."""
+"""Places, regions and bones of a face, from the parts of its skin and how this follows the jaw."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ from ..identities.space import CAP, EYES, MOUTH, OUTSIDE
 from .depth import inscribed_radius
 
 Mask = NDArray[np.bool_]
+FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
+FROM_LIPS = 12.0
+SHEAR = 0.5
+"""Skin that departs from the rigid jaw by more than this share of the depth would invert the tissue under it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +102,6 @@ def find_regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask
         "neck": neck,
         "face": visible & front & height,
     }
-
-
-# DOC """Which vertices of the skull wrap belong to the cranium, which to the mandible, and which to neither."""
-FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
-FROM_LIPS = 12.0
-SHEAR = 0.5
-"""Skin that departs from the rigid jaw by more than this share of the depth would invert the tissue under it."""
 
 
 def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:

@@ -148,7 +148,7 @@ def test_an_opened_mouth_moves_as_the_templates(template, sealed, opened):
 
 
 def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
-    left, up = (way(template, laid, sealed, {}) for way in (seals.leave_sealed, seals.unseal))
+    left, up = (way(template, laid, sealed, {}) for way in (seals.keep_seals, seals.open_seals))
     assert left.sealed and not up.sealed
     assert "mouth: sealed, and left so" in left.notes and "mouth: sealed; opened" in up.notes[0]
     heads = {}
@@ -166,7 +166,7 @@ def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
 
 
 def test_a_skin_with_its_own_jaw_is_left_as_it_is(template, sealed, laid):
-    done = seals.unseal(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
+    done = seals.open_seals(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
     assert done.skin is sealed and not done.sealed
 
 
@@ -275,7 +275,7 @@ def test_a_membrane_deep_between_overlapping_lips_is_cut_and_closed_lids_stay_st
     skin, laid = membrane
     # No way from lip to lip is straight there, but an open jaw would draw the membrane out.
     assert not mouth.is_sealed(lips.find_lip_line(template.skin, template.parts, laid.surface, skin), skin)
-    left, up = seals.leave_sealed(template, laid, skin, {}), seals.unseal(template, laid, skin, {})
+    left, up = seals.keep_seals(template, laid, skin, {}), seals.open_seals(template, laid, skin, {})
     assert left.sealed and not up.sealed
     assert any("mouth: sealed; opened" in note for note in up.notes)
     assert any("eyes: closed" in note for note in up.notes), up.notes
