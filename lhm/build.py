@@ -276,8 +276,7 @@ def find_connectors(
     """
     bone = TriangleTree(surface.vertices, surface.triangles)
     skin = TriangleTree(skin_wrap.vertices, skin_wrap.triangles)
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(surface.face_normals)
     connectors = np.full_like(skin_wrap.vertices, np.nan)
     for way in (directions, -normals):
         missing = np.flatnonzero(np.isnan(connectors[:, 0]))

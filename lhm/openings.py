@@ -13,6 +13,7 @@ from .arkit import ARKIT
 from .base.geometry.deformation import folded_length, torn_area
 from .base.mesh import Floats, Ints, Surface
 from .rig import Rig
+from .wraps.columns import edge_graph
 
 LIP_MIDDLE = 6.0
 MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
@@ -104,11 +105,7 @@ def _ring(triangles: Ints, inside: NDArray[np.bool_]) -> Ints:
 
 def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
     """Length [mm] of the shortest way along edges from `start` to every vertex, shape (n,)."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    # The two triangles at an edge name it in opposite directions, so no entry is there twice to be summed.
-    graph = csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices), len(vertices)))
-    return dijkstra(graph, directed=False, indices=start, min_only=True)
+    return dijkstra(edge_graph(vertices, triangles), directed=False, indices=start, min_only=True)
 
 
 def triangles_at(

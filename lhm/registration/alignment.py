@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Ints, Surface
+from ..wraps.columns import unit
 
 FACING = np.cos(np.radians(60.0))
 SHARP = 1.0  # [mm] closer than this a match counts whatever the direction towards it
@@ -26,7 +27,7 @@ class Target:
     def __init__(self, skin: Surface):
         self.skin = skin
         self.normals = skin.vertex_normals
-        self.faces = _unit(self.normals[skin.triangles].sum(axis=1))
+        self.faces = unit(self.normals[skin.triangles].sum(axis=1))
         self.tree = TriangleTree(skin.vertices, skin.triangles)
         self.rim = np.zeros(len(skin.vertices), dtype=bool)
         self.rim[open_edges(skin.triangles).ravel()] = True
@@ -51,7 +52,7 @@ class Target:
         """Vertices (k, 3) around such closest points, the barycentric weights, and a mask (k,) of those that count."""
         triangle, shares, distance = self.tree.closest_facing(points, normals, self.faces, FACING, turned, reach)
         corners = self.skin.triangles[triangle]
-        outward = _unit(np.einsum("kc,kcd->kd", shares, self.normals[corners]))
+        outward = unit(np.einsum("kc,kcd->kd", shares, self.normals[corners]))
         away = points - (shares[:, :, None] * self.skin.vertices[corners]).sum(axis=1)
         over = np.abs(np.einsum("kd,kd->k", away, outward)) >= FACING * np.linalg.norm(away, axis=1)
         open_edge = (shares == 0).any(axis=1) & (self.rim[corners] | (shares == 0)).all(axis=1)
@@ -69,10 +70,6 @@ def open_edges(triangles: Ints) -> Ints:
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     return unique[count == 1]
-
-
-def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
 @dataclass(frozen=True)

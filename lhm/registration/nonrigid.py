@@ -11,7 +11,7 @@ from ..base.geometry.rays import visible_sky
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress
 from ..identities.space import EYES, MOUTH, OUTSIDE
-from ..wraps.columns import neighbours
+from ..wraps.columns import neighbours, unit
 from ..wraps.landmarks import Landmarks, Mask, distance_to
 from .alignment import FACING, Target, tukey_weights
 from .landmarks import Pairs
@@ -160,8 +160,7 @@ def _opposite(skin: Surface, points: Ints, triangles: Ints, reach: float, side: 
     It lies within `reach` [mm], before the vertex (side 1) or behind it (side -1).
     """
     x, normals = skin.vertices, skin.vertex_normals[points]
-    faces = Surface(x, triangles).face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(Surface(x, triangles).face_normals)
     triangle, weights, distance = TriangleTree(x, triangles).closest_facing(x[points], -normals, faces, FACING)
     corners = triangles[triangle]
     gap = np.einsum("kc,kcd->kd", weights, x[corners]) - x[points]

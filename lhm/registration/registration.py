@@ -14,7 +14,7 @@ from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..identities.space import CAP, EYES, MOUTH
 from ..skin import check_registrable
-from ..wraps.columns import neighbours
+from ..wraps.columns import neighbours, unit
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions
 from .alignment import FACING, Target, find_start, fit_similarity, open_edges
 from .landmarks import Pairs, check_pairs, check_placed
@@ -202,8 +202,7 @@ def replace_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
 
 def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.ndarray]:
     """Weights (points, n) of the closest point on `surface`, its distance [mm], whether it faces the same way."""
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(surface.face_normals)
     tree = TriangleTree(surface.vertices, surface.triangles)
     triangle, weights, distance = tree.closest_facing(points.vertices, points.vertex_normals, faces, FACING)
     lost = triangle < 0

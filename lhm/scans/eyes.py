@@ -16,7 +16,7 @@ from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import OUTSIDE, LinearSpace
 from ..registration.alignment import Target, fit_similarity
 from ..rig import Rig
-from ..wraps.columns import neighbours
+from ..wraps.columns import edge_graph, neighbours, unit
 from ..wraps.landmarks import Mask, distance_to
 
 State = Literal["open", "solid", "closed", "unclear"]
@@ -131,8 +131,7 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
 def _turned(registered: Surface, edge: Mask, target: Target) -> float:
     """The mean angle [degrees] between the registered lids at their edge and the skin there."""
     triangle, shares, _ = target.tree.closest(registered.vertices[edge])
-    there = np.einsum("kc,kcd->kd", shares, target.normals[target.skin.triangles[triangle]])
-    there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
+    there = unit(np.einsum("kc,kcd->kd", shares, target.normals[target.skin.triangles[triangle]]))
     cosine = np.einsum("kd,kd->k", there, registered.vertex_normals[edge])
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
@@ -152,14 +151,10 @@ def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> fl
     if not len(triangles):
         return np.inf
     used = np.unique(triangles)
-    number = np.full(len(near), -1)
-    number[used] = np.arange(len(used))
-    edges = number[np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)]
-    points = skin.vertices[used]
-    graph = csr_matrix((np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1), edges.T), (len(used),) * 2)
-    start, end = (np.linalg.norm(points - place, axis=1).argmin() for place in places)
-    straight = np.linalg.norm(points[start] - points[end])
-    return float(dijkstra(graph, directed=False, indices=start)[end] / max(straight, 1e-9))
+    start, end = (used[np.linalg.norm(skin.vertices[used] - place, axis=1).argmin()] for place in places)
+    straight = np.linalg.norm(skin.vertices[start] - skin.vertices[end])
+    ways = dijkstra(edge_graph(skin.vertices, triangles), directed=False, indices=start)
+    return float(ways[end] / max(straight, 1e-9))
 
 
 def calm_lids(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from ..base.errors import MeshError
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
 from ..registration.registration import Registration
-from ..wraps.columns import fill_harmonically, neighbours
+from ..wraps.columns import edge_graph, fill_harmonically
 from ..wraps.landmarks import Mask
 from .lips import LipLine, chain_shares, find_lip_line, lips_of_vertices, tie_lips
 from .slit import Slit, cut_slit
@@ -67,28 +66,24 @@ def ways_across(line: LipLine, skin: Surface) -> Floats:
     """
     local, above = line.local(skin.vertices), line.above(skin.vertices)
     near = _zone(line, local, above)
-    ids = np.flatnonzero(near)
-    number = np.full(len(near), -1)
-    number[ids] = np.arange(len(ids))
-    sides = number[skin.triangles[near[skin.triangles].all(axis=1)][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
-    if not len(sides):
+    triangles, x = skin.triangles[near[skin.triangles].all(axis=1)], skin.vertices
+    if not len(triangles):
         return np.array([np.inf])
-    edges = np.unique(np.sort(sides, axis=1), axis=0)
-    x = skin.vertices[ids]
-    graph = csr_matrix((np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1), edges.T), shape=(len(ids),) * 2)
+    graph = edge_graph(x, triangles)
+    reach = max(2.0, 2 * float(np.median(np.linalg.norm(x[triangles[:, 0]] - x[triangles[:, 1]], axis=1))))
     # Of the lips themselves, not of the lining behind them: what is seen from the front.
-    front = (skin.vertex_normals[ids] @ line.axes[2]) > 0
-    found = []
+    front = near & ((skin.vertex_normals @ line.axes[2]) > 0)
+    ratios = []
     for place in line.along[-1] * np.linspace(-0.4, 0.4, 5):
-        beside = front & (np.abs(local[ids, 0] - place) < max(2.0, 2 * _edge(skin, near)))
-        upper = np.flatnonzero(beside & (above[ids] > BAND[0]) & (above[ids] < BAND[1]))
-        lower = np.flatnonzero(beside & (above[ids] < -BAND[0]) & (above[ids] > -BAND[1]))
+        beside = front & (np.abs(local[:, 0] - place) < reach)
+        upper = np.flatnonzero(beside & (above > BAND[0]) & (above < BAND[1]))
+        lower = np.flatnonzero(beside & (above < -BAND[0]) & (above > -BAND[1]))
         if not len(upper) or not len(lower):
             continue
         ways = dijkstra(graph, directed=False, indices=upper)[:, lower]
         straight = np.linalg.norm(x[upper][:, None] - x[lower][None], axis=2)
-        found.append(float((ways / np.maximum(straight, 1e-9)).min()))
-    return np.array(found or [np.inf])
+        ratios.append(float((ways / np.maximum(straight, 1e-9)).min()))
+    return np.array(ratios or [np.inf])
 
 
 def open_mouth(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth:
@@ -154,12 +149,6 @@ def _zone(line: LipLine, local: Floats, above: Floats) -> Mask:
     return beside & (np.abs(above) < HIGH) & (local[:, 2] > -BEHIND) & (local[:, 2] < BEFORE)
 
 
-def _edge(skin: Surface, near: Mask) -> float:
-    """The median length [mm] of the edges in a zone."""
-    triangles = skin.triangles[near[skin.triangles].all(axis=1)]
-    return float(np.median(np.linalg.norm(skin.vertices[triangles[:, 0]] - skin.vertices[triangles[:, 1]], axis=1)))
-
-
 def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: Slit) -> Floats:
     """The registered template (n, 3) with the rims of its lips at the cut, half a gap apart; harmonic around them."""
     shift = np.zeros_like(x)
@@ -170,10 +159,7 @@ def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: 
         goal += 0.5 * sign * GAP * inner[:, None] * line.axes[1]
         shift[chain] = goal - x[chain]
     rim = np.union1d(line.upper, line.lower)
-    edges = neighbours(template.triangles, len(x))
-    pairs = edges.tocoo()
-    gaps = np.linalg.norm(template.vertices[pairs.row] - template.vertices[pairs.col], axis=1)
-    graph = csr_matrix((gaps, (pairs.row, pairs.col)), shape=edges.shape)
+    graph = edge_graph(template.vertices, template.triangles)
     free = dijkstra(graph, directed=False, indices=rim, min_only=True) < FADES
     free[rim] = False
     return x + fill_harmonically(template.triangles, shift, ~free)

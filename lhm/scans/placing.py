@@ -13,6 +13,7 @@ from ..base.errors import FitError, InputError
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..registration.alignment import Similarity, Target, fit_similarity, icp, score_start
+from ..wraps.columns import unit
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 """Millimetres in a unit."""
@@ -240,8 +241,7 @@ class Sieve:
         along = np.cumsum(skin.areas)
         chosen = np.unique(np.searchsorted(along, (np.arange(POINTS) + 0.5) / POINTS * along[-1]))
         chosen = np.minimum(chosen, len(along) - 1)
-        normals = skin.face_normals[chosen]
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        normals = unit(skin.face_normals[chosen])
         points = skin.vertices[skin.triangles[chosen]].mean(axis=1)
         return cls(points, cKDTree(np.hstack([points, TURNED * normals])))
 

@@ -21,9 +21,16 @@ def neighbours(triangles: Ints, n: int) -> csr_matrix:
     return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
 
 
+def edge_graph(vertices: Floats, triangles: Ints) -> csr_matrix:
+    """Edges of a surface, open or closed, each once, with their lengths [mm]: a graph for shortest ways along it."""
+    edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    return csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices),) * 2)
+
+
 def unit(vectors: Floats) -> Floats:
-    """The directions of vectors (n, 3); those of no length stay so."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    """The directions of vectors (..., 3); those of no length stay so."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
