@@ -19,11 +19,11 @@ from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from ..reference.face.base import turns_before
+from ..reference.face.dynamics import extrapolate_turns
 from ..surrogate import BoundSurrogate, Surrogate, linearised_rig
 from ..surrogate.codes import nearest_code
 from ..surrogate.runtime import Beyond
-from .played import Played, Wanted
+from .play import Output, PlayedTake
 from .preview import check_preview
 
 Method = Literal["network", "network + simulator", "linearised simulator"]
@@ -32,7 +32,7 @@ KNOWN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
+class BoundHead:
     """A bound rig, by which method and in how many seconds, and the head's shapes (52, n, 3) [mm]."""
 
     rig: BoundSurrogate
@@ -42,7 +42,7 @@ class Served:
 
 
 @dataclass(frozen=True)
-class Animated:
+class AnimateResult:
     """By which method a take was animated, its frames, seconds of the bind, median ms of a frame, the files written."""
 
     method: Method
@@ -52,21 +52,21 @@ class Animated:
     files: tuple[Path, ...]
 
 
-def of_people(
+def bind_person(
     surrogate: Surrogate, code: Floats, parameters: Parameters, *, exact: bool, level: int, beyond: Beyond
-) -> Served:
+) -> BoundHead:
     """A rig of one of the network's own people, of the default space."""
     space = identities.Anny()
     skin, begin = space.skin(code), time.perf_counter()
     head = fit_head(load_template(space, level=level), skin) if exact else None
     rig = surrogate.bind(skin, code, parameters, exact=exact, head=head, beyond=beyond)
     method: Method = "network + simulator" if exact else "network"
-    return Served(rig, method, time.perf_counter() - begin, space.expression_deltas(code))
+    return BoundHead(rig, method, time.perf_counter() - begin, space.expression_deltas(code))
 
 
-def of_head(
+def bind_head(
     surrogate: Surrogate, head: LayeredHead, deltas: Floats, parameters: Parameters, *, exact: bool, beyond: Beyond
-) -> Served:
+) -> BoundHead:
     """A rig of any head with shapes (52, n, 3) [mm].
 
     By the network where the head is one of its people; with the simulator's derivatives besides where it has their
@@ -86,10 +86,10 @@ def of_head(
         method = "network + simulator" if exact else "network"
     else:
         rig = linearised_rig(head, deltas, parameters)
-    return Served(rig, method, time.perf_counter() - begin, deltas)
+    return BoundHead(rig, method, time.perf_counter() - begin, deltas)
 
 
-def animate(wanted: Wanted, served: Served, take: Take, progress: OnProgress) -> Animated:
+def animate(wanted: Output, served: BoundHead, take: Take, progress: OnProgress) -> AnimateResult:
     """Write wanted.out's files: take.vtkhdf or take.glb, and a preview.
 
     With dynamics the take's head rotation shakes the face where there is one. InputError if another run works in the
@@ -114,13 +114,13 @@ def animate(wanted: Wanted, served: Served, take: Take, progress: OnProgress) ->
 
     middle = neutral.vertices.mean(axis=0) if rig.swing is None else rig.swing.pivot
     used = neutral.vertices[np.unique(neutral.triangles)]
-    played = Played(neutral, served.deltas, middle, used, take, moved)
+    played = PlayedTake(neutral, served.deltas, middle, used, take, moved)
     with lock_folder(wanted.out, "animate"):
         files = [played.export(wanted, progress)]
         frame_ms = 1e3 * float(np.median(spent))
         if wanted.preview != "none":
             files.append(played.show(wanted, served.method, progress))
-    return Animated(served.method, len(take.times), served.seconds, frame_ms, tuple(files))
+    return AnimateResult(served.method, len(take.times), served.seconds, frame_ms, tuple(files))
 
 
 def _frames(rig: BoundSurrogate, take: Take, dynamic: bool, spent: list[float]) -> Iterator[Floats32]:
@@ -128,7 +128,7 @@ def _frames(rig: BoundSurrogate, take: Take, dynamic: bool, spent: list[float]) 
     bases = None if take.head is None else rotations(take.head)
     moving = rig.dynamic(1.0 / take.rate) if dynamic else None
     if moving is not None and bases is not None:
-        moving.begin(take.weights[0], base=turns_before(bases))
+        moving.begin(take.weights[0], base=extrapolate_turns(bases))
     for number, weights in enumerate(take.weights):
         begin = time.perf_counter()
         if moving is None:

@@ -15,9 +15,8 @@ from ..lhm.base.errors import InputError, MissingDependencyError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Surface
-from ..viewer.pictures import behind, eyes_and_teeth, load_pyvista, look, poly, skin_colours
-from ..viewer.shading import shades
-from ..viewer.within import within
+from .eyes_and_teeth import find_eyes_and_teeth
+from .pictures import add_back, add_eyes_and_teeth, aim_camera, load_pyvista, shade_skin, skin_colours, to_polydata
 
 Preview = Literal["mp4", "gif", "none"]
 Picture = NDArray[np.uint8]
@@ -28,14 +27,14 @@ FACING = (0.3, 0.04, 1.0)
 HEADROOM = 1.14
 
 
-def steps_shown(count: int, rate: float, kind: Preview) -> range:
+def choose_frames(count: int, rate: float, kind: Preview) -> range:
     """Which frames of a take of so many, at `rate` [Hz], a preview shows: a GIF at most 25 a second, for 20 s."""
     if kind != "gif":
         return range(count)
     return range(0, min(count, int(np.ceil(GIF_SECONDS * rate))), max(1, int(np.ceil(rate / GIF_RATE))))
 
 
-def pictures_of(
+def render_frames(
     neutral: Surface,
     pairs: Iterable[tuple[Floats, Floats]],
     captions: Sequence[str],
@@ -56,20 +55,20 @@ def pictures_of(
     plotter.set_background(BACKGROUND)
     framed = neutral.vertices[np.unique(neutral.triangles)] if framed is None else framed
     centre, height = (framed.max(axis=0) + framed.min(axis=0)) / 2, HEADROOM * float(np.ptp(framed[:, 1]))
-    look(plotter, centre, height, FACING)
+    aim_camera(plotter, centre, height, FACING)
     right = np.cross((0.0, 1.0, 0.0), FACING)
     aside = 0.5 * height * size / rows * right / np.linalg.norm(right)
-    meshes, colours = [], shades(neutral)
+    meshes, colours = [], shade_skin(neutral)
     how = {"specular": 0.1, "specular_power": 8, "ambient": 0.12, "reset_camera": False}
     for offset in (-aside, aside):
-        mesh = poly(pyvista, neutral.vertices + offset, neutral.triangles)
+        mesh = to_polydata(pyvista, neutral.vertices + offset, neutral.triangles)
         mesh.point_data.active_normals = neutral.vertex_normals
         actor = plotter.add_mesh(mesh, **skin_colours(colours), **how)
         actor.prop.interpolation = "Phong"
         beside = neutral.with_vertices(neutral.vertices + offset)
-        meshes.append((mesh, behind(plotter, beside), eyes_and_teeth(plotter, beside), offset))
+        meshes.append((mesh, add_back(plotter, beside), add_eyes_and_teeth(plotter, beside), offset))
     plotter.reset_camera_clipping_range()
-    organs = within(neutral)
+    organs = find_eyes_and_teeth(neutral)
     for pair, gaze in zip(pairs, repeat(None) if weights is None else weights, strict=False):
         for (mesh, reverse, inner, offset), vertices in zip(meshes, pair, strict=True):
             moved = neutral.with_vertices(vertices + offset)

@@ -31,7 +31,7 @@ def _conversation(text: str, rest: list[str]) -> Take:
     return conversation_take(np.random.default_rng(seed), count, rate=RATE)
 
 
-def cut(take: Take, text: str) -> Take:
+def cut_take(take: Take, text: str) -> Take:
     """The frames A:B of a take, B left out, either left out for the take's end; InputError if there are none."""
     try:
         first, last = (int(part) if part.strip() else None for part in text.split(":"))

@@ -12,18 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..animation.played import blended
+from ..animation import plots
+from ..animation.play import blend_linearly
 from ..lhm import expressions, fit_head, identities, load_template
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.base.progress import OnProgress
+from ..lhm.base.provenance import describe_machine
 from ..lhm.expressions import Take
 from ..lhm.wraps.landmarks import find_landmarks
-from ..reference import Parameters, settled
+from ..reference import Parameters, settle
 from ..reference import Sequence as Simulation
 from ..surrogate import Surrogate
-from . import plots
-from .harness.machine import describe
 
 TRUTH = "PD"
 FOLLOWS = 0.5
@@ -89,13 +89,13 @@ def closures(
     openings = gaps(skin, space.parts, space.expressions)
     network = surrogate.bind(skin, code, parameters)
     exact = surrogate.bind(skin, code, parameters, exact=True, head=head)
-    neutral = settled(head, parameters)
+    neutral = settle(head, parameters)
     simulation = Simulation.of(neutral, time_step=1.0 / take.rate, dynamic=dynamic)
     rigs = {"network": network, "network + simulator at bind": exact}
     playing = {name: rig.dynamic(1.0 / take.rate) if dynamic else rig for name, rig in rigs.items()}
     widths: dict[str, list[list[float]]] = {name: [] for name in ("blendshapes", TRUTH, *rigs)}
     for number, weights in enumerate(take.weights):
-        drawn = blended(skin, space.expressions, weights)
+        drawn = blend_linearly(skin, space.expressions, weights)
         skins: dict[str, np.ndarray] = {"blendshapes": drawn, TRUTH: simulation.skin(drawn, simulation.frame(drawn))}
         skins |= {name: rig.frame(weights) for name, rig in playing.items()}
         for name, one in skins.items():
@@ -119,7 +119,7 @@ def closures(
     with replaced(written[0]) as path:
         options = {"frames": len(take.times), "rate": take.rate, "level": level, "dynamic": dynamic}
         content = {
-            "machine": describe(),
+            "machine": describe_machine(),
             "options": options | {"parameters": asdict(parameters)},
             "rows": [asdict(row) for row in results],
             "times": take.times.tolist(),
@@ -141,4 +141,4 @@ def _curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -
         axis.set_ylabel(f"{gap.name} [mm]")
     axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     axes[-1].set_xlabel("time [s]")
-    return plots.png(figure)
+    return plots.to_png(figure)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..animation import plots
 from ..lhm.base.errors import InputError
 from ..lhm.base.progress import OnProgress
 from ..surrogate import Surrogate
@@ -15,7 +16,6 @@ from ..surrogate.corpus.reading import Faces
 from ..surrogate.evaluate import evaluate
 from ..surrogate.heads import Heads
 from ..surrogate.rivals.modal import ModalMethod
-from . import plots
 from .harness.study import Table
 
 SEEN = 24
@@ -78,4 +78,4 @@ def picture(found: Sequence[Grown]) -> bytes:
     axis.set_xticks(people, [str(count) for count in people])
     axis.minorticks_off()
     axis.legend()
-    return plots.png(figure)
+    return plots.to_png(figure)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..animation.pictures import VIEW, Panel, draw_strip
 from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..viewer.pictures import VIEW, Panel, strip
 from .differences import distances
 from .effect_run import EffectResult
 
@@ -24,12 +24,12 @@ def effect_pictures(head: LayeredHead, result: EffectResult, shape: Floats, netw
     """
     face, panels = head.skin_wrap.vertices[head.regions["face"]], _panels(head, result)
     images = {
-        "from the front": strip(panels, view=FRONT),
-        "from three quarters": strip(panels, view=VIEW),
-        "the face": strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face),
+        "from the front": draw_strip(panels, view=FRONT),
+        "from three quarters": draw_strip(panels, view=VIEW),
+        "the face": draw_strip([panels[k] for k in (0, 2, 3)], view=VIEW, size=CLOSE, framed=face),
     }
     if network is not None:
-        images["beside the surrogate"] = strip(_beside(head, result, shape, network), view=VIEW, framed=face)
+        images["beside the surrogate"] = draw_strip(_beside(head, result, shape, network), view=VIEW, framed=face)
     return images
 
 

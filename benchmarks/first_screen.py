@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..animation.plots import subplots, to_svg, widen_axis
 from .harness.runner import Row
-from .plots import subplots, svg, widened
 
 ASKED = (
     "SoftDECA simulates a face once, and a network then predicts the simulated face in every frame. This report asks "
@@ -210,9 +210,9 @@ def figure(rows: Rows) -> str:
             seconds = np.median(row.values["prepare_s"]) + np.array(row.values["seconds"])
             axis.plot(seconds, row.values["error_mm"], color=MARKS[name][1], lw=0.8, ls=":")
     axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="mean error [mm]")
-    widened(axis, [point.error for point in found.values()])
+    widen_axis(axis, [point.error for point in found.values()])
     drawn.legend(loc="outside right upper", fontsize=10)
-    return svg(drawn)
+    return to_svg(drawn)
 
 
 CAPTION = (

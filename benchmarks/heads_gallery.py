@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from ..animation.head_pictures import FRONT, LARGEST_GAP
+from ..animation.pictures import Panel, draw_cut_away, draw_strip
 from ..lhm import expressions
 from ..lhm.base.geometry.bvh import TriangleTree
 from ..lhm.base.geometry.topology import find_openings
 from ..lhm.check import check_head
 from ..lhm.head import LayeredHead
 from ..reference import Parameters, facial_scene, solve
-from ..viewer.pictures import Panel, cut_away, strip
-from .head_pictures import FRONT, LARGEST_GAP
 
 POSES = {
     "jawOpen": ("jawOpen",),
@@ -58,5 +58,5 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
         panels.append(Panel(pose, skin.with_vertices(moved)))
         figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
         figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
-    faces = strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
-    return Shown(name, figures, faces, cut_away(head, size=SIZE), head.notes)
+    faces = draw_strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
+    return Shown(name, figures, faces, draw_cut_away(head, size=SIZE), head.notes)

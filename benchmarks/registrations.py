@@ -18,6 +18,7 @@ from ..lhm.arkit import ARKIT
 from ..lhm.base.geometry.rays import visible_sky
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress
+from ..lhm.base.provenance import describe_machine
 from ..lhm.expressions.transfer import transfer_expressions
 from ..lhm.fit import transfer_rig
 from ..lhm.identities import LinearSpace
@@ -25,7 +26,6 @@ from ..lhm.identities.space import OUTSIDE
 from ..lhm.registration.alignment import Target
 from ..lhm.registration.registration import Registration, find_face, register
 from ..lhm.wraps.landmarks import Mask
-from .harness.machine import describe
 
 SEEN = 0.2
 """What sees less of the sky (nostrils, folds) has no counterpart on another head, and is not measured."""
@@ -39,7 +39,7 @@ def run_registrations(spaces: Sequence[LinearSpace], seed: int, progress: OnProg
     progress(f"{other.name} upon {one.name}", 0.25)
     back = register(other.mean, other.parts, one.mean)
     options = {"identities": one.name, "upon": other.name, "seed": seed}
-    results: dict[str, Any] = {"machine": describe(), "options": options, "slide": [], "shapes": []}
+    results: dict[str, Any] = {"machine": describe_machine(), "options": options, "slide": [], "shapes": []}
     for number, (space, upon, forth, home) in enumerate(((one, other, there, back), (other, one, back, there))):
         away = slide(space, forth, upon, home)
         results["slide"].append(

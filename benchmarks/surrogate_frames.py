@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..animation.contact_sheet import draw_face_strip, tile_pictures
+from ..animation.pictures import Panel
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress
@@ -20,8 +22,6 @@ from ..surrogate.modal.weights import ModalWeights
 from ..surrogate.rivals.linearised import Linearised
 from ..surrogate.rivals.modal import ModalMethod
 from ..surrogate.ruler import kind_of_coefficients, measure
-from ..viewer.pictures import Panel
-from .contact_sheet import face_strip, sheet
 
 SHOWN = 6
 """Faces, the worst ones, with the worst frame of each."""
@@ -78,9 +78,9 @@ def frames_png(
         if answer is not None:
             panels.insert(2, Panel("FEniCSx", skin.with_vertices(blended + answer)))
             panels.append(Panel("|FEniCSx - T|", simulated, off(answer), top))
-        rows.append(face_strip(panels, skin, weights_now.astype(np.float64), SIZE))
+        rows.append(draw_face_strip(panels, skin, weights_now.astype(np.float64), SIZE))
         progress("pictures", (number + 1) / SHOWN)
-    return sheet(rows, 1)
+    return tile_pictures(rows, 1)
 
 
 def worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:

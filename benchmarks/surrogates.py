@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ..animation import plots
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.progress import OnProgress
+from ..lhm.base.provenance import describe_machine
 from ..surrogate import Surrogate
 from ..surrogate.corpus.folder import known_plan
 from ..surrogate.corpus.manifest import OWNER, read_manifest
@@ -37,11 +39,10 @@ from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
 from ..surrogate.ruler import MOVES
 from ..surrogate.runtime import SHIPPED
 from ..surrogate.schedule import schedule
-from . import corpus_size, plots
+from . import corpus_size
 from .beyond import beyond
 from .breakeven import Breakeven, breakeven
 from .corpus_size import errors_over_size
-from .harness.machine import describe
 from .harness.study import Table
 from .harness.tables import markdown
 from .surrogate_frames import frames_png
@@ -143,7 +144,7 @@ def compare(
         parts.append(markdown(corpus_size.table(grown)) if grown else "")
         path.write_text("\n".join(part for part in parts if part))
     with replaced(written[2]) as path:
-        path.write_bytes(plots.error_against_cost(plotted(scores)))
+        path.write_bytes(plots.draw_costs(plotted(scores)))
     with replaced(written[3]) as path:
         path.write_bytes(frames_png(corpus, network.weights, heads, split=split, partial=partial, progress=progress))
     if grown:
@@ -179,7 +180,7 @@ def provenance(corpus: Path, weights: ModalWeights, test: Faces) -> dict:
     """Tell machine, commit and versions, the corpus with its seed, and what the network learned from."""
     manifest = read_manifest(corpus)
     return {
-        "machine": describe(),
+        "machine": describe_machine(),
         "corpus": {name: manifest.said[name] for name in OWNER}
         | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
         "people": len(np.unique(test.groups[:, 0])),

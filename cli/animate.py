@@ -9,16 +9,16 @@ import click
 from ..lhm.base.limits import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
-from .take_options import WhichHead, of_takes, taken
+from .take_options import HeadChoice, load_take, take_options
 from .written_file import FOLDER
 
 
 @click.command()
 @click.argument("take")
-@of_takes
+@take_options
 @click.option("--out", default="out/animation", type=FOLDER, help="folder of the results")
 @click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
 @click.option("--exact", is_flag=True, help="offset and responses by the simulator, in seconds, on any head")
@@ -61,20 +61,20 @@ def animate(
     targets are the rig's own, with the take's weights of them.
     """
     from ..animation.animate import animate as run
-    from ..animation.animate import of_head, of_people
-    from ..animation.played import Wanted
+    from ..animation.animate import bind_head, bind_person
+    from ..animation.play import Output
     from ..surrogate import Surrogate
 
-    which = WhichHead(head_file, space_name, seed, level)
+    which = HeadChoice(head_file, space_name, seed, level)
     if targets is not None and dynamic:
         raise click.UsageError("--targets are of static frames; leave out --dynamic", click.get_current_context())
-    recorded = taken(take, fps, chosen, turned)
+    recorded = load_take(take, fps, chosen, turned)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
-    wanted = Wanted(out, kind, preview, dynamic, turned)  # type: ignore[arg-type]
+    wanted = Output(out, kind, preview, dynamic, turned)  # type: ignore[arg-type]
     network = Surrogate.load(surrogate)
     with shown() as progress:
         if head_file is None and which.space.name == network.space == "anny":
-            served = of_people(
+            served = bind_person(
                 network,
                 which.code(which.space),
                 parameters,
@@ -84,7 +84,7 @@ def animate(
             )
         else:
             head, deltas = which.head(progress)
-            served = of_head(network, head, deltas, parameters, exact=exact, beyond=beyond)  # type: ignore[arg-type]
+            served = bind_head(network, head, deltas, parameters, exact=exact, beyond=beyond)  # type: ignore[arg-type]
         result = run(wanted, served, recorded, progress)
         files = list(result.files)
         if targets is not None:

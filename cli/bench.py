@@ -8,7 +8,7 @@ import click
 
 from ..lhm.base.limits import SEED
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
 from .study_command import Studies, changes, listed, report
@@ -93,9 +93,9 @@ def closures(
     mean difference of its width from PD's, and the least width of both.
     """
     from ..benchmarks.closures import closures as run
-    from .take_options import taken
+    from .take_options import load_take
 
-    recorded = taken(take, None, chosen, False)
+    recorded = load_take(take, None, chosen, False)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     with shown() as progress:
         rows, written = run(recorded, out, parameters, level=level, dynamic=dynamic, progress=progress)

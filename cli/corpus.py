@@ -137,7 +137,7 @@ def _known(folder: Path):
 
 
 def _generate(out, plan, identities, level, workers, scheduler, as_json, progress) -> int:
-    from ..benchmarks.harness.machine import describe
+    from ..lhm.base.provenance import describe_machine
     from ..surrogate.corpus.card import write_card
     from ..surrogate.corpus.folder import Corpus
     from ..surrogate.corpus.people import people_of
@@ -148,7 +148,7 @@ def _generate(out, plan, identities, level, workers, scheduler, as_json, progres
     people = people_of(identities, level=level, on_progress=progress)
     made_with = {"identities": identities, "level": level}
     status = Corpus(out, plan, people, made_with).generate(on=on, on_progress=progress)
-    write_card(Corpus(out, plan, people, made_with), machine=describe())
+    write_card(Corpus(out, plan, people, made_with), machine=describe_machine())
     _tell(status, out, as_json)
     return 0 if status.rejected_share <= 0.05 and not status.damaged else 1
 
@@ -207,11 +207,11 @@ def verify(folder: Path) -> int:
 @click.option("--out", type=PNG, help="default: FOLDER/sample.png")
 def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
     """A contact sheet of random accepted frames: blendshapes S, simulation T, and |T - S| as colours."""
-    from ..benchmarks.contact_sheet import contact_sheet
+    from ..animation.contact_sheet import draw_contact_sheet
     from ..lhm.base.files.atomic import write_whole
 
     out = folder / "sample.png" if out is None else out
     with shown() as progress:
-        write_whole(out, contact_sheet(folder, count, seed, progress))
+        write_whole(out, draw_contact_sheet(folder, count, seed, progress))
     click.echo(out)
     return 0

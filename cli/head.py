@@ -131,9 +131,9 @@ def fit(
     save_head(out, fitted)
     written = [out, *(export_vtk(vtk, fitted) if vtk is not None else ())]
     if picture is not None:
-        from ..viewer.pictures import cut_away
+        from ..animation.pictures import draw_cut_away
 
-        write_whole(picture, cut_away(fitted))
+        write_whole(picture, draw_cut_away(fitted))
         written.append(picture)
     _warn(skin or out, {} if fitted.rig is None else fitted.rig.doubtful)
     _report(check_head(fitted), as_json, written, notes=fitted.notes, posed=_posed(fitted))
@@ -182,7 +182,7 @@ def check(file: Path, as_json: bool) -> int:
 @click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
 def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
     """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
-    from ..benchmarks.head_pictures import deltas_of, head_pictures, posed
+    from ..animation.head_pictures import draw_head, expression_deltas, pose_head
     from ..lhm import expressions
 
     weights = None if expression is None else expressions.parse_weights(expression)
@@ -195,8 +195,8 @@ def show(file: Path, out: Path, expression: str | None, space_name: str | None, 
         progress("pictures", 0.0)
         pose = None
         if weights is not None:
-            pose = posed(shown_head, deltas_of(shown_head, str(file), space_name), weights)
-        for name, png in head_pictures(shown_head, pose=pose).items():
+            pose = pose_head(shown_head, expression_deltas(shown_head, str(file), space_name), weights)
+        for name, png in draw_head(shown_head, pose=pose).items():
             write_whole(out / f"{name}.png", png)
             click.echo(out / f"{name}.png")
         progress("pictures", 1.0)
@@ -267,9 +267,9 @@ def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
 
 
 def _posed(moved: LayeredHead) -> tuple[Figure, ...]:
-    from ..benchmarks.posed_gates import posed_figures
+    from ..reference.face.check import check_posed_head
 
-    return posed_figures(moved)
+    return check_posed_head(moved)
 
 
 def _report(

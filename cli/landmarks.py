@@ -65,9 +65,9 @@ def landmarks_command(
 
 
 def _picture(surface: Surface, points) -> bytes:
-    from ..benchmarks.head_pictures import FRONT, SIDE
-    from ..viewer.pictures import labelled
+    from ..animation.head_pictures import FRONT, SIDE
+    from ..animation.pictures import draw_labelled
 
     places = np.array(list(points.values()))
     framed = np.vstack([places.min(axis=0) - AROUND, places.max(axis=0) + AROUND])
-    return labelled(surface, points, [("from the front", FRONT), ("from the subject's left", SIDE)], framed=framed)
+    return draw_labelled(surface, points, [("from the front", FRONT), ("from the subject's left", SIDE)], framed=framed)

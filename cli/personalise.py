@@ -28,7 +28,7 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
     CSV with the line "scan,mouthSmileLeft,..." and one for each scan. Expressions that it does not name stay as they
     are. Exit status 1 if the head then misses a gate.
     """
-    from ..benchmarks.posed_gates import posed_figures
+    from ..reference.face.check import check_posed_head
 
     guesses = scans.read_guesses(weights)
     given = load_head(head_file)
@@ -38,8 +38,8 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
         done = scans.personalise_head(given, template, guesses, progress=progress)
         progress("head", 1.0)
     save_head(out, done.head)
-    before = {figure.name for figure in (*check_head(given).gates, *posed_figures(given)) if figure.missed}
-    after = [figure for figure in (*check_head(done.head).gates, *posed_figures(done.head)) if figure.missed]
+    before = {figure.name for figure in (*check_head(given).gates, *check_posed_head(given)) if figure.missed}
+    after = [figure for figure in (*check_head(done.head).gates, *check_posed_head(done.head)) if figure.missed]
     names = [path.name for path in guesses]
     if as_json:
         fitted = {

@@ -7,15 +7,15 @@ from pathlib import Path
 import click
 
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .progress import shown
-from .take_options import WhichHead, of_takes, taken
+from .take_options import HeadChoice, load_take, take_options
 from .written_file import FOLDER
 
 
 @click.command()
 @click.argument("take")
-@of_takes
+@take_options
 @click.option("--out", default="out/take", type=FOLDER, help="folder of the results; what is done there is kept")
 @click.option(
     "--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="how a jaw moves"
@@ -52,8 +52,8 @@ def simulate(
     """
     from ..animation.simulate import TakeConfig, run_take
 
-    which = WhichHead(head_file, space_name, seed, level)
-    recorded = taken(take, fps, chosen, turned)
+    which = HeadChoice(head_file, space_name, seed, level)
+    recorded = load_take(take, fps, chosen, turned)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     choices = {"bones": bones} | ({"contact": list(contact)} if contact else {})
     config = TakeConfig(out, kind, preview, dynamic, turned, choices=choices)  # type: ignore[arg-type]

@@ -46,7 +46,7 @@ DYNAMIC = click.option(
 )
 
 
-def of_takes(command: Callable) -> Callable:
+def take_options(command: Callable) -> Callable:
     """A command's options of head, parameters and files."""
     for option in reversed((*OF_HEADS, *OF_FILES, DYNAMIC)):
         command = option(command)
@@ -54,7 +54,7 @@ def of_takes(command: Callable) -> Callable:
 
 
 @dataclass(frozen=True)
-class WhichHead:
+class HeadChoice:
     """The options that say which head; UsageError where two of them contradict."""
 
     head_file: Path | None
@@ -80,12 +80,12 @@ class WhichHead:
 
     def head(self, progress: OnProgress) -> tuple[LayeredHead, Floats]:
         """The head, and what each expression adds to its skin [mm], shape (52, n, 3)."""
-        from ..benchmarks.head_pictures import deltas_of
+        from ..animation.head_pictures import expression_deltas
 
         progress("head", 0.0)
         if self.head_file is not None:
             head = load_head(self.head_file)
-            deltas = deltas_of(head, str(self.head_file), self.space_name)
+            deltas = expression_deltas(head, str(self.head_file), self.space_name)
         else:
             space = self.space
             template = load_template(space, level=self.level or DEFAULT_LEVEL, progress=progress)
@@ -95,13 +95,13 @@ class WhichHead:
         return head, deltas
 
 
-def taken(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:
+def load_take(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:
     """The frames of a take that are asked for; its remarks go to stderr."""
-    from ..animation.takes import cut, take_from_text
+    from ..animation.takes import cut_take, take_from_text
 
     take = take_from_text(text)
     take = expressions.resample(take, take.rate if fps is None else fps)
-    take = take if chosen is None else cut(take, chosen)
+    take = take if chosen is None else cut_take(take, chosen)
     if turned and take.head is None:
         raise InputError(f"--turned: {text} has no head rotation")
     if take.remarks():

@@ -63,7 +63,7 @@ def train(
     the learning curve as OUT/curve.json and curve.png. Several processes, a device each, share a training of the modal
     network under `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
     """
-    from ..benchmarks.plots import learning_curve
+    from ..animation.plots import draw_learning_curve
 
     with shown() as progress:
         if network == "modal":
@@ -74,7 +74,7 @@ def train(
             path, curve = _paper(corpus, out, steps, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
-    (out / "curve.png").write_bytes(learning_curve(curve))
+    (out / "curve.png").write_bytes(draw_learning_curve(curve))
     for written in (path, out / "curve.json", out / "curve.png"):
         click.echo(f"wrote {written}")
     return 0

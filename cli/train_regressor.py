@@ -6,11 +6,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..benchmarks.published import SKULL_PLACES
 from ..lhm import identities, load_template
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.surface_file import MILLIMETRES
-from ..lhm.regressor.depths import DepthRegressor, LeaveOneOut, leave_one_out
+from ..lhm.regressor.depths import SKULL_PLACES, DepthRegressor, LeaveOneOut, leave_one_out
 from ..lhm.regressor.pairs import PairReport, read_pairs
 from ..lhm.regressor.prior import PAIRS, SEED, prior_pairs
 from .progress import shown
@@ -57,9 +56,11 @@ def train_regressor(
         trained = DepthRegressor.fit(pairs, template.skin_wrap)
     trained.save(out)
     if picture is not None:
-        from ..benchmarks.depth_pictures import depth_error
+        from ..animation.head_pictures import draw_depth_error
 
-        write_whole(picture, depth_error(template.skin_wrap, tested.per_vertex, "mean error with each pair left out"))
+        write_whole(
+            picture, draw_depth_error(template.skin_wrap, tested.per_vertex, "mean error with each pair left out")
+        )
     report = {
         "trained_on": trained.label,
         "pairs": trained.pairs,

@@ -8,10 +8,10 @@ import numpy as np
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.limits import SEED
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
-from .take_options import WhichHead
+from .take_options import HeadChoice
 from .written_file import HTML
 
 AFile = click.Path(path_type=Path)
@@ -32,22 +32,22 @@ def view(
     By blendshapes, by the simulator to first order, and by the surrogate where the head has the triangles of its
     people. It opens in any browser with WebGL, from the file, and asks no network for anything.
     """
-    from ..animation.animate import of_head
+    from ..animation.animate import bind_head
+    from ..animation.page import Rig, render_face_page
     from ..surrogate import Surrogate
-    from ..viewer import Rig, face_page
 
-    which = WhichHead(head_file, space_name, seed, None)
+    which = HeadChoice(head_file, space_name, seed, None)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     named = "default parameters" if parameter_file is None else parameter_file.name
     with shown() as progress:
         head, shapes = which.head(progress)
         rigs, surrogate = [], Surrogate.load()
         if np.array_equal(head.skin.triangles, surrogate.weights.mean.triangles):
-            served = of_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
+            served = bind_head(surrogate, head, shapes, parameters, exact=False, beyond="clamp")
             rigs.append(Rig.baked(f"surrogate: {served.method}", served.rig))
         progress("page", 0.3)
         title = which.space.name if head_file is None else head_file.stem
-        write_whole(out, face_page(title, WORDS.format(named), head, parameters, shapes, rigs).encode())
+        write_whole(out, render_face_page(title, WORDS.format(named), head, parameters, shapes, rigs).encode())
         progress("page", 1.0)
     click.echo(f"wrote {out}")
     return 0

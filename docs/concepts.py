@@ -10,17 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softdeca.benchmarks.head_pictures import sections
+from softdeca.animation.head_pictures import draw_sections
+from softdeca.animation.pictures import Panel, draw_cut_away, draw_strip
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
-from softdeca.reference import (
-    Parameters,
-    facial_scene,
-    neo_hookean_scene,
-    settled,
-    solve,
-)
+from softdeca.reference import Parameters, apply_law, facial_scene, settle, solve
 from softdeca.surrogate import Surrogate, linearised_rig
-from softdeca.viewer.pictures import Panel, cut_away, strip
 
 
 @dataclass(frozen=True)
@@ -57,13 +51,13 @@ def mean(a, b):
 # soft tissue outside, muscle inside. The skull wrap knows which of its vertices are cranium, mandible, or free.
 
 # %% tags=["remove-input"]
-Picture(cut_away(head))
+Picture(draw_cut_away(head))
 
 # %% tags=["remove-input"]
 print(
     f"{n:,} vertices a wrap, {len(head.soft.tets):,} tets of soft tissue and {len(head.muscle.tets):,} of muscle"
 )
-Picture(sections(head, head.vertices, head.skin))
+Picture(draw_sections(head, head.vertices, head.skin))
 
 # %% [markdown]
 # The skin itself keeps its own mesh, finer than the wrap. Displacements go to and fro by fixed weights
@@ -108,7 +102,7 @@ panels = [
     Panel("T, simulated", Surface(T, triangles)),
     Panel("|T - S|", Surface(T, triangles), away, 0.5),
 ]
-Picture(strip(panels, rest=head.skin))
+Picture(draw_strip(panels, rest=head.skin))
 
 # %% [markdown]
 # ## Settling
@@ -119,7 +113,7 @@ Picture(strip(panels, rest=head.skin))
 
 # %%
 parameters = Parameters(soft_volume=1.4)
-face = settled(head, parameters)
+face = settle(head, parameters)
 print(f"the skin moves by {mean(face.skin, head.skin.vertices):.2f} mm on average")
 
 # %% [markdown]
@@ -139,7 +133,10 @@ print(f"the skin moves by {mean(face.skin, head.skin.vertices):.2f} mm on averag
 # %%
 exact = solve(scene, solver="fenicsx", tolerance=1e-9)
 real = solve(
-    neo_hookean_scene(scene), solver="fenicsx", start=solution.positions, tolerance=1e-9
+    apply_law(scene, "neo-Hookean"),
+    solver="fenicsx",
+    start=solution.positions,
+    tolerance=1e-9,
 )
 assert exact.converged and real.converged
 for name, other in (("same energy", exact), ("neo-Hookean law", real)):
@@ -149,7 +146,7 @@ for name, other in (("same energy", exact), ("neo-Hookean law", real)):
     )
 for name, one in (("PD", solution), ("FEniCSx", exact)):
     print(f"{name:<8} {one.times.solve:.2f} s, {one.iterations} iterations")
-by_law = settled(head, parameters, law="neo-Hookean")
+by_law = settle(head, parameters, law="neo-Hookean")
 print(
     f"40 % more soft tissue: the law moves the skin by {mean(by_law.skin, face.skin):.3f} mm"
 )
@@ -181,7 +178,7 @@ for name in ("jawOpen", "mouthSmileLeft", "cheekPuff"):
         response - (head.skin.vertices + np.tensordot(one, deltas, axes=1)), axis=1
     )
     panels.append(Panel(name, Surface(response, triangles), beyond, 0.5))
-Picture(strip(panels, rest=head.skin))
+Picture(draw_strip(panels, rest=head.skin))
 
 # %% [markdown]
 # ## The surrogate

@@ -22,9 +22,14 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from ..reference.face.base import lag, pivot, rotation, turns
-from ..reference.face.dynamics import Recurrence, coefficients
-from ..reference.face.inertia import loose
+from ..reference.face.dynamics import (
+    Recurrence,
+    base_lag,
+    check_rotation,
+    check_turns,
+    find_pivot,
+    measure_looseness,
+)
 from .local import at_vertices
 
 OSCILLATION = ("frequency", "damping")
@@ -50,12 +55,12 @@ class Swing:
     def of_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
         """Of a layered head, whose depth of bone under the skin tells where flesh is loose."""
         # Weights of skin off the wrap's triangles reach a little beyond their corners.
-        shares = np.clip(head.skin_from_wrap @ loose(head), 0.0, 1.0)
-        return cls.of(shares, pivot(head), parameters, head.skin)
+        shares = np.clip(head.skin_from_wrap @ measure_looseness(head), 0.0, 1.0)
+        return cls.of(shares, find_pivot(head), parameters, head.skin)
 
     def recurrence(self, time_step: float) -> Recurrence:
         """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
-        return coefficients(self.frequency, self.damping, time_step, loose=self.loose)
+        return Recurrence.from_oscillator(self.frequency, self.damping, time_step, loose=self.loose)
 
 
 class StaticRig(Protocol):
@@ -91,7 +96,7 @@ class DynamicRig:
         `base`: how the head was turned in the two frames before the first, the earlier first, (2, 3, 3), or one (3, 3)
         for both; not turned if None. InputError for other shapes, and values that are not finite.
         """
-        turned = turns("base", np.eye(3) if base is None else base)
+        turned = check_turns("base", np.eye(3) if base is None else base)
         skin = self._rig.frame(weights, blended)
         moving = np.zeros_like(skin) if velocity is None else np.asarray(velocity, dtype=np.float32)
         if moving.shape != skin.shape or not np.isfinite(moving).all():
@@ -107,7 +112,7 @@ class DynamicRig:
         `base`: the head's rotation in the room, shape (3, 3), or None as in the last frame (at first, not turned).
         Raises what the static rig raises, and InputError for a base that is no rotation; then the state stays.
         """
-        turned = None if base is None else rotation("base", base)
+        turned = None if base is None else check_rotation("base", base)
         skin = self._rig.frame(weights, blended, out=out)
         if not self._begun:
             self._last[:] = self._before[:] = skin[self._loose]
@@ -121,7 +126,7 @@ class DynamicRig:
     def _push(self, now: Floats) -> None:
         """What the head's turning adds to this frame [mm], and the turns that the next one has before it."""
         middle = self._pivot
-        behind = lag(now, self._last - middle, self._before - middle, self._turns)
+        behind = base_lag(now, self._last - middle, self._before - middle, self._turns)
         self._pushed[:] = 0.0 if behind is None else self._driven * behind
         self._turning = behind is not None
         self._turns = np.stack([self._turns[1], now])

@@ -22,16 +22,15 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 RECORD = DOCS / "pictures.toml"
 SCAN = ROOT.parent / "shared" / "data" / "heads" / "lee_perry_smith.glb"
-DRAWING = ("viewer/pictures.py", "viewer/shading.py", "viewer/within.py")
+DRAWING = ("animation/pictures.py", "animation/eyes_and_teeth.py")
 HEAD = ("lhm/identities/anny.npz", "lhm/identities/anny_within.npz", "reference/face/parameters.py")
 NETWORK = ("surrogate/pretrained/anny.safetensors",)
 PAGE = (
-    "viewer/app.js",
-    "viewer/page.html",
-    "viewer/page.py",
-    "viewer/face.py",
-    "viewer/shading.py",
-    "viewer/within.py",
+    "animation/app.js",
+    "animation/page.html",
+    "animation/page.py",
+    "animation/pictures.py",
+    "animation/eyes_and_teeth.py",
 )
 DRAWS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 SMILE = {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0}
@@ -53,17 +52,17 @@ def jaw_open(scan: Path) -> bytes:
     """Draw jawOpen simulated, and how far blendshapes, the neo-Hookean law and the network are from it."""
     import numpy as np
 
+    from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.lhm import expressions
-    from softdeca.reference import Parameters, facial_scene, neo_hookean_scene, solve
+    from softdeca.reference import Parameters, apply_law, facial_scene, solve
     from softdeca.surrogate import Surrogate
-    from softdeca.viewer.pictures import Panel, strip
 
     head, space, code = face()
     weights, n = expressions.weights_of({"jawOpen": 0.8}), len(head.bone)
     shape = expressions.blend(space, code, weights)[0]
     scene = facial_scene(head, Parameters(), shape)
     fast = solve(scene)
-    real = solve(neo_hookean_scene(scene), solver="fenicsx", start=fast.positions, tolerance=1e-6)
+    real = solve(apply_law(scene, "neo-Hookean"), solver="fenicsx", start=fast.positions, tolerance=1e-6)
     for solution in (fast, real):
         if not solution.converged:
             raise SystemExit(f"jaw-open: {solution.reason}")
@@ -75,35 +74,35 @@ def jaw_open(scan: Path) -> bytes:
     top = float(np.percentile(distances["blendshapes"], 99.5))
     panels = [Panel("simulated (PD)", drawn, weights=weights)]
     panels += [Panel(f"{name} to PD", drawn, distance, top) for name, distance in distances.items()]
-    return strip(panels, rest=head.skin)
+    return draw_strip(panels, rest=head.skin)
 
 
 def weight(scan: Path) -> bytes:
     """Draw a neutral face and a smile, and both with 40 % more soft tissue."""
+    from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.lhm import expressions
-    from softdeca.reference import Parameters, settled, solve
-    from softdeca.viewer.pictures import Panel, strip
+    from softdeca.reference import Parameters, settle, solve
 
     head, space, code = face()
     weights = expressions.weights_of(SMILE)
     shape, panels = expressions.blend(space, code, weights)[0], []
     for named, parameters in (("", Parameters()), (", + 40 % soft tissue", Parameters(soft_volume=1.4))):
-        settled_face = settled(head, parameters)
+        settled_face = settle(head, parameters)
         smile = solve(settled_face.scene(shape))
         if not smile.converged:
             raise SystemExit(f"weight: {smile.reason}")
         skin = settled_face.skin_after(shape, smile.positions)
         panels.append(Panel(f"neutral{named}", head.skin.with_vertices(settled_face.skin)))
         panels.append(Panel(f"smile{named}", head.skin.with_vertices(skin), weights=weights))
-    return strip([panels[k] for k in (0, 2, 1, 3)], rest=head.skin)
+    return draw_strip([panels[k] for k in (0, 2, 1, 3)], rest=head.skin)
 
 
 def own_head(scan: Path) -> bytes:
     """Draw the fitted scan of Lee Perry-Smith at rest and simulated in three expressions."""
-    from softdeca.benchmarks.head_pictures import FRONT
+    from softdeca.animation.head_pictures import FRONT
+    from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.lhm import expressions, load_template, scans
     from softdeca.reference import Parameters, facial_scene, solve
-    from softdeca.viewer.pictures import Panel, strip
 
     if not scan.is_file():
         raise SystemExit(f"own-head: no scan at {scan}; name the file by --scan")
@@ -116,16 +115,16 @@ def own_head(scan: Path) -> bytes:
             raise SystemExit(f"own-head, {name}: {solution.reason}")
         moved = head.skin_after(shape, solution.positions[: len(head.bone)])
         panels.append(Panel(f"{name}, simulated", head.skin.with_vertices(moved)))
-    return strip(panels, view=FRONT, framed=head.skin_wrap.vertices, rest=head.skin)
+    return draw_strip(panels, view=FRONT, framed=head.skin_wrap.vertices, rest=head.skin)
 
 
 def viewer(scan: Path) -> bytes:
     """Show the default head's page in Chromium with an open jaw, cut open, and take a screenshot."""
     from playwright.sync_api import sync_playwright
 
+    from softdeca.animation.page import Rig, render_face_page
     from softdeca.reference import Parameters
     from softdeca.surrogate import Surrogate
-    from softdeca.viewer import Rig, face_page
 
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
@@ -133,7 +132,7 @@ def viewer(scan: Path) -> bytes:
     head, space, code = face()
     rig = Rig.baked("surrogate", Surrogate.load().bind(space.skin(code), code, Parameters()))
     words = "Turn it with the mouse or a finger. The layers beneath move as the simulator says, to first order."
-    text = face_page("the default head", words, head, Parameters(), space.expression_deltas(code), [rig])
+    text = render_face_page("the default head", words, head, Parameters(), space.expression_deltas(code), [rig])
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
         file = Path(folder) / "view.html"
         file.write_text(text)

@@ -12,8 +12,8 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from ..plots import narrow
-from .machine import is_dirty
+from ...animation.plots import narrow_figures
+from ...lhm.base.provenance import is_dirty
 from .runner import Results, Row
 from .study import Study, Table
 
@@ -51,7 +51,7 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
 def figures(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, str]]:
     """Figures by caption, drawn for a wide screen and for a phone."""
     wide = draw()
-    with narrow():
+    with narrow_figures():
         return {caption: (wide[caption], svg) for caption, svg in draw().items()}
 
 
@@ -90,7 +90,7 @@ def panels_of(png: bytes) -> list[str]:
     """
     from PIL import Image
 
-    from ...viewer.pictures import PANELS
+    from ...animation.pictures import PANELS
 
     image = Image.open(io.BytesIO(png))
     count = int(image.info.get(PANELS, 1))

@@ -8,11 +8,11 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from ...animation.plots import narrow_figures
 from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.provenance import is_dirty
 from .. import first_screen
-from ..plots import narrow
-from .machine import is_dirty
 from .page import drawn, machine_rows, panels_of, rendered, rows_table
 from .page import shown as shown_study
 from .results_file import of_this_version, read_results
@@ -150,7 +150,7 @@ def _first_screen(named: Mapping[str, Made]) -> dict[str, Any]:
     """The question, five sentences, one figure for a wide and a narrow screen, and one picture by caption."""
     rows = first_screen.values_of(made.results for made in named.values())
     wide = first_screen.figure(rows)
-    with narrow():
+    with narrow_figures():
         slim = first_screen.figure(rows)
     pictures = (picture for name in PICTURED if name in named for picture in _pictures(named[name]))
     return {

@@ -12,13 +12,13 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
+from ...lhm.base import provenance
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import Records, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
 from ...surrogate.schedule import processors
-from . import machine
 from .gates import at_most
 from .lanes import Job, Measured, measured
 from .study import Study, Task, Values
@@ -73,7 +73,7 @@ class Results:
     @property
     def commits(self) -> list[str]:
         """Of the last run, and of runs before it whose rows were kept."""
-        return machine.commits_of(self.machine, [{"commit": row.commit} for row in self.rows])
+        return provenance.list_commits(self.machine, [{"commit": row.commit} for row in self.rows])
 
     @property
     def cpu(self) -> float | None:
@@ -157,7 +157,7 @@ class _Run:
         if not self.tasks:
             raise InputError(f"{self.study.name}: no case and method matches {asked.match!r}")
         folders.enter_context(lock_folder(self._out, f"run of {self.study.name}"))
-        self._with_what = machine.describe()
+        self._with_what = provenance.describe_machine()
         self.rows = _Rows(self._out / "rows.jsonl", _digest(self.study))
         again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
         known = self.rows.found
@@ -200,7 +200,7 @@ class _Rows:
         status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
         row = Row(
             task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
-            machine.load(), self._of, machine.commit(), None if one.cpu is None else round(one.cpu, 4),
+            provenance.read_load(), self._of, provenance.read_commit(), None if one.cpu is None else round(one.cpu, 4),
         )  # fmt: skip
         self.found[task] = row
         self._records.add(asdict(row))
@@ -246,7 +246,7 @@ def _files(study: Study) -> list[Path]:
 
 def _digest(study: Study) -> str:
     """Name what is measured, so that rows of two meanings never mix: options, version, package versions, files."""
-    about = [repr(study), study.version, machine.describe()["versions"]]
+    about = [repr(study), study.version, provenance.describe_machine()["versions"]]
     digest = hashlib.sha256(json.dumps(about).encode())
     for path in (*_files(study), *added_files()):
         digest.update(path.read_bytes())

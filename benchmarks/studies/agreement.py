@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ...animation.page import Pose, Rig, render_face_page
+from ...animation.pictures import draw_cut_away
+from ...animation.plots import subplots, to_svg
 from ...lhm import check_head, expressions, identities
 from ...lhm.base.errors import InputError
 from ...reference import Parameters, open_jaw_scene, push_cheek_scene
 from ...surrogate import Surrogate
-from ...viewer import Pose, Rig, face_page
-from ...viewer.pictures import cut_away
 from ..agreement_faces import (
     ALL,
     BESIDE,
@@ -37,7 +38,6 @@ from ..harness.gates import above, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Table, Task, Values
 from ..insides import loads_on_mandible, vertices_and_stress
-from ..plots import subplots, svg
 from ..traces import ACCURACY
 from .person import Person, person
 
@@ -181,7 +181,7 @@ class Agreement(Study):
     def _fitted(self) -> Values:
         head = self.person().head
         figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(head).figures]
-        return {"tets": len(head.tets), "figures": figures, CUT: cut_away(head)}
+        return {"tets": len(head.tets), "figures": figures, CUT: draw_cut_away(head)}
 
     def _turned(self) -> str:
         of, network, parameters = self.person(), self.network(), Parameters()
@@ -193,7 +193,7 @@ class Agreement(Study):
         for text in self.expressions:
             face, weights = self.face(text), expressions.parse_weights(text)
             poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
-        return face_page(f"the head ({of.space.name})", VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
+        return render_face_page(f"the head ({of.space.name})", VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
@@ -323,7 +323,7 @@ class Agreement(Study):
         axis.invert_yaxis()
         axis.grid(False, axis="y")
         figure.legend(loc="outside upper center", ncol=3)
-        return {"How far apart: solvers of one energy, another law, the surrogate, blendshapes.": svg(figure)}
+        return {"How far apart: solvers of one energy, another law, the surrogate, blendshapes.": to_svg(figure)}
 
 
 PICTURED = "target; simulated; and as colours [mm] on the simulated face, how far the others are from it"

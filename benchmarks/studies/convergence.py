@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
@@ -21,7 +22,6 @@ from ..differences import difference
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..richardson import limit_of_three, limit_of_two
 from .person import OfPerson
 
@@ -151,7 +151,7 @@ class Convergence(OfPerson):
             axis.set(yscale="log", xlabel=what)
         axes[0].set_ylabel("RMS distance to the limit [mm]")
         axes[0].legend()
-        return {"Error against the size of the mesh.": svg(figure)}
+        return {"Error against the size of the mesh.": to_svg(figure)}
 
 
 def _energy(row: Row, surface: int, count: int) -> float:

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ...animation.head_pictures import draw_depth_comparison, draw_depth_error
 from ...lhm import Surface, Template, fit_head, identities, load_template
 from ...lhm.base.errors import InputError
 from ...lhm.base.files.surface_file import MILLIMETRES
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats
-from ...lhm.regressor.depths import DepthErrors, DepthRegressor
+from ...lhm.regressor.depths import SKULL_PLACES, DepthErrors, DepthRegressor
 from ...lhm.regressor.pairs import (
     MeasuredDepths,
     check_inside,
@@ -27,11 +28,9 @@ from ...lhm.regressor.pairs import (
 from ...lhm.regressor.prior import default_regressor
 from ...lhm.wraps.depth import LANDMARKS
 from ...lhm.wraps.landmarks import Mask
-from ..depth_pictures import depth_comparison, depth_error
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Table, Task, Values
-from ..published import SKULL_PLACES
 
 LEAST_MEASURED = 0.1
 """Of the face's vertices at least this share must see bone, or there is nothing to compare."""
@@ -300,6 +299,6 @@ class DepthCheck:
         """PNG of measured and predicted depths, and of the size of their difference."""
         error = np.where(self.measured.met, np.abs(self.predicted - self.measured.depths), np.nan)
         return {
-            "depths [mm]": depth_comparison(self.skin_wrap, self.predicted, self.measured),
-            "size of the difference [mm]": depth_error(self.skin_wrap, error, "predicted to measured depth"),
+            "depths [mm]": draw_depth_comparison(self.skin_wrap, self.predicted, self.measured),
+            "size of the difference [mm]": draw_depth_error(self.skin_wrap, error, "predicted to measured depth"),
         }

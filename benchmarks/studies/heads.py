@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ...animation import plots
 from ...lhm import HeadReport, LayeredHead, Surface, Template, check_head, fit_head, identities, load_template
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.check import Figure
 from ...lhm.head_file import load_head
 from ...lhm.identities.space import CLIP, LinearSpace
-from .. import plots
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
@@ -129,7 +129,7 @@ class Heads(OfPerson):
             for figure, values in distributions(_fits(rows))
             if figure.name in PLOTTED or figure.name in SECONDS[::2]
         ]
-        return {"Distributions; red: the bound of a gate.": plots.histograms(panels)} if panels else {}
+        return {"Distributions; red: the bound of a gate.": plots.draw_histograms(panels)} if panels else {}
 
 
 @lru_cache(maxsize=1)

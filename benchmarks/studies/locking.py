@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
@@ -25,7 +26,6 @@ from ..differences import distances
 from ..harness.gates import above, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from .mixed import law_scene
 from .person import OfPerson, Person, person
 
@@ -215,7 +215,7 @@ class Locking(OfPerson):
             axis.set_ylim(bottom=0.0)
             axis.invert_xaxis()
         axes[0].legend(fontsize=8)
-        return {"Distance of linear to quadratic tets by Poisson's ratio.": svg(figure)}
+        return {"Distance of linear to quadratic tets by Poisson's ratio.": to_svg(figure)}
 
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...reference import solve
 from ...reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
@@ -19,7 +20,6 @@ from ...reference.terms import Hyperelastic, Strain, Term, Volume
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..plots import subplots, svg
 
 LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
     "neo-Hookean": NeoHookean.from_young,
@@ -125,7 +125,7 @@ class Material(Study):
             axis.set_title(case, fontsize=9)
         axes[0][0].legend(fontsize=7)
         axes[-1][0].set(xlabel="stretch", ylabel="nominal stress [kPa]")
-        return {"Nominal stress against stretch.": svg(figure)}
+        return {"Nominal stress against stretch.": to_svg(figure)}
 
 
 @lru_cache

@@ -9,19 +9,19 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import FacialModel, Parameters, smallest_facial_scene
-from ...reference.face.connecting import bone_points
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation
+from ...reference.face.tissue import bone_points
 from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, timed
 from ..differences import distances
 from ..harness.gates import at_least, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import subplots, svg
 from ..traces import Stopwatch
 from .person import OfPerson
 
@@ -167,7 +167,7 @@ class Minimal(OfPerson):
         if not axis.lines[1:]:
             return {}
         figure.legend(loc="outside right upper")
-        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": svg(figure)}
+        return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": to_svg(figure)}
 
 
 def _cost(rows: Sequence[Row], case: str, method: str) -> float:

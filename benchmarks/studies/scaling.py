@@ -10,18 +10,18 @@ from functools import partial
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.template import LEVELS
-from ...reference import Parameters, Scene, Solution, facial_scene, neo_hookean_scene, prepare, projective
+from ...reference import Parameters, Scene, Solution, apply_law, facial_scene, prepare, projective
 from ...reference.face.sequence import Sequence as Simulation
 from ..costs import COUNTS, ENDED, MEMORY, TIMES, again, counts, megabytes, repeated, slope, timed, unfinished
 from ..floor import factor_bytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Stopwatch, traced_to_itself
 from .person import OfPerson
 
@@ -168,11 +168,11 @@ class Scaling(OfPerson):
         for axis, what in zip(axes, ("processor time [s]", "iterations", "scene and solver [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="tets", ylabel=what)
         axes[0].legend()
-        return {"Cost of a cold frame against the tets of the template's levels.": svg(figure)}
+        return {"Cost of a cold frame against the tets of the template's levels.": to_svg(figure)}
 
 
 def _neo_hookean(make: Callable[[], Scene]) -> Scene:
-    return neo_hookean_scene(make())
+    return apply_law(make(), "neo-Hookean")
 
 
 def _per_iteration(times: Sequence[float] | Floats) -> float:

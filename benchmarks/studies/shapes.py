@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.expressions import ARKIT
@@ -18,7 +19,6 @@ from ...reference import Parameters, Prepared, facial_scene, prepare
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from .person import OfPerson, Person
 
 ALLOWED = 0.02
@@ -88,7 +88,7 @@ class Shapes(OfPerson):
         axis.set_xticks(range(len(found)), [row["shape"] for row in found], rotation=90, fontsize=7)
         axis.set_ylabel("distance from targets, mean [mm]")
         axis.legend()
-        return {"How far face, lids and lips stay from their targets, mean over identities.": svg(figure)}
+        return {"How far face, lids and lips stay from their targets, mean over identities.": to_svg(figure)}
 
 
 def _lines(rows: Sequence[Row]) -> list[Values]:

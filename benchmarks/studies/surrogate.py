@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
+from ...animation.plots import plot_costs, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.progress import silent
 from ...surrogate import Surrogate
@@ -17,7 +18,6 @@ from ...surrogate.heads import BindCosts, Heads
 from ...surrogate.ruler import MOVES
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..plots import costs_figure, svg
 from ..surrogate_gates import NETWORK, surrogate_gates
 from ..surrogates import READY, bind_costs, faces_of, learning, plotted, split_of, told_first
 
@@ -110,7 +110,7 @@ class SurrogateOnCorpus(Study):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Mean error against the cost before the first frame, and per frame."""
         known = plotted(_scores(rows))
-        return {"Error against cost.": svg(costs_figure(known))} if known else {}
+        return {"Error against cost.": to_svg(plot_costs(known))} if known else {}
 
 
 @lru_cache(maxsize=1)

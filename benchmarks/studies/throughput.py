@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
@@ -22,7 +23,6 @@ from ..harness.apart import held_megabytes, peak_megabytes
 from ..harness.gates import at_least, at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Task, Values
-from ..plots import subplots, svg
 from ..traces import ACCURACY, Stopwatch, farthest, traced_to_itself
 from .person import OfPerson
 
@@ -185,7 +185,7 @@ class Throughput(OfPerson):
             "an iteration [ms]": split["iteration"],
             RATIO: iteration / least,
             "energy and gradient (local step) [ms]": split["local"],
-            LOCAL_58K: 1e3 * projective.local_step_seconds(prepared, repeats=30) * TETS / len(prepared.scene.tets),
+            LOCAL_58K: 1e3 * projective.time_local_step(prepared, repeats=30) * TETS / len(prepared.scene.tets),
             "solve with A (global step) [ms]": split["solve"],
             "the rest: L-BFGS, further evaluations [ms]": split["rest"],
             "evaluations per iteration": solution.detail["evaluations"] / max(solution.iterations, 1),
@@ -251,7 +251,7 @@ class Throughput(OfPerson):
         right.plot(frames, line["frame_iterations"], color="#999999", lw=0.9)
         right.set(ylabel="iterations (grey)", ylim=(0, None))
         axis.legend(loc="upper right")
-        return {"A sequence of talk.": svg(figure)}
+        return {"A sequence of talk.": to_svg(figure)}
 
 
 RATIO = "an iteration over its floor"

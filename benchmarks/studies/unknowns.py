@@ -14,16 +14,16 @@ from functools import partial
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
-from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, nested_start, prepare
+from ...reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
 from ..costs import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, load_kernels, slope, timed, unfinished
 from ..floor import bandwidth
 from ..harness.apart import forget_peak, peak_megabytes
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..traces import Stopwatch
 from .person import OfPerson
 
@@ -170,13 +170,13 @@ class Unknowns(OfPerson):
         for axis, what in zip(axes, ("processor time per unknown [µs]", "most memory [MB]"), strict=True):
             axis.set(xscale="log", yscale="log", xlabel="unknowns", ylabel=what)
         axes[0].legend()
-        return {"Time and memory against unknowns.": svg(figure)}
+        return {"Time and memory against unknowns.": to_svg(figure)}
 
 
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
     """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
     forget_peak()
-    of = (lambda scene: scene) if law == PD_ENERGY else neo_hookean_scene
+    of = (lambda scene: scene) if law == PD_ENERGY else apply_law
     start, watch = None, Stopwatch()
     if coarse is not None:
         near = prepare(of(coarse[0]), solver="fenicsx").solve(tolerance=NEAR)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
-from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, problems, solve
+from ...reference import Parameters, Scene, apply_law, facial_scene, problems, solve
 from .. import felupe_code
 from ..harness.gates import at_most
 from ..harness.runner import Row
@@ -58,7 +58,7 @@ class Verification(Study):
             scene = facial_scene(
                 of.head, Parameters(), of.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
             )
-            return {"outcomes": [asdict(felupe_beside_fenicsx(neo_hookean_scene(scene)))]}
+            return {"outcomes": [asdict(felupe_beside_fenicsx(apply_law(scene, "neo-Hookean")))]}
         fine = _fine().get(task.case)
         if fine is not None:
             return {"outcomes": [asdict(outcome) for outcome in fine()]}

@@ -8,19 +8,19 @@ from functools import lru_cache
 
 import numpy as np
 
+from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
+from ...reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ...reference.added import added_laws, added_solvers
-from ...reference.face.settling import carry_skin
+from ...reference.face.settle import carry_skin
 from .. import arap
 from ..costs import again
 from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
-from ..plots import subplots, svg
 from ..traces import ACCURACY, TIGHT, Stopwatch, Trace, farthest, traced
 from .person import OfPerson, Person
 
@@ -259,7 +259,7 @@ class WorkPrecision(OfPerson):
         for axis in (axes[0], *axes[2:]):
             if axis.get_legend_handles_labels()[0]:
                 axis.legend()
-        return {"Error against time and iterations, a line per expression.": svg(figure)}
+        return {"Error against time and iterations, a line per expression.": to_svg(figure)}
 
 
 def law_energy(law: str) -> str:
@@ -328,7 +328,7 @@ def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
     scene = face if handles is None else handles.scene(face)
     of_law = next((added.of_moduli for name, added in added_laws().items() if law_energy(name) == energy), None)
     if of_law is not None:
-        scene = hyperelastic_scene(face, of_law)
+        scene = apply_law(face, of_law)
     solution = prepare(scene, solver="projective" if of_law is None else "fenicsx").solve(tolerance=TIGHT)
     if not solution.converged:
         raise SoftdecaError(f"the tight run: {solution.reason}")

@@ -16,6 +16,11 @@ from ..base.limits import PAIRS
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 
+SKULL_PLACES = (
+    ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people, each left out"),
+    ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
+)
+"""Model, mean error [mm] of the fitted skull wrap's places over the whole head, data (SoftDECA, section 4.1)."""
 FORMAT = "softdeca depth regressor 1"
 MODES = 15
 """Principal components of skin wraps and of depths, at most: with 43 pairs more cannot be told from chance."""

@@ -20,7 +20,7 @@ from ...lhm.head import FREE, MANDIBLE, LayeredHead
 from ...lhm.wraps.columns import fill_harmonically
 from .. import terms
 from ..scene import Scene
-from .bones import condyles, scaled_skull
+from .bones import condyles, scale_skull
 from .facial import facial_scene
 from .parameters import Parameters
 
@@ -50,7 +50,7 @@ def open_jaw_scene(
     about = jaw_hinge(head) if hinge is None else np.asarray(hinge, dtype=np.float64)
     if about.shape != (3,) or not np.isfinite(about).all():
         raise SceneError(f"hinge: expected three finite numbers, got {hinge!r}")
-    skull = scaled_skull(head, parameters)
+    skull = scale_skull(head, parameters)
     turn = Rotation.from_euler("x", angle, degrees=True).as_matrix()
     skull[jaw] = about + (skull[jaw] - about) @ turn.T
     return _scene_of_bones(head, parameters, skull)
@@ -86,7 +86,7 @@ def push_cheek_scene(
     x = head.skin_wrap.vertices[patch]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
     push = terms.Traction(patch, -pressure * normal / np.linalg.norm(normal))
-    scene = _scene_of_bones(head, parameters, scaled_skull(head, parameters))
+    scene = _scene_of_bones(head, parameters, scale_skull(head, parameters))
     return replace(scene, terms=(*scene.terms, push))
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ..compiling import Clock
-from ..march import Motion, march
+from ..clock import Clock
+from ..march import Motion, Trajectory, march
 from ..materials import Incompressible, NeoHookean
 from ..ranks import Mirrored, followers
 from ..restraint import check_restrained
@@ -27,7 +27,6 @@ from ..terms import (
     Traction,
     Volume,
 )
-from ..trajectory import Trajectory
 from .bodies import Pose, RigidProblem
 from .densities import check_mixed, shear_modulus
 from .dolfinx_version import ALONE
@@ -122,7 +121,7 @@ class PreparedFenicsx:
             self._condensed = Condensed(self._problem)
         self._force: Floats | None = None
         self._end: Attempt | None = None
-        self._spent = clock.spent()
+        self._spent = clock.read()
 
     def _kind(self, linear: str) -> str:
         """The linear solver of Newton's steps by displacement: factors where multigrid leaves too much of volumes."""

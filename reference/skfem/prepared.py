@@ -11,7 +11,7 @@ from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from .. import terms
-from ..compiling import Clock, Spent
+from ..clock import Clock, Seconds
 from ..materials import EnergyLaw
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
@@ -47,7 +47,7 @@ class Prepared:
 
     scene: Scene
     discretisation: Discretisation
-    spent: Spent
+    spent: Seconds
 
     @check_arguments
     def solve(
@@ -121,7 +121,7 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
     clock = Clock()
-    return Prepared(scene, Discretisation(scene, element), clock.spent())
+    return Prepared(scene, Discretisation(scene, element), clock.read())
 
 
 def _begin(energy: Energy, start: Floats, goal: Floats, free: Ints, scales: Scales) -> tuple[Floats, float]:

@@ -12,8 +12,7 @@ import numpy as np
 from ...lhm.base.errors import FitError
 from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
-from ...reference.face.base import pivot
-from ...reference.face.inertia import loose
+from ...reference.face.dynamics import find_pivot, measure_looseness
 from ..corpus.people import People
 
 PEOPLE = 96
@@ -44,8 +43,8 @@ class Looseness:
             except FitError:
                 continue
             codes.append(np.append(1.0, person.code))
-            shares.append(head.skin_from_wrap @ loose(head))
-            pivots.append(pivot(head))
+            shares.append(head.skin_from_wrap @ measure_looseness(head))
+            pivots.append(find_pivot(head))
         rows = np.array(codes)
         penalty = RIDGE * np.eye(rows.shape[1])
         penalty[0, 0] = 0.0

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ...reference.face.linearised import Linearised, spring_norm
+from ...reference.face.derivatives import FaceDerivatives, differentiate_head, spring_norm
 from ..corpus.face import Face
 from ..corpus.reading import Faces
 from ..heads import Heads
-from ..linear import linearised_face
 from .protocol import Bound, Takes
 
 TOLERANCE, MOST = 5e-4, 200
@@ -21,7 +20,7 @@ class _Face:
 
     def __init__(self, heads: Heads, face: Face):
         self.head, self.shapes = heads.fit(face), heads.shapes(face)
-        self.linear: Linearised = linearised_face(self.head, heads.parameters(face, self.head))
+        self.linear: FaceDerivatives = differentiate_head(self.head, heads.parameters(face, self.head))
 
     def corrected(self, weights, *, iterations: int | None = None) -> Floats:
         """T - S [mm], shape (n, 3), from the first-order answer by so many iterations, or to the end."""
@@ -31,7 +30,7 @@ class _Face:
         if iterations is None:
             solution = self.linear.solve(expression, accuracy=TOLERANCE, max_iterations=MOST)
         else:
-            start, norm = self.linear.start(expression), spring_norm(scene)
+            start, norm = self.linear.predict(expression), spring_norm(scene)
             solution = self.linear.prepared.solve(
                 scene, start=start, absolute=TOLERANCE * norm, max_iterations=iterations, untangle=False
             )

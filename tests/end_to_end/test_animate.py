@@ -8,14 +8,14 @@ import h5py
 import numpy as np
 import pytest
 
-from softdeca.animation.animate import animate, of_head
-from softdeca.animation.played import Wanted
-from softdeca.benchmarks.harness.machine import lacks
+from softdeca.animation.animate import animate, bind_head
+from softdeca.animation.play import Output
 from softdeca.lhm import InputError, expressions, fit_head, identities, load_template
 from softdeca.lhm.base.progress import silent
+from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.head_file import save_head
 from softdeca.reference import Parameters
-from softdeca.reference.face.base import turned, turns_before
+from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.surrogate import Surrogate
 
 
@@ -53,40 +53,40 @@ def gltf(path):
 
 
 def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, sphere_head, deltas, tmp_path):
-    served = of_head(network, sphere_head, deltas, Parameters(soft_volume=1.2), exact=False, beyond="refuse")
+    served = bind_head(network, sphere_head, deltas, Parameters(soft_volume=1.2), exact=False, beyond="refuse")
     assert served.method == "linearised simulator" and served.seconds > 0
     take = nodding()
     for dynamic in (False, True):
-        done = animate(Wanted(tmp_path / "own", dynamic=dynamic), served, take, silent)
+        done = animate(Output(tmp_path / "own", dynamic=dynamic), served, take, silent)
         assert done.frames == 8 and done.frame_ms > 0 and done.files == (tmp_path / "own" / "take.vtkhdf",)
         moving = served.rig.dynamic(1 / 60) if dynamic else served.rig
         bases = expressions.rotations(take.head)
         if dynamic:
-            moving.begin(take.weights[0], base=turns_before(bases))
+            moving.begin(take.weights[0], base=extrapolate_turns(bases))
         wanted = [
             moving.frame(w, base=base) if dynamic else moving.frame(w)
             for w, base in zip(take.weights, bases, strict=True)
         ]
         assert played(done.files[0]) == pytest.approx(np.array(wanted), abs=1e-4)
-    room = animate(Wanted(tmp_path / "room", dynamic=True, turned=True), served, take, silent)
+    room = animate(Output(tmp_path / "room", dynamic=True, turned=True), served, take, silent)
     for own, shown, base in zip(wanted, played(room.files[0]), bases, strict=True):
-        assert shown == pytest.approx(turned(sphere_head, own, base), abs=1e-3)
+        assert shown == pytest.approx(turn_skin(sphere_head, own, base), abs=1e-3)
     with pytest.raises(InputError, match="turned: the take has no head rotation"):
-        animate(Wanted(tmp_path, turned=True), served, replace(take, head=None), silent)
+        animate(Output(tmp_path, turned=True), served, replace(take, head=None), silent)
 
 
 def test_a_head_of_the_networks_people_is_served_by_it_and_another_in_part(network):
     space, template = identities.Anny(), load_template(level=1)
     code, skin = space.sample(np.random.default_rng(4))
     p = Parameters(soft_volume=1.2)
-    known = of_head(network, fit_head(template, skin), space.expressions, p, exact=False, beyond="refuse")
+    known = bind_head(network, fit_head(template, skin), space.expressions, p, exact=False, beyond="refuse")
     assert known.method == "network"
     weights = np.linspace(0.0, 0.3, 52)
     assert np.abs(known.rig.frame(weights) - network.bind(skin, code, p).frame(weights)).max() < 0.05
     x = skin.vertices
     other = skin.with_vertices(x + 4.0 * np.sin(x[:, 1:2] / 20.0) * [1.0, 0.0, 0.0])
     head = fit_head(template, other)
-    assert of_head(network, head, space.expressions, p, exact=False, beyond="refuse").method == "network + simulator"
+    assert bind_head(network, head, space.expressions, p, exact=False, beyond="refuse").method == "network + simulator"
 
 
 def test_the_command_writes_what_simulate_does_and_the_rig(command, tmp_path):
@@ -130,7 +130,9 @@ def test_gaps_of_lids_and_lips_are_drawn(command, tmp_path):
     rows = json.loads(ended.out)
     assert {row["gap"] for row in rows} == {"left lids", "right lids", "lips"} and len(rows) == 9
     kept = json.loads((tmp_path / "gaps.json").read_text())
-    assert set(lacks(kept)) <= {"clean tree", "commit"} and kept["rows"] == rows and kept["options"]["level"] == 1
+    assert (
+        set(list_missing(kept)) <= {"clean tree", "commit"} and kept["rows"] == rows and kept["options"]["level"] == 1
+    )
     lids = np.array(kept["widths_mm"]["PD"])[:, 0]
     assert lids[0] - lids[-1] > 2.0, "the blink closes them"
     # The network knows level 2, whose simulated lids close .45 mm farther than those of level 1.

@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import identity
 
 from softdeca.benchmarks import registrations
-from softdeca.benchmarks.harness.machine import lacks
 from softdeca.lhm import identities
 from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.registration import register_by_mapping
 from softdeca.lhm.registration.registration import Registration
 
@@ -65,7 +65,7 @@ def test_slides_and_shapes_are_measured_and_told(space, command, monkeypatch):
     ended = command("bench", "registration", "--upon", "anny", "--json")
     results = json.loads(ended.out)
     assert ended.status == 0 and len(asked) == 4
-    assert set(lacks(results)) <= {"clean tree", "commit"} and results["options"]["seed"] == 0
+    assert set(list_missing(results)) <= {"clean tree", "commit"} and results["options"]["seed"] == 0
     assert [row["mean_mm"] < 1e-6 for row in results["slide"]] == [True, True]
     for group in results["shapes"]:
         cosines = {what: registrations.median(rows)[0] for what, rows in group["rows"].items()}

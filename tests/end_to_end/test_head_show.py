@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from softdeca.benchmarks.head_pictures import _cut_tets, _cut_triangles, head_pictures
+from softdeca.animation.head_pictures import _cut_tets, _cut_triangles, draw_head
 from softdeca.lhm import load_template
 from softdeca.lhm.head_file import save_head
 
@@ -57,7 +57,7 @@ def test_what_cannot_be_shown_is_one_line(file, tmp_path, sphere_head, command):
 
 
 def test_a_head_without_regions_is_shown(sphere_head):
-    images = head_pictures(sphere_head)
+    images = draw_head(sphere_head)
     assert {f"{name}.png" for name in images} == set(PICTURES)
 
 

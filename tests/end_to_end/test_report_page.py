@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softdeca.animation.pictures import Panel, draw_strip
 from softdeca.benchmarks.harness.report import read, write
 from softdeca.benchmarks.studies import study_of
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.mesh import Surface
-from softdeca.viewer.pictures import Panel, strip
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 OVERLAPS = """() => {
@@ -55,7 +55,7 @@ def page(tmp_path_factory):
             x, triangles = geodesic_sphere(6)
             ball = Surface(90.0 * x, triangles)
             panels = [Panel(name, ball, np.abs(x[:, 0])) for name in ("target", "simulated", "a", "b", "c")]
-            (out / "ball.png").write_bytes(strip(panels, size=200))
+            (out / "ball.png").write_bytes(draw_strip(panels, size=200))
             next(row for row in found["rows"] if row["method"] == "side by side")["values"] = {"balls": "ball.png"}
         (out / file.name).write_text(json.dumps(found))
     made = [read(file, study_of) for file in sorted(out.glob("*.json"))]

@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.harness.machine import lacks
 from softdeca.benchmarks.surrogates import READY
+from softdeca.lhm.base.provenance import list_missing
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
@@ -44,7 +44,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert ended.status == 0
     rows = json.loads(ended.out)
     kept = json.loads((scores / "scores.json").read_text())
-    assert set(lacks(kept)) <= OF_THE_CHECKOUT and kept["options"]["corpus"]["plan"] == PLAN.digest
+    assert set(list_missing(kept)) <= OF_THE_CHECKOUT and kept["options"]["corpus"]["plan"] == PLAN.digest
     methods = {row["method"]: row for row in rows if row["kind"] == "all"}
     assert set(READY) < set(methods) and methods["bones carried"]["share"] == pytest.approx(1.0)
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from softdeca.animation import page
+from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
+from softdeca.animation.page import Layer, Pose, Rig, render_face_page
 from softdeca.lhm import InputError, expressions, identities
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
-from softdeca.viewer import Layer, Pose, Rig, face_page, page
-from softdeca.viewer.within import within
 
 SPACE = identities.Anny()
 CODE = np.zeros(SPACE.code_size)
@@ -89,7 +90,7 @@ def test_eyes_and_teeth_move_as_python_says(opened, bound):
         weights = expressions.weights_of(named)
         skin = opened.positions(weights, "blendshapes")
         found = np.array(opened.page.evaluate("viewer.within()")).reshape(-1, 3)
-        assert np.abs(found - within(SPACE.skin(CODE)).at(skin, weights)).max() < 0.01
+        assert np.abs(found - find_eyes_and_teeth(SPACE.skin(CODE)).at(skin, weights)).max() < 0.01
 
 
 def test_a_solvers_answer_is_shown_in_its_pose_alone(opened):
@@ -136,7 +137,7 @@ def test_the_page_of_a_simulated_head(sphere_head):
     deltas = np.zeros((52, len(sphere_head.skin.vertices), 3))
     deltas[:, :, 0] = 1.0
     parameters = Parameters(soft_volume=1.2)
-    text = face_page("ball", "words", sphere_head, parameters, deltas)
+    text = render_face_page("ball", "words", sphere_head, parameters, deltas)
     content = json.loads(re.search(r'<script id="content" type="application/json">(.*?)</script>', text, re.S)[1])
     assert [rig["name"] for rig in content["rigs"]] == ["blendshapes", "simulator, linearised"]
     assert [layer["name"] for layer in content["layers"]] == ["muscle", "skull"] and len(content["poses"]) == 6

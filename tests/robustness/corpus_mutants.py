@@ -25,8 +25,7 @@ from softdeca.benchmarks.harness.report import read, write
 from softdeca.benchmarks.studies import study_of
 from softdeca.lhm import expressions
 from softdeca.lhm.expressions import ARKIT, resample
-from softdeca.reference.face.parameter_file import read_parameters
-from softdeca.reference.face.parameters import Parameters
+from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus, status_of, verify_folder
 from softdeca.surrogate.corpus.manifest import read_manifest

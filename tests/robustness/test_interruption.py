@@ -295,7 +295,7 @@ def test_a_reader_that_has_gone_and_a_full_disk_are_no_traceback():
 def test_a_backend_of_matplotlib_that_is_not_installed_does_not_matter(monkeypatch):
     ended = run("bench", "list", env={**os.environ, "MPLBACKEND": "nonsense"})
     assert ended.returncode == 0 and ended.stderr == ""
-    draw = "from softdeca.benchmarks.plots import subplots; from softdeca.lhm import InputError\ntry:\n    subplots()\n"
+    draw = "from softdeca.animation.plots import subplots; from softdeca.lhm import InputError\ntry:\n    subplots()\n"
     draw += "except InputError as error:\n    print(error)"
     ended = subprocess.run(
         [sys.executable, "-c", draw], capture_output=True, text=True, env={**os.environ, "MPLBACKEND": "nonsense"}

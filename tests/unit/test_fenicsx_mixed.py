@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
-from softdeca.reference.compiling import Spent
+from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx.equilibrium import Equilibrium
 from softdeca.reference.fenicsx.follower import FollowerPressure
 from softdeca.reference.fenicsx.load_path import Continuation
@@ -272,6 +272,6 @@ def test_a_path_that_ends_early_leaves_the_whole_load():
     problem = Problem(scene, order, mixed=True)
     whole = problem.loads.copy()
     run = Run(scene, order, scene.vertices, Limits(1e-8), Record(None, None))
-    solution = run.solution(Continuation(run, problem).attempt(), Spent(0.0, 0.0))
+    solution = run.solution(Continuation(run, problem).attempt(), Seconds(0.0, 0.0))
     assert solution.reason is Reason.LIMIT_POINT and solution.detail["load_share"] < 0.95
     assert np.abs(whole).max() > 0.0 and np.array_equal(problem.loads, whole)

@@ -116,6 +116,6 @@ def test_a_picture_is_old_where_what_it_is_drawn_from_changed(tmp_path, monkeypa
         shutil.copy(ROOT / source, tmp_path / source)
     monkeypatch.setattr(pictures, "ROOT", tmp_path)
     assert set(pictures.stale()) == {"weight.png"}
-    with (tmp_path / "viewer" / "app.js").open("a") as file:
+    with (tmp_path / "animation" / "app.js").open("a") as file:
         file.write("// changed")
     assert set(pictures.stale()) == {"weight.png", "viewer.png"}

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from softdeca.animation.plots import NARROW, narrow_figures
 from softdeca.benchmarks import first_screen
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.plots import NARROW, narrow
 
 ENERGY, LEARNED = "the face's energy (Eq. 15)", "learned of the face's energy"
 
@@ -93,7 +93,7 @@ def test_sentences_are_of_rows_that_are_there():
 def test_the_figure_names_every_method_wide_and_narrow():
     rows = {"work-precision": TIMED}
     wide = first_screen.figure(rows)
-    with narrow():
+    with narrow_figures():
         slim = first_screen.figure(rows)
     for text, width in ((wide, 12.0), (slim, NARROW)):
         assert all(f">{name}<" in text for name in first_screen.points(rows))

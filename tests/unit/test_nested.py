@@ -10,7 +10,7 @@ from softdeca.lhm.base.geometry.topology import subdivide
 from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head import LayeredHead
 from softdeca.lhm.remesh import refine_head
-from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, nested_start, solve
+from softdeca.reference import Parameters, SceneError, apply_law, facial_scene, nested_start, solve
 
 LAYERS = (2, 3)
 
@@ -34,7 +34,7 @@ def pulled(head):
 
 
 def scene_of(head, layers=(1, 1)):
-    return neo_hookean_scene(facial_scene(head, Parameters(), pulled(head), bones="prescribed", layers=layers))
+    return apply_law(facial_scene(head, Parameters(), pulled(head), bones="prescribed", layers=layers), "neo-Hookean")
 
 
 def test_displacements_are_carried_over(heads):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PORTIONS = ("lhm", "reference", "surrogate", "viewer", "animation", "benchmarks", "cli")
+PORTIONS = ("lhm", "reference", "surrogate", "animation", "benchmarks", "cli")
 
 
 def test_listed_packages_are_those_on_disk():

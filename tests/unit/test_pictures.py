@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from softdeca.animation.pictures import PANELS, SIDE, VIEW, Panel, draw_strip, frame_view
 from softdeca.lhm import Surface, identities
-from softdeca.viewer.pictures import PANELS, SIDE, VIEW, Panel, framing, strip
 
 SPACE = identities.Anny()
 OTHER = Surface(SPACE.mean.vertices, SPACE.mean.triangles[:, [1, 2, 0]])  # of which no eyes are known
@@ -23,7 +23,9 @@ def is_skin(pixels):
 def test_captions_stand_above_whole_crowns(framed):
     words = "a caption that is longer than its panel is wide, and therefore stands in several lines"
     values = np.zeros(len(OTHER.vertices))
-    image = Image.open(io.BytesIO(strip([Panel(words, OTHER), Panel("b", OTHER, values)], framed=framed, size=200)))
+    image = Image.open(
+        io.BytesIO(draw_strip([Panel(words, OTHER), Panel("b", OTHER, values)], framed=framed, size=200))
+    )
     assert image.info[PANELS] == "2" and image.width == 400
     pixels = np.asarray(image.convert("RGB")).astype(int)[:, :200]
     letters = (pixels.max(axis=2) < 100) & ~is_skin(pixels)
@@ -41,7 +43,7 @@ def test_a_picture_frames_what_it_is_asked_to_and_the_crown(view):
     right /= np.linalg.norm(right)
     up = np.cross(ahead, right)
     for points, framed in ((SPACE.mean.vertices, None), (FACE, FACE)):
-        centre, height = framing([SPACE.mean.vertices], view, framed)
+        centre, height = frame_view([SPACE.mean.vertices], view, framed)
         assert np.abs((points - centre) @ right).max() < 0.5 * height
         assert np.abs((points - centre) @ up).max() < 0.5 * height
         assert ((SPACE.mean.vertices - centre) @ up).max() < 0.5 * height

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from softdeca.benchmarks.harness import machine, run
+from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.harness.page import CHANGED, page
 from softdeca.benchmarks.harness.report import Made, write
 from softdeca.benchmarks.studies.verification import Verification
+from softdeca.lhm.base import provenance
 from softdeca.lhm.base.files.text import read_toml
 
 pytest.importorskip("tomllib")  # from Python 3.11 on
@@ -28,7 +29,7 @@ def content(path):
 def test_every_kept_result_says_where_and_with_what_it_was_measured():
     listed = read_toml(RESULTS / "lacking.toml")
     assert all(len(each["reason"]) > 20 for each in listed.values()) and len(listed) <= AT_MOST
-    lacking = {str(path.relative_to(RESULTS)): machine.lacks(content(path)) for path in FILES}
+    lacking = {str(path.relative_to(RESULTS)): provenance.list_missing(content(path)) for path in FILES}
     assert {name: missing for name, missing in lacking.items() if missing} == {
         name: each["lacks"] for name, each in listed.items()
     }, "lacking.toml has to name exactly the files that lack something: make results from a clean tree"
@@ -36,17 +37,21 @@ def test_every_kept_result_says_where_and_with_what_it_was_measured():
 
 def test_what_a_result_lacks_is_named():
     whole = content(RESULTS / "parts.json")
-    assert machine.lacks(whole) == []
+    assert provenance.list_missing(whole) == []
     for key, missing in (("commit", "commit"), ("versions", "versions"), ("processor", "machine")):
         without = {name: value for name, value in whole["machine"].items() if name != key}
-        assert machine.lacks(whole | {"machine": without}) == [missing]
+        assert provenance.list_missing(whole | {"machine": without}) == [missing]
     dirty = whole | {"machine": whole["machine"] | {"commit": "0123456-dirty"}}
     unknown = whole | {"machine": whole["machine"] | {"commit": "not known: no git checkout"}}
-    assert machine.lacks(dirty) == ["clean tree"] and machine.lacks(unknown) == ["commit"]
+    assert provenance.list_missing(dirty) == ["clean tree"] and provenance.list_missing(unknown) == ["commit"]
     kept = whole | {"rows": [row | {"commit": "0123456-dirty"} for row in whole["rows"]]}
-    assert machine.lacks(kept) == ["clean tree"]  # rows of a run before
-    assert machine.lacks({"a": whole, "b": dirty}) == ["clean tree"]  # a report of two studies
-    assert machine.lacks([1]) == machine.lacks({"scores": []}) == ["machine", "commit", "versions", "options"]
+    assert provenance.list_missing(kept) == ["clean tree"]  # rows of a run before
+    assert provenance.list_missing({"a": whole, "b": dirty}) == ["clean tree"]  # a report of two studies
+    assert (
+        provenance.list_missing([1])
+        == provenance.list_missing({"scores": []})
+        == ["machine", "commit", "versions", "options"]
+    )
 
 
 def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
@@ -55,14 +60,14 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
     source.parent.mkdir(parents=True)
     source.write_text("first = 1\n")
     (root / "README.md").write_text("words\n")
-    monkeypatch.setattr(machine, "__file__", str(source))
+    monkeypatch.setattr(provenance, "__file__", str(source))
 
     def git(*words):
         subprocess.run(["git", "-c", "user.name=a", "-c", "user.email=a@b", *words], cwd=root, check=True)
 
     def commit():
-        machine.commit.cache_clear()
-        return machine.commit()
+        provenance.read_commit.cache_clear()
+        return provenance.read_commit()
 
     try:
         git("init", "-q")
@@ -76,12 +81,12 @@ def test_a_changed_or_new_source_file_makes_a_tree_dirty(tmp_path, monkeypatch):
         assert commit() == clean
         new = root / "benchmarks" / "study.py"
         new.write_text("second = 2\n")
-        assert commit() == clean + machine.DIRTY
+        assert commit() == clean + provenance.DIRTY
         new.unlink()
         source.write_text("first = 2\n")
-        assert machine.is_dirty(commit())
+        assert provenance.is_dirty(commit())
     finally:
-        machine.commit.cache_clear()
+        provenance.read_commit.cache_clear()
 
 
 @pytest.mark.parametrize(

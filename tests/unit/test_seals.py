@@ -238,19 +238,19 @@ def test_lip_and_lid_gates_do_not_depend_on_the_orientation(template):
 
 
 def test_tets_that_an_open_jaw_inverts_are_counted_and_gated(template, monkeypatch):
-    from softdeca.benchmarks import posed_gates
+    from softdeca.reference.face import check
 
     head = replace(template.head, rig=rig_from_space(template.space))
-    jaw, blink = posed_gates.posed_figures(head)
+    jaw, blink = check.check_posed_head(head)
     assert 0 <= jaw.value < 20 and 0 <= blink.value < 20 and not jaw.missed and not blink.missed
     # A jaw that opens four times as wide tears through the neck.
     deltas = np.array(head.rig.deltas)
     deltas[ARKIT.index("jawOpen")] *= 4.0
     wide = replace(head, rig=replace(head.rig, deltas=deltas))
-    assert posed_gates.posed_figures(wide)[0].value > jaw.value
-    monkeypatch.setattr("softdeca.lhm.check.INVERTED", posed_gates.posed_figures(wide)[0].value - 1)
-    assert posed_gates.posed_figures(wide)[0].missed
-    assert posed_gates.posed_figures(template.head) == ()
+    assert check.check_posed_head(wide)[0].value > jaw.value
+    monkeypatch.setattr("softdeca.lhm.check.INVERTED", check.check_posed_head(wide)[0].value - 1)
+    assert check.check_posed_head(wide)[0].missed
+    assert check.check_posed_head(template.head) == ()
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from softdeca.animation.pictures import INSIDE, SKIN, shade_skin
 from softdeca.lhm import Surface, load_template
 from softdeca.lhm.base.geometry.rays import visible_sky
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH
-from softdeca.viewer.shading import INSIDE, SKIN, shades
 
 
 def test_a_ball_sees_the_whole_sky_from_outside_and_none_from_inside():
@@ -29,7 +29,7 @@ def test_an_open_box_sees_from_its_floor_what_its_walls_leave():
 
 def test_a_mouths_lining_is_dark_and_the_face_is_skin():
     template = load_template(level=1)
-    colours = shades(template.skin).astype(int)
+    colours = shade_skin(template.skin).astype(int)
     red = {text: int(text[1:3], 16) for text in (SKIN, INSIDE)}
     lining, face = colours[template.parts == MOUTH, 0], colours[template.skin.vertices[:, 2] > 80, 0]
     assert np.median(lining) == red[INSIDE] and np.median(face) == red[SKIN]

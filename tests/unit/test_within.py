@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from softdeca.animation.eyes_and_teeth import _default, find_eyes_and_teeth, turn_eye
+from softdeca.animation.pictures import VIEW, Panel, draw_strip
 from softdeca.lhm import Surface, expressions, identities
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.base.geometry.topology import find_openings
 from softdeca.lhm.identities.space import OUTSIDE
-from softdeca.viewer.pictures import VIEW, Panel, strip
-from softdeca.viewer.within import _default, turned, within
 
 SPACE = identities.Anny()
 EYE, TEETH = slice(0, 960), slice(1920, None)
@@ -18,7 +18,7 @@ EYE, TEETH = slice(0, 960), slice(1920, None)
 def shown(named, code=None):
     weights = expressions.weights_of(named)
     skin = expressions.blend(SPACE, np.zeros(SPACE.code_size) if code is None else code, weights[None])[0]
-    return skin, within(SPACE.mean).at(skin, weights)
+    return skin, find_eyes_and_teeth(SPACE.mean).at(skin, weights)
 
 
 def test_eyes_lie_behind_open_lids_and_within_the_head():
@@ -37,12 +37,12 @@ def test_eyes_lie_behind_open_lids_and_within_the_head():
 )  # fmt: skip
 def test_an_eye_looks_where_its_weight_says(side, way, axis, sign):
     """x is the subject's left: the left eye looks to the nose by x falling."""
-    rotation = turned(side, expressions.weights_of({f"eyeLook{way}{side}": 1.0}))
+    rotation = turn_eye(side, expressions.weights_of({f"eyeLook{way}{side}": 1.0}))
     assert np.allclose(rotation @ rotation.T, np.eye(3)) and np.linalg.det(rotation) == pytest.approx(1.0)
     looks = rotation @ [0.0, 0.0, 1.0]
     assert 0.3 < sign * looks[axis] < 0.6 and looks[1 - axis] == pytest.approx(0.0) and looks[2] > 0.8
     other = "Right" if side == "Left" else "Left"
-    assert np.array_equal(turned(other, expressions.weights_of({f"eyeLook{way}{side}": 1.0})), np.eye(3))
+    assert np.array_equal(turn_eye(other, expressions.weights_of({f"eyeLook{way}{side}": 1.0})), np.eye(3))
 
 
 def test_lids_and_gaze_leave_the_eyes_where_they_are():
@@ -62,7 +62,7 @@ def test_the_lower_teeth_go_with_the_jaw_and_the_upper_ones_stay():
 def test_they_turn_with_the_head():
     skin, rest = shown({})
     turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    moved = within(SPACE.mean).at(skin @ turn.T + [5.0, 0, 0])
+    moved = find_eyes_and_teeth(SPACE.mean).at(skin @ turn.T + [5.0, 0, 0])
     assert np.allclose(moved, rest @ turn.T + [5.0, 0, 0], atol=1e-6)
 
 
@@ -82,7 +82,7 @@ def test_their_surfaces_are_closed_and_look_outward():
 
 def test_another_skin_has_none():
     triangles = SPACE.mean.triangles
-    assert within(Surface(SPACE.mean.vertices, triangles[:, [1, 2, 0]])) is None
+    assert find_eyes_and_teeth(Surface(SPACE.mean.vertices, triangles[:, [1, 2, 0]])) is None
 
 
 def test_a_picture_shows_the_white_of_the_eyes():
@@ -91,7 +91,9 @@ def test_a_picture_shows_the_white_of_the_eyes():
     from PIL import Image
 
     def bright(surface):
-        image = np.asarray(Image.open(BytesIO(strip([Panel("", surface)], view=(0, 0, 1)))).convert("RGB")).astype(int)
+        image = np.asarray(Image.open(BytesIO(draw_strip([Panel("", surface)], view=(0, 0, 1)))).convert("RGB")).astype(
+            int
+        )
         blue = (image[..., 2] > image[..., 0]) & (image.sum(axis=2) < 650)
         return int(blue.sum())
 

@@ -15,12 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lhm.base.geometry.rays import visible_sky
 from ..lhm.base.geometry.topology import close_openings
 from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.head import LayeredHead
-from .shading import INSIDE, SKIN, shades
-from .within import within
+from .eyes_and_teeth import find_eyes_and_teeth
 
+SKIN, INSIDE = "#d8a48f", "#4a211f"
+LIGHT = 0.2
+"""The share of the sky from which up a vertex is drawn as skin; one that sees nothing is drawn as INSIDE."""
 SOFT = "#e9c46a"
 MUSCLE = "#b5413b"
 BONE = "#e8e4d8"
@@ -65,13 +68,13 @@ def _has_egl() -> bool:
     return find_library("EGL") is not None
 
 
-def poly(pyvista, vertices: Floats, triangles: Ints):
+def to_polydata(pyvista, vertices: Floats, triangles: Ints):
     """A mesh of pyvista's."""
     faces = np.hstack([np.full((len(triangles), 1), 3), triangles])
     return pyvista.PolyData(np.asarray(vertices), faces.ravel())
 
 
-def look(plotter, centre: Floats, height: float, view: Sequence[float]):
+def aim_camera(plotter, centre: Floats, height: float, view: Sequence[float]):
     """Let a plotter see a height [mm] about a centre [mm] from the direction `view`, without perspective."""
     direction = np.asarray(view) / np.linalg.norm(view)
     plotter.camera.parallel_projection = True
@@ -82,23 +85,23 @@ def look(plotter, centre: Floats, height: float, view: Sequence[float]):
     plotter.reset_camera_clipping_range()
 
 
-def behind(plotter, surface: Surface):
+def add_back(plotter, surface: Surface):
     """Add a surface's reverse to a plotter, dark and with its openings closed, and return the mesh.
 
     It is what is seen through an open mouth without a lining.
     """
     whole = close_openings(surface)
-    mesh = poly(load_pyvista(), whole.vertices, whole.triangles)
+    mesh = to_polydata(load_pyvista(), whole.vertices, whole.triangles)
     plotter.add_mesh(mesh, color=INSIDE, lighting=False, culling="front", reset_camera=False)
     return mesh
 
 
-def eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
+def add_eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
     """Add a skin's eyes and teeth to a plotter, and return the mesh; None where none are known."""
-    found = within(skin)
+    found = find_eyes_and_teeth(skin)
     if found is None:
         return None
-    mesh = poly(load_pyvista(), found.at(skin.vertices, weights), found.triangles)
+    mesh = to_polydata(load_pyvista(), found.at(skin.vertices, weights), found.triangles)
     how = {"smooth_shading": True, "specular": 0.5, "specular_power": 30, "reset_camera": False}
     plotter.add_mesh(mesh, scalars=found.colours, rgb=True, **how)
     return mesh
@@ -107,6 +110,27 @@ def eyes_and_teeth(plotter, skin: Surface, weights: Floats | None = None):
 def skin_colours(colours: NDArray[np.uint8] | None) -> dict[str, Any]:
     """How a skin is drawn: SKIN, or `colours` (n, 3) seen from outside."""
     return {"color": SKIN} if colours is None else {"scalars": colours, "rgb": True, "culling": "back"}
+
+
+def light_share(surface: Surface) -> Floats:
+    """The share (n,) of SKIN in a vertex' colour, from 0 where it sees nothing of the sky to 1."""
+    return np.clip(visible_sky(surface) / LIGHT, 0.0, 1.0)
+
+
+def shade_skin(surface: Surface) -> NDArray[np.uint8]:
+    """Colours (n, 3) of a skin at rest: SKIN where it sees the sky, INSIDE where it does not."""
+    seen = light_share(surface)[:, None]
+    return np.round(seen * parse_colour(SKIN) + (1 - seen) * parse_colour(INSIDE)).astype(np.uint8)
+
+
+def parse_colour(text: str) -> Floats:
+    """Red, green and blue, 0 to 255, shape (3,), of a colour as #rrggbb."""
+    return np.array([int(text[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
+
+
+def to_linear_light(colours: Floats | NDArray[np.uint8]) -> Floats:
+    """Colours of a screen, 0 to 255, as shares of light in [0, 1], which a renderer reckons in (gamma 2.2)."""
+    return (colours / 255.0) ** 2.2
 
 
 @dataclass(frozen=True)
@@ -119,7 +143,7 @@ class Bar:
     title: str
 
 
-def framing(
+def frame_view(
     surfaces: Sequence[Floats], view: Sequence[float], framed: Floats | None = None, aspect: float = 1.0
 ) -> tuple[Floats, float]:
     """Centre (3,) [mm] and height [mm] of a picture, `aspect` times as wide, seen from the direction `view`.
@@ -203,7 +227,7 @@ def _gradient(cmap: str, width: int, height: int):
     return Image.fromarray(np.repeat(colours[None], height, axis=0))
 
 
-def strip(
+def draw_strip(
     panels: Sequence[Panel],
     *,
     view: Sequence[float] = VIEW,
@@ -217,28 +241,28 @@ def strip(
     parts of `rest`, the head at rest, are drawn dark.
     """
     pyvista = load_pyvista()
-    colours = None if rest is None else shades(rest)
+    colours = None if rest is None else shade_skin(rest)
     window = (size * len(panels), int(size * 1.2))
     plotter = pyvista.Plotter(off_screen=True, shape=(1, len(panels)), window_size=window, border=False)
     plotter.set_background("white", all_renderers=True)
-    centre, height = framing([panel.surface.vertices for panel in panels], view, framed, 1.0 / 1.2)
+    centre, height = frame_view([panel.surface.vertices for panel in panels], view, framed, 1.0 / 1.2)
     for column, panel in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = poly(pyvista, panel.surface.vertices, panel.surface.triangles)
-        eyes_and_teeth(plotter, panel.surface, panel.weights)
+        mesh = to_polydata(pyvista, panel.surface.vertices, panel.surface.triangles)
+        add_eyes_and_teeth(plotter, panel.surface, panel.weights)
         if panel.values is None:
             plotter.add_mesh(mesh, **skin_colours(colours), smooth_shading=True, specular=0.15)
             if colours is not None:
-                behind(plotter, panel.surface)
+                add_back(plotter, panel.surface)
         else:
             how = {"cmap": VALUES, "clim": (0.0, panel.top), "show_scalar_bar": False}
             plotter.add_mesh(mesh, scalars=panel.values, smooth_shading=True, **how)
-        look(plotter, centre, height, view)
+        aim_camera(plotter, centre, height, view)
     bars = [None if panel.values is None else Bar(VALUES, 0.0, panel.top, "mm") for panel in panels]
     return _sheet(plotter, [panel.caption for panel in panels], bars)
 
 
-def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 520) -> bytes:
+def draw_cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 520) -> bytes:
     """The head's left half with its layers open at the mid-plane, beside the skull wrap's labels."""
     pyvista = load_pyvista()
     vertices = head.vertices if positions is None else positions
@@ -247,17 +271,17 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
     middle = vertices[head.tets].mean(axis=1)[:, 0] < 0.5 * (across.min() + across.max())
     layer = np.repeat([0, 1], [len(head.soft.tets), len(head.muscle.tets)])
     plotter.subplot(0, 0)
-    for which, colour in ((0, SOFT), (1, MUSCLE)):
+    for which, parse_colour in ((0, SOFT), (1, MUSCLE)):
         tets = head.tets[middle & (layer == which)]
         cells = np.hstack([np.full((len(tets), 1), 4), tets]).ravel()
         grid = pyvista.UnstructuredGrid(cells, np.full(len(tets), pyvista.CellType.TETRA), np.asarray(vertices))
-        plotter.add_mesh(grid, color=colour, show_edges=True, edge_color="#55443a", line_width=0.5)
-    look(plotter, *framing([vertices], SIDE), SIDE)
+        plotter.add_mesh(grid, color=parse_colour, show_edges=True, edge_color="#55443a", line_width=0.5)
+    aim_camera(plotter, *frame_view([vertices], SIDE), SIDE)
     n = len(head.bone)
     for column, colours in enumerate((np.zeros(n), head.bone), start=1):
         plotter.subplot(0, column)
         first = 0 if column == 1 else 2 * n
-        mesh = poly(pyvista, vertices[first : first + n], head.skin_wrap.triangles)
+        mesh = to_polydata(pyvista, vertices[first : first + n], head.skin_wrap.triangles)
         palette = [SKIN, BONE, "#7aa6c2"] if column == 2 else [SKIN]
         plotter.add_mesh(
             mesh,
@@ -270,13 +294,13 @@ def cut_away(head: LayeredHead, *, positions: Floats | None = None, size: int = 
             show_scalar_bar=False,
             interpolate_before_map=False,
         )
-        look(plotter, *framing([vertices], VIEW), VIEW)
+        aim_camera(plotter, *frame_view([vertices], VIEW), VIEW)
     plotter.set_background("white", all_renderers=True)
     words = ("soft tissue and muscle, cut at the mid-plane", "skin wrap")
     return _sheet(plotter, [*words, "skull wrap: cranium white, mandible blue, rest free"])
 
 
-def views(
+def draw_views(
     panels: Sequence[tuple[str, Surface, Sequence[float]]],
     *,
     size: int = 520,
@@ -288,25 +312,25 @@ def views(
     `framed` and `rest` as in `strip`.
     """
     pyvista = load_pyvista()
-    colours = None if rest is None else shades(rest)
+    colours = None if rest is None else shade_skin(rest)
     shape = (1, len(panels))
     plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=(size * len(panels), size), border=False)
     surfaces = [surface.vertices for _, surface, _ in panels]
     for column, (_, surface, view) in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = poly(pyvista, surface.vertices, surface.triangles)
+        mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
         mesh.point_data.active_normals = surface.vertex_normals
-        eyes_and_teeth(plotter, surface)
+        add_eyes_and_teeth(plotter, surface)
         actor = plotter.add_mesh(mesh, **skin_colours(colours), specular=0.1, specular_power=8, ambient=0.12)
         if colours is not None:
-            behind(plotter, surface)
+            add_back(plotter, surface)
         actor.prop.interpolation = "Phong"
-        look(plotter, *framing(surfaces, view, framed), view)
+        aim_camera(plotter, *frame_view(surfaces, view, framed), view)
     plotter.set_background("white", all_renderers=True)
     return _sheet(plotter, [caption for caption, _, _ in panels])
 
 
-def coloured(
+def draw_values(
     panels: Sequence[tuple[str, Surface, Floats | None, Sequence[float]]],
     *,
     title: str,
@@ -326,7 +350,7 @@ def coloured(
     how = {"cmap": bar.cmap, "clim": limits, "show_scalar_bar": False}
     for column, (_, surface, values, view) in enumerate(panels):
         plotter.subplot(0, column)
-        mesh = poly(pyvista, surface.vertices, surface.triangles)
+        mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
         if values is not None:
             plotter.add_mesh(mesh, scalars=values, smooth_shading=True, **how)
         else:
@@ -334,12 +358,12 @@ def coloured(
         if points is not None:
             dots = pyvista.PolyData(np.asarray(points[0]))
             plotter.add_mesh(dots, scalars=points[1], point_size=9, render_points_as_spheres=True, **how)
-        look(plotter, *framing(surfaces, view), view)
+        aim_camera(plotter, *frame_view(surfaces, view), view)
     plotter.set_background("white", all_renderers=True)
     return _sheet(plotter, [caption for caption, _, _, _ in panels], [bar] * len(panels))
 
 
-def labelled(
+def draw_labelled(
     surface: Surface,
     points: Mapping[str, Floats],
     views: Sequence[tuple[str, Sequence[float]]],
@@ -352,12 +376,12 @@ def labelled(
     The names are listed below.
     """
     pyvista = load_pyvista()
-    window = (size * len(views), size)
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(views)), window_size=window, border=False)
+    window = (size * len(draw_views), size)
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(draw_views)), window_size=window, border=False)
     places = np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
-    for column, (_, view) in enumerate(views):
+    for column, (_, view) in enumerate(draw_views):
         plotter.subplot(0, column)
-        mesh = poly(pyvista, surface.vertices, surface.triangles)
+        mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
         plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
         plotter.add_point_labels(
             places + 2.0 * np.asarray(view) / np.linalg.norm(view),
@@ -371,7 +395,7 @@ def labelled(
             render_points_as_spheres=True,
             always_visible=True,
         )
-        look(plotter, *framing([surface.vertices], view, framed), view)
+        aim_camera(plotter, *frame_view([surface.vertices], view, framed), view)
     plotter.set_background("white", all_renderers=True)
     legend = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
-    return _sheet(plotter, [caption for caption, _ in views], legend=legend)
+    return _sheet(plotter, [caption for caption, _ in draw_views], legend=legend)

@@ -17,13 +17,17 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
+from ..lhm import expressions
 from ..lhm.arkit import ARKIT
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.head import LayeredHead
+from ..reference import Parameters
+from ..reference.face.derivatives import differentiate_head
 from ..surrogate import BoundSurrogate
 from ..surrogate.modal.rig import Remainder
-from .shading import INSIDE, colour, linear_light, lit
-from .within import BACK, TURN, within
+from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
+from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 
 FINEST = 1 / 32767
 """Of the largest number of a row: what a 16-bit number tells apart."""
@@ -72,7 +76,7 @@ class Layer:
     colour: tuple[float, float, float]
 
 
-def page(
+def render_page(
     title: str,
     words: str,
     triangles: np.ndarray,
@@ -101,8 +105,8 @@ def page(
         "top": top,
         "rigs": [_rig(packed, f"rig {k}", rig) for k, rig in enumerate(rigs)],
         "poses": [_pose(packed, k, pose, rigs[0].neutral) for k, pose in enumerate(poses)],
-        "lit": packed.add("lit", lit(skin).astype(np.float32)),
-        "inside": linear_light(colour(INSIDE)).tolist(),
+        "lit": packed.add("lit", light_share(skin).astype(np.float32)),
+        "inside": to_linear_light(parse_colour(INSIDE)).tolist(),
         "within": _within(packed, skin),
         "layers": [_layer(packed, k, layer) for k, layer in enumerate(layers)],
         "arrays": packed.table,
@@ -149,7 +153,7 @@ def _pose(packed: _Packed, k: int, pose: Pose, neutral: Floats | Floats32) -> di
 
 def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
     """Eyes and teeth, where the skin's are known."""
-    found = within(skin)
+    found = find_eyes_and_teeth(skin)
     if found is None:
         return None
     bodies = [
@@ -167,7 +171,7 @@ def _within(packed: _Packed, skin: Surface) -> dict[str, Any] | None:
         "turn": TURN,
         "back": BACK,
         "triangles": packed.add("within triangles", found.triangles.astype(np.uint32)),
-        "colours": packed.add("within colours", linear_light(found.colours).astype(np.float32)),
+        "colours": packed.add("within colours", to_linear_light(found.colours).astype(np.float32)),
     }
 
 
@@ -200,3 +204,46 @@ class _Packed:
         scale = np.maximum(np.abs(rows).max(axis=(1, 2)), 1e-9) * FINEST
         numbers = np.rint(rows / scale[:, None, None]).astype(np.int16)
         return self.add(name, numbers, scale.tolist())
+
+
+POSES = {
+    "jaw open": {"jawOpen": 0.8},
+    "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
+    "pucker": {"mouthPucker": 1.0},
+    "blink": {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+    "puffed cheeks": {"cheekPuff": 1.0},
+    "brows up": {"browInnerUp": 1.0, "browOuterUpLeft": 1.0, "browOuterUpRight": 1.0},
+}
+LINEARISED = "simulator, linearised"
+LAYERS = (("muscle", (0.66, 0.22, 0.2)), ("skull", (0.92, 0.89, 0.8)))
+
+
+def render_face_page(
+    title: str,
+    words: str,
+    head: LayeredHead,
+    parameters: Parameters,
+    shapes: Floats,
+    rigs: Sequence[Rig] = (),
+    poses: Sequence[Pose] = (),
+) -> str:
+    """The page of a head under p, with what the 52 weights add to its skin [mm], shape (52, skin vertices, 3).
+
+    Beside these blendshapes it has the linearised simulator (some seconds), and `rigs`. `poses` replace the usual ones.
+    Raises InputError for a face that does not settle, and what the simulator raises.
+    """
+    linear, n = differentiate_head(head, parameters), len(head.bone)
+    moved = linear.vertices_by_shapes(np.asarray(shapes, dtype=np.float64))
+    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
+    below = (slice(n * k, n * (k + 1)) for k in (1, 2))
+    return render_page(
+        title,
+        words,
+        head.skin.triangles,
+        [Rig("blendshapes", head.skin.vertices, shapes), simulated, *rigs],
+        poses=poses or [Pose(name, expressions.weights_of(named)) for name, named in POSES.items()],
+        layers=[
+            Layer(name, head.skin_wrap.triangles, linear.answer.positions[rows], moved[:, rows], colour)
+            for (name, colour), rows in zip(LAYERS, below, strict=True)
+        ],
+    )

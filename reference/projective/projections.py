@@ -1,4 +1,18 @@
-"""Signed singular values of F, a block of tets at a time: F = U diag(s) Vᵀ, U and V rotations, s0 >= s1 >= |s2|."""
+"""The layout of a block of tets: quantity after quantity, each a row of LANES numbers, so that loops vectorise.
+
+The rows lie in one flat array and their offsets are compile-time constants: the compiler then knows that no two
+rows overlap, and needs no run-time checks that would make it fall back to scalar code.
+
+Numba's cache looks at the file of the outermost function only: after a change to this file, `singular_values` or
+`volume_projection`, delete the `*.nbi` files beside them.
+
+Signed singular values of F, a block of tets at a time: F = U diag(s) Vᵀ, U and V rotations, s0 >= s1 >= |s2|.
+
+The nearest matrix of a given determinant, in terms of signed singular values (SoftDECA Eq. 10, after ShapeOp).
+
+min Σ (t_i - s_i)² subject to t0 t1 t2 = v. The stationary points have t_i (t_i - s_i) = m for one multiplier m, so
+t_i = (s_i ± √(s_i² + 4 m))/2, and what is left is one equation for m. U diag(t) Vᵀ is the nearest matrix, since v > 0.
+"""
 
 from __future__ import annotations
 
@@ -6,46 +20,33 @@ from math import sqrt
 
 from numba import njit
 
-from .lanes import (
-    C00,
-    C01,
-    C02,
-    C11,
-    C12,
-    C22,
-    COMPILED,
-    F00,
-    F01,
-    F02,
-    F10,
-    F11,
-    F12,
-    F20,
-    F21,
-    F22,
-    LANES,
-    S0,
-    S1,
-    S2,
-    U00,
-    U01,
-    U02,
-    U10,
-    U11,
-    U12,
-    U20,
-    U21,
-    U22,
-    V00,
-    V01,
-    V02,
-    V10,
-    V11,
-    V12,
-    V20,
-    V21,
-    V22,
-)
+LANES = 32
+
+
+def _rows(first: int, count: int) -> tuple[int, ...]:
+    return tuple(LANES * row for row in range(first, first + count))
+
+
+# What depends on the scene: Dm_inv (row j belongs to edge j), then the weights (with the rest volume) and bounds.
+# Strain acts where the largest stretch is above ACTIVE, which is what the indicator rule sets; else it is below all.
+G00, G01, G02, G10, G11, G12, G20, G21, G22 = _rows(0, 9)
+STRAIN, LOW, HIGH, ACTIVE, VOLUME, TARGET = _rows(9, 6)
+PARAMETERS = 15
+
+# What the local step computes. F starts as the edges of the displacement and ends as the nodal forces.
+F00, F01, F02, F10, F11, F12, F20, F21, F22 = _rows(15, 9)
+C00, C11, C22, C01, C02, C12 = _rows(24, 6)
+V00, V01, V02, V10, V11, V12, V20, V21, V22 = _rows(30, 9)
+U00, U01, U02, U10, U11, U12, U20, U21, U22 = _rows(39, 9)
+S0, S1, S2 = _rows(48, 3)
+D0, D1, D2 = _rows(51, 3)
+ENERGY, DOUBT = _rows(54, 2)
+ROWS = 56
+
+# No fast-math: with it, code loaded from numba's cache rounds otherwise than code just compiled, and a corpus made by
+# two processes would differ from one made by one. It would be a tenth faster.
+COMPILED = {"cache": True, "error_model": "numpy"}
+
 
 MAX_SWEEPS = 10
 
@@ -181,3 +182,99 @@ def decompose(w):
     _order(w, C11, V01, V11, V21, C22, V02, V12, V22)
     _order(w, C00, V00, V10, V20, C11, V01, V11, V21)
     left_vectors(w)
+
+
+STEPS = 7
+SCAN = 256
+
+
+@njit(**COMPILED)
+def project_volume(w):
+    """Write s - t of every lane to D and return how many lanes are in doubt (marked there).
+
+    Newton's method for ln(t0 t1 t2 / v) = 0, with ln by its Padé form, in the multiplier m from m = 0, all roots
+    with plus; m stays above the least value for which t2 is real. A lane is in doubt where it has not converged, or
+    where t2 comes near s2 / 2, the end of that branch, beyond which the nearest point has a minus.
+    """
+    doubts = 0
+    for k in range(LANES):
+        s0, s1, s2, v = w[S0 + k], w[S1 + k], w[S2 + k], w[TARGET + k]
+        least = -0.25 * s2 * s2
+        m = 0.0
+        r0, r1, r2 = s0, s1, abs(s2)
+        t0, t1, t2 = s0, s1, 0.5 * (s2 + r2)
+        for _ in range(STEPS):
+            product = t0 * t1 * t2
+            slope = t1 * t2 * r1 * r2 + t0 * t2 * r0 * r2 + t0 * t1 * r0 * r1
+            change = 2.0 * (v - product) * product * r0 * r1 * r2 / ((v + product) * slope)
+            m = max(m + change, 0.5 * (m + least))
+            r0, r1, r2 = sqrt(s0 * s0 + 4.0 * m), sqrt(s1 * s1 + 4.0 * m), sqrt(s2 * s2 + 4.0 * m)
+            t0, t1, t2 = 0.5 * (s0 + r0), 0.5 * (s1 + r1), 0.5 * (s2 + r2)
+        sure = (abs(t0 * t1 * t2 - v) <= 1e-14 * v) and (t2 >= 0.51 * s2)
+        w[D0 + k], w[D1 + k], w[D2 + k] = -m / t0, -m / t1, -m / t2
+        w[DOUBT + k] = 0.0 if sure else 1.0
+        doubts += 0 if sure else 1
+    return doubts
+
+
+@njit(inline="always", **COMPILED)
+def _on_path(s0, s1, s2, t2):
+    """The stationary points as a path: the other two roots (with plus) for a given t2."""
+    m = t2 * (t2 - s2)
+    t0 = 0.5 * (s0 + sqrt(max(s0 * s0 + 4.0 * m, 0.0)))
+    t1 = 0.5 * (s1 + sqrt(max(s1 * s1 + 4.0 * m, 0.0)))
+    return t0, t1
+
+
+@njit(**COMPILED)
+def _bisect(s0, s1, s2, v, low, high):
+    """The t2 in [low, high] at which the path's product reaches v, to rounding."""
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if not low < middle < high:
+            break
+        t0, t1 = _on_path(s0, s1, s2, middle)
+        if t0 * t1 * middle < v:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@njit(**COMPILED)
+def nearest_of_determinant(s0, s1, s2, v):
+    """The t of determinant v > 0 nearest to s0 >= s1 >= |s2|, wherever s is: slow, but sure.
+
+    For s of a determinant below v the product grows along the path and has one root. Above it, it may have three:
+    all that a scan sees are compared (a stretch to twice the size is nearer to a flat than to a round shape).
+    """
+    if s0 * s1 * s2 <= v:
+        low = max(s2, 0.0)
+        high = low + v ** (1.0 / 3.0)
+        t2 = _bisect(s0, s1, s2, v, low, high)
+        t0, t1 = _on_path(s0, s1, s2, t2)
+        return t0, t1, t2
+    best, best0, best1, best2 = 1e300, s0, s1, s2
+    low = 0.0
+    for step in range(1, SCAN + 1):
+        high = s2 * step / SCAN
+        t0, t1 = _on_path(s0, s1, s2, low)
+        u0, u1 = _on_path(s0, s1, s2, high)
+        if t0 * t1 * low < v <= u0 * u1 * high:
+            t2 = _bisect(s0, s1, s2, v, low, high)
+            t0, t1 = _on_path(s0, s1, s2, t2)
+            distance = (t0 - s0) ** 2 + (t1 - s1) ** 2 + (t2 - s2) ** 2
+            if distance < best:
+                best, best0, best1, best2 = distance, t0, t1, t2
+        low = high
+    return best0, best1, best2
+
+
+@njit(**COMPILED)
+def settle_doubts(w):
+    """Redo the lanes in doubt by `nearest_of_determinant`."""
+    for k in range(LANES):
+        if w[DOUBT + k] > 0.0:
+            s0, s1, s2 = w[S0 + k], w[S1 + k], w[S2 + k]
+            t0, t1, t2 = nearest_of_determinant(s0, s1, s2, w[TARGET + k])
+            w[D0 + k], w[D1 + k], w[D2 + k] = s0 - t0, s1 - t1, s2 - t2

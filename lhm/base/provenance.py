@@ -20,22 +20,22 @@ _CODE = ("*.py", "*.js", "*.html", "*.toml", "*.txt", "*.npz", "*.safetensors",
 _PACKAGES = ("softdeca", "numpy", "scipy", "numba", "cholespy", "scikit-fem", "torch", "anny", "fenics-dolfinx")
 
 
-def describe() -> dict:
+def describe_machine() -> dict:
     """Processor, cores, load, versions and commit, for a results file."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "load": load(),
+        "load": read_load(),
         "system": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},
-        "commit": commit(),
+        "commit": read_commit(),
         "dtype": "float64",
         "threads": int(os.environ.get("OMP_NUM_THREADS", "0")) or "default",
     }
 
 
-def load() -> float:
+def read_load() -> float:
     """Processes that ran, on average over the last minute."""
     return round(os.getloadavg()[0], 2)
 
@@ -58,7 +58,7 @@ def _version(name: str) -> str:
 
 
 @cache
-def commit() -> str:
+def read_commit() -> str:
     """The commit of the code when this process first asked, with DIRTY after it where files were changed or new."""
     if shutil.which("git") is None:
         return "not known: git is not installed"
@@ -73,7 +73,7 @@ def commit() -> str:
         return "not known: no git checkout"
 
 
-def commits_of(machine: Mapping[str, Any], rows: Iterable[Mapping[str, Any]] = ()) -> list[str]:
+def list_commits(machine: Mapping[str, Any], rows: Iterable[Mapping[str, Any]] = ()) -> list[str]:
     """Name the commit of a machine's description, and those of rows that an earlier run measured."""
     earlier = {str(row["commit"]) for row in rows if row.get("commit")}
     return list(dict.fromkeys([str(machine.get("commit", "")), *sorted(earlier)]))
@@ -84,7 +84,7 @@ def is_dirty(commit: str) -> bool:
     return commit.endswith(DIRTY)
 
 
-def lacks(results: Any) -> list[str]:
+def list_missing(results: Any) -> list[str]:
     """Name what a results file lacks for its figures to be made again, of its content as read from JSON.
 
     It has to say machine, versions, the options (or plan) with its seeds, and a commit, which holds all code.
@@ -92,10 +92,10 @@ def lacks(results: Any) -> list[str]:
     if not isinstance(results, Mapping):
         return ["machine", "commit", "versions", "options"]
     if results and all(isinstance(each, Mapping) and "study" in each for each in results.values()):
-        return sorted({missing for each in results.values() for missing in lacks(each)})  # a report of studies
+        return sorted({missing for each in results.values() for missing in list_missing(each)})  # a report of studies
     machine = results.get("machine") or {}
     missing = [] if machine.get("processor") and machine.get("cores") else ["machine"]
-    commits = commits_of(machine, results.get("rows", ()))
+    commits = list_commits(machine, results.get("rows", ()))
     missing += ["commit"] if any(not commit or " " in commit for commit in commits) else []
     missing += ["clean tree"] if any(map(is_dirty, commits)) else []
     missing += [] if machine.get("versions") else ["versions"]

@@ -29,7 +29,7 @@ MOST_NAMES = 22
 _narrow: ContextVar[bool] = ContextVar("narrow", default=False)
 
 
-def learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
+def draw_learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
     """What each point of a training has, errors in mm, against steps: PNG."""
     figure, axis = subplots(figsize=(6, 3.4))
     steps = [point["step"] for point in curve]
@@ -38,19 +38,19 @@ def learning_curve(curve: Sequence[Mapping[str, float]]) -> bytes:
             axis.plot(steps, [point[name] for point in curve], label=name.replace("_mm", "").replace("_", " "))
     axis.set(xlabel="step", ylabel="mean vertex error [mm]", yscale="log")
     axis.legend()
-    return png(figure)
+    return to_png(figure)
 
 
 LEAST_SECONDS = 1e-3
 """Where a method without a bind stands."""
 
 
-def error_against_cost(scores: Sequence) -> bytes:
-    """`costs_figure` as PNG."""
-    return png(costs_figure(scores))
+def draw_costs(scores: Sequence) -> bytes:
+    """`plot_costs` as PNG."""
+    return to_png(plot_costs(scores))
 
 
-def costs_figure(scores: Sequence):
+def plot_costs(scores: Sequence):
     """Mean error [mm] of methods (`evaluate.Score`) against seconds before the first frame, and of one frame."""
     figure, axes = subplots(1, 2, figsize=(10, 4.2), sharey=True)
     axes[0].set_title("a person's head and the bind; squares: the simulator runs", fontsize=8)
@@ -70,7 +70,7 @@ def costs_figure(scores: Sequence):
     return figure
 
 
-def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
+def draw_histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]]) -> str:
     """How often each value occurs, a panel per (name, unit, values, bound); the bound, if any, as a red line."""
     columns = min(4, len(panels))
     rows = math.ceil(len(panels) / columns)
@@ -87,7 +87,7 @@ def histograms(panels: Sequence[tuple[str, str, Sequence[float], float | None]])
         axis.yaxis.get_major_locator().set_params(integer=True)
         axis.spines[["top", "right"]].set_visible(False)
     figure.supylabel("heads", fontsize=9)
-    return svg(figure)
+    return to_svg(figure)
 
 
 def subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float] = (6.4, 4.8), **more):
@@ -109,7 +109,7 @@ def subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float] = 
 
 
 @contextmanager
-def narrow() -> Iterator[None]:
+def narrow_figures() -> Iterator[None]:
     """Draw figures for a screen of 390 pixels."""
     token = _narrow.set(True)
     try:
@@ -118,7 +118,7 @@ def narrow() -> Iterator[None]:
         _narrow.reset(token)
 
 
-def widened(axis, values: Sequence[float]) -> None:
+def widen_axis(axis, values: Sequence[float]) -> None:
     """Let a logarithmic axis y end half a decade beyond positive values, so that it has ticks."""
     axis.set_ylim(min(values) / 3.0, 3.0 * max(values))
 
@@ -136,12 +136,12 @@ def _pyplot():
     return plt
 
 
-def png(figure) -> bytes:
+def to_png(figure) -> bytes:
     """A figure as PNG, closed."""
     return _saved(figure, "png", dpi=120)
 
 
-def svg(figure) -> str:
+def to_svg(figure) -> str:
     """A figure as SVG text, closed."""
     for axis in figure.axes:
         _space(axis)

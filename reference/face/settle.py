@@ -28,24 +28,24 @@ from ..added import all_solvers
 from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import prepare
-from .bones import scaled_skull
-from .facial import PD_ENERGY, FaceLaw, checked_targets, facial_scene, scene_under
-from .palsy import kept_of_skin
+from .bones import scale_skull
+from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
+from .palsy import skin_activation
 from .parameters import Parameters
-from .stack import Stack
+from .tissue import Stack
 
 TOLERANCE = 1e-6
 """Gradient norm relative to its start."""
 ROUGH = 1e-4
 """Gradient norm relative to its start of PD's answer, from which another law starts."""
-FOR_TARGETS: dict[str, Any] = {"tolerance": 1e-4, "max_iterations": 2000}
+TARGET_OPTIONS: dict[str, Any] = {"tolerance": 1e-4, "max_iterations": 2000}
 """Options of a face that only targets follow: it need be no more exact than they are."""
 GROWING = ("soft_volume", "muscle_volume", "skin_growth")
 """Besides bone scales and added gravity, what changes a neutral face where it differs from 1."""
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class SettledFace:
     """A head's neutral face at rest under p.
 
     positions (scene's vertices, 3) [mm]: where the tets come to rest; displacement (skin vertices, 3) [mm]: by how much
@@ -82,29 +82,29 @@ class Settled:
         return expression + self.displacement
 
     @cached_property
-    def kept(self) -> Floats | None:
-        """See `palsy.kept_of_skin`."""
-        return kept_of_skin(self.head, self.parameters)
+    def activation(self) -> Floats | None:
+        """See `palsy.skin_activation`."""
+        return skin_activation(self.head, self.parameters)
 
     def skin_after(self, expression: Floats, positions: Floats) -> Floats:
         """The skin [mm], shape (skin vertices, 3), of an expression of the head without p, by its scene's positions."""
-        goal = self.targets(checked_targets(self.head, expression, "expression"))
-        if self.kept is not None:
-            goal = self.skin + self.kept * (goal - self.skin)
+        goal = self.targets(check_targets(self.head, expression, "expression"))
+        if self.activation is not None:
+            goal = self.skin + self.activation * (goal - self.skin)
         return self.head.skin_after(goal, positions[: len(self.head.bone)])
 
     def scene(self, expression: Floats, **choices: Any) -> Scene:
         """Return the scene of an expression [mm], shape (skin vertices, 3), of the settled face under its law.
 
-        See `facial_scene` and `scene_under`.
+        See `facial_scene` and `apply_law`.
         """
         given = {"neutral": self.skin} | self.choices | choices
-        targets = self.targets(checked_targets(self.head, expression))
-        return scene_under(facial_scene(self.head, self.parameters, targets, **given), self.law)
+        targets = self.targets(check_targets(self.head, expression))
+        return apply_law(facial_scene(self.head, self.parameters, targets, **given), self.law)
 
 
 @check_arguments
-def settled(
+def settle(
     head: LayeredHead,
     parameters: Parameters,
     *,
@@ -113,32 +113,32 @@ def settled(
     tolerance: float = TOLERANCE,
     max_iterations: int | None = None,
     **choices: Any,
-) -> Settled:
+) -> SettledFace:
     """Settle the neutral face under p by a law; solve only where p changes it.
 
     `law` is "PD" for projective dynamics' own energy, "neo-Hookean", the name of a law that was added, or a function of
-    Lamé's moduli (see `hyperelastic_scene`). `solver` is by default "projective" for PD's energy and "fenicsx" for
+    Lamé's moduli (see `apply_law`). `solver` is by default "projective" for PD's energy and "fenicsx" for
     another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
     `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
-    answer that has not converged says so by `reason`. Raises what `facial_scene`, `scene_under` and the solver raise.
+    answer that has not converged says so by `reason`. Raises what `facial_scene`, `apply_law` and the solver raise.
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
     by = ("projective" if law == PD_ENERGY else "fenicsx") if solver is None else solver
     if by not in all_solvers():
         raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
-    stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
+    stack = Stack.from_head(head, choices.get("layers", (1, 1)), choices.get("without", ()))
     if not changes_neutral(parameters):
-        kept = scene_under(facial_scene(head, parameters, head.skin.vertices, **choices), law)
-        return Settled(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices, law)
+        kept = apply_law(facial_scene(head, parameters, head.skin.vertices, **choices), law)
+        return SettledFace(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices, law)
     scene = neutral_scene(head, parameters, **choices)
     start = np.array(scene.vertices)
-    start[: len(stack.vertices)] = carried_by_bones(head, parameters, stack)
+    start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
     if law != PD_ENERGY:
-        start, scene = _start_of_law(scene, start), scene_under(scene, law)
+        start, scene = _start_of_law(scene, start), apply_law(scene, law)
     solution = prepare(scene, solver=by).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
     moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
-    return Settled(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)
+    return SettledFace(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)
 
 
 def _start_of_law(scene: Scene, start: Floats) -> Floats:
@@ -173,7 +173,7 @@ def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> 
 
 def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
     """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
-    moved = scaled_skull(head, parameters) - head.skull_wrap.vertices
+    moved = scale_skull(head, parameters) - head.skull_wrap.vertices
     return fill_harmonically(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
 
 
@@ -182,11 +182,11 @@ def carry_skin(head: LayeredHead, parameters: Parameters) -> Floats:
     return head.skin_from_wrap @ bones_displacement(head, parameters)
 
 
-def carried_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:
+def carry_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:
     """A stack's vertices [mm], by default the stacked wraps', all three moved by `bones_displacement`.
 
     A start without inverted tets, from which the energy can only fall.
     """
-    stack = Stack.of(head, (1, 1), ()) if stack is None else stack
+    stack = Stack.from_head(head, (1, 1), ()) if stack is None else stack
     moved = bones_displacement(head, parameters)
-    return stack.between(*(wrap.vertices + moved for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)))
+    return stack.interpolate(*(wrap.vertices + moved for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)))

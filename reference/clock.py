@@ -15,7 +15,7 @@ from numba.core import event
 
 
 @dataclass(frozen=True)
-class Spent:
+class Seconds:
     """Seconds of work, and of compilation beside it."""
 
     work: float
@@ -44,7 +44,7 @@ event.register("numba:compiler_lock", _compilers)
 
 
 @contextmanager
-def compiling() -> Iterator[None]:
+def count_compilation() -> Iterator[None]:
     """What another compiler than numba's does within counts as compilation."""
     _compilers.on_start(None)
     try:
@@ -59,10 +59,10 @@ class Clock:
     def __init__(self):
         self._begin, self._compiled = time.perf_counter(), _compilers.seconds
 
-    def spent(self) -> Spent:
+    def read(self) -> Seconds:
         """What has passed since."""
         compilation = _compilers.seconds - self._compiled
-        return Spent(time.perf_counter() - self._begin - compilation, compilation)
+        return Seconds(time.perf_counter() - self._begin - compilation, compilation)
 
     def pause(self, seconds: float):
         """Leave out so much of what has passed."""

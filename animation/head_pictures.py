@@ -12,17 +12,19 @@ from ..lhm.base.geometry.bvh import TriangleTree
 from ..lhm.base.geometry.tets import smallest_dihedrals
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
+from ..lhm.regressor.pairs import MeasuredDepths
 from ..reference import Parameters, facial_scene, solve
-from ..viewer.pictures import MUSCLE, SIDE, SOFT, VIEW, coloured, cut_away, views
-from .plots import png, subplots
+from .pictures import MUSCLE, SIDE, SOFT, VIEW, Panel, draw_cut_away, draw_strip, draw_values, draw_views
+from .plots import subplots, to_png
 
 FRONT = (0.0, 0.05, 1.0)
 VIEWS = (("skin", FRONT), ("from the subject's left", SIDE), ("half from the left", VIEW))
+HALF_TURN = np.array([-1.0, 1.0, -1.0])
 WORST = 300
 LARGEST_GAP = 2.0  # [mm] the colour bar's end; what is farther has its colour
 
 
-def deltas_of(head: LayeredHead, name: str, space_name: str | None = None) -> Floats:
+def expression_deltas(head: LayeredHead, name: str, space_name: str | None = None) -> Floats:
     """What each expression adds to a head's skin [mm], shape (52, n, 3): by its own rig, or an identity space's.
 
     InputError, naming the head by `name`, if it has no rig, or is not of the space's topology.
@@ -36,7 +38,7 @@ def deltas_of(head: LayeredHead, name: str, space_name: str | None = None) -> Fl
     return space.expressions
 
 
-def posed(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, Surface]:
+def pose_head(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, Surface]:
     """All wraps' vertices [mm], shape (3 n, 3), and the skin, in an expression of ARKit weights (52,).
 
     The default parameters' projective dynamics.
@@ -47,19 +49,21 @@ def posed(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, S
     return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))
 
 
-def head_pictures(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None) -> Mapping[str, bytes]:
+def draw_head(head: LayeredHead, *, pose: tuple[Floats, Surface] | None = None) -> Mapping[str, bytes]:
     """PNG by name: "skin", "layers" and "sections" (in `pose`, if given, else at rest), "fit" and "quality" at rest."""
     positions, skin = (head.vertices, head.skin) if pose is None else pose
     return {
-        "skin": views([(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin),
-        "layers": cut_away(head, positions=positions),
-        "sections": sections(head, positions, skin),
-        "fit": fit(head),
-        "quality": quality(head),
+        "skin": draw_views(
+            [(text, skin, view) for text, view in VIEWS], framed=head.skin_wrap.vertices, rest=head.skin
+        ),
+        "layers": draw_cut_away(head, positions=positions),
+        "sections": draw_sections(head, positions, skin),
+        "fit": draw_fit(head),
+        "quality": draw_quality(head),
     }
 
 
-def sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
+def draw_sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
     """The tissue [mm] in the mid-plane, and in the horizontal plane between the lips; the skin as a line."""
     rest = head.skin_wrap.vertices
     mouth = head.regions.get("lips", np.ones(len(rest), bool))
@@ -89,7 +93,7 @@ def sections(head: LayeredHead, positions: Floats, skin: Surface) -> bytes:
         axis.set_title(title, fontsize=11)
         axis.set(xlabel=x_label, ylabel=y_label)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncol=3)
-    return png(figure)
+    return to_png(figure)
 
 
 def _polygons(pieces: Sequence[Floats], colour: str, label: str):
@@ -133,12 +137,12 @@ def _between(vertices: Floats, height: Floats, i: int, j: int) -> Floats:
     return vertices[i] + share * (vertices[j] - vertices[i])
 
 
-def fit(head: LayeredHead) -> bytes:
+def draw_fit(head: LayeredHead) -> bytes:
     """The skin with its distance to the skin wrap, and the skin wrap with its distance to the skin, as colours [mm]."""
     skin, wrap = head.skin, head.skin_wrap
     there = TriangleTree(skin.vertices, skin.triangles).closest(wrap.vertices)[2]
     back = TriangleTree(wrap.vertices, wrap.triangles).closest(skin.vertices)[2]
-    return coloured(
+    return draw_values(
         [
             ("skin: distance to its wrap", skin, back, FRONT),
             ("the same from the subject's left", skin, back, SIDE),
@@ -149,19 +153,46 @@ def fit(head: LayeredHead) -> bytes:
     )
 
 
-def quality(head: LayeredHead) -> bytes:
+def draw_quality(head: LayeredHead) -> bytes:
     """Where the tets of the smallest dihedral angles are, on the faded skin wrap, by angle [degrees]."""
     angles = smallest_dihedrals(head.vertices, head.tets)
     worst = np.argsort(angles)[:WORST]
     points = head.vertices[head.tets[worst]].mean(axis=1)
-    views = (
+    directions = (
         (f"the worst {len(worst)} of {len(angles)} tets", FRONT),
         ("from the subject's left", SIDE),
         ("from the subject's right", (-1.0, 0.05, 0.15)),
     )
-    return coloured(
-        [(text, head.skin_wrap, None, view) for text, view in views],
+    return draw_values(
+        [(text, head.skin_wrap, None, view) for text, view in directions],
         title="smallest dihedral angle [degrees]",
         limits=(float(angles[worst[0]]), float(angles[worst[-1]])),
         points=(points, angles[worst]),
     )
+
+
+def draw_depth_error(skin_wrap: Surface, errors: Floats, caption: str) -> bytes:
+    """PNG of errors (n,) [mm] per vertex on the skin wrap, NaN is grey; colours end at the 99 % quantile."""
+    top = float(np.nanquantile(errors, 0.99))
+    return draw_strip([Panel(caption, skin_wrap, errors, top), Panel("from behind", _turned(skin_wrap), errors, top)])
+
+
+def draw_depth_comparison(skin_wrap: Surface, predicted: Floats, measured: MeasuredDepths) -> bytes:
+    """PNG of one head's measured depths, grey where no ray met bone, beside the predicted ones (n,) [mm]."""
+    met = np.where(measured.met, measured.depths, np.nan)
+    top, behind = float(np.nanquantile(met, 0.95)), _turned(skin_wrap)
+    return draw_strip(
+        [
+            Panel("measured depth", skin_wrap, met, top),
+            Panel("predicted depth", skin_wrap, predicted, top),
+            Panel("measured, from behind", behind, met, top),
+            Panel("predicted, from behind", behind, predicted, top),
+        ],
+    )
+
+
+def _turned(surface: Surface) -> Surface:
+    """The same by half a turn about its vertical axis: panels of a strip share their view."""
+    x = surface.vertices
+    centre = (x.max(axis=0) + x.min(axis=0)) / 2
+    return surface.with_vertices(centre + HALF_TURN * (x - centre))

@@ -54,12 +54,12 @@ class Body:
         if self.side == "":
             return self.points @ motion[:3] + motion[3]
         left, stretch, right = np.linalg.svd(motion[:3])
-        gaze = self.points @ turned(self.side, weights).T - [0.0, 0.0, BACK]
+        gaze = self.points @ turn_eye(self.side, weights).T - [0.0, 0.0, BACK]
         return np.cbrt(stretch.prod()) * gaze @ left @ right + self.centre @ motion[:3] + motion[3]
 
 
 @dataclass(frozen=True, eq=False)
-class Within:
+class EyesAndTeeth:
     """What is drawn within a skin: left eye, right eye, upper and lower teeth.
 
     `triangles` (m, 3) and `colours` (k, 3), 0 to 255, are those of all points together.
@@ -74,12 +74,12 @@ class Within:
         return np.vstack([body.at(skin, weights) for body in self.bodies])
 
 
-def within(skin: Surface) -> Within | None:
+def find_eyes_and_teeth(skin: Surface) -> EyesAndTeeth | None:
     """What is drawn in a skin of the default triangles; None in another, of which no eyes and teeth are known."""
     return _default() if np.array_equal(skin.triangles, _mean().triangles) else None
 
 
-def turned(side: str, weights: Floats | None) -> Floats:
+def turn_eye(side: str, weights: Floats | None) -> Floats:
     """The rotation (3, 3) of the Left or Right eye, which looks forward at rest."""
     if weights is None:
         return np.eye(3)
@@ -95,7 +95,7 @@ def _mean() -> Surface:
 
 
 @cache
-def _default() -> Within:
+def _default() -> EyesAndTeeth:
     data = read_arrays(
         ANNY_WITHIN, "eyes", "radius", "teeth", "carriers", "counts", of="the default head's eyes and teeth"
     )
@@ -112,7 +112,7 @@ def _default() -> Within:
     count, first = len(data["teeth"]), 2 * len(ball)
     triangles = [faces, faces + len(ball), *(sides + first + k * len(crown) for k in range(count))]
     enamel = np.full((count * len(crown), 3), ENAMEL, dtype=np.uint8)
-    return Within([*eyes, *teeth], np.vstack(triangles), np.vstack([colours, colours, enamel]))
+    return EyesAndTeeth([*eyes, *teeth], np.vstack(triangles), np.vstack([colours, colours, enamel]))
 
 
 def _tooth(crown: Floats, tooth: Floats) -> Floats:

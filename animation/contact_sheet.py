@@ -15,7 +15,7 @@ from ..surrogate.corpus.mixture import NAMES
 from ..surrogate.corpus.plan import SPLITS
 from ..surrogate.corpus.reading import Row, Table
 from ..surrogate.corpus.simulator import UNDIFFERENTIATED
-from ..viewer.pictures import Panel, strip
+from .pictures import Panel, draw_strip
 
 SIZE = 220
 FITS = 19
@@ -24,7 +24,7 @@ FACE_HEIGHT = 0.86
 """Of a head, from its top, that a picture frames."""
 
 
-def contact_sheet(folder: Path, count: int, seed: int, on_progress: OnProgress) -> bytes:
+def draw_contact_sheet(folder: Path, count: int, seed: int, on_progress: OnProgress) -> bytes:
     """A picture of `count` accepted static frames of both splits, chosen by `seed`, two to a line."""
     tables = [Table(folder, "statics", split, partial=True) for split in SPLITS]
     choices = [(table, row) for table in tables for row in range(len(table))]
@@ -34,10 +34,10 @@ def contact_sheet(folder: Path, count: int, seed: int, on_progress: OnProgress) 
         table, row = choices[number]
         frames.append(_frame(table, table[row]))
         on_progress("pictures", (done + 1) / len(chosen))
-    return sheet(frames, 2)
+    return tile_pictures(frames, 2)
 
 
-def sheet(pictures: Sequence[bytes], columns: int) -> bytes:
+def tile_pictures(pictures: Sequence[bytes], columns: int) -> bytes:
     """PNG pictures in lines of so many, as PNG."""
     from PIL import Image
 
@@ -51,11 +51,11 @@ def sheet(pictures: Sequence[bytes], columns: int) -> bytes:
     return buffer.getvalue()
 
 
-def face_strip(panels: Sequence[Panel], skin: Surface, weights: Floats, size: int) -> bytes:
+def draw_face_strip(panels: Sequence[Panel], skin: Surface, weights: Floats, size: int) -> bytes:
     """Panels side by side, framed as the face of a neutral skin, whose eyes the weights (52,) turn. PNG."""
     y = skin.vertices[:, 1]
     framed: Floats = skin.vertices[y > y.max() - FACE_HEIGHT * np.ptp(y)]
-    return strip([replace(panel, weights=weights) for panel in panels], size=size, framed=framed)
+    return draw_strip([replace(panel, weights=weights) for panel in panels], size=size, framed=framed)
 
 
 def _frame(table: Table, row: Row) -> bytes:
@@ -71,7 +71,7 @@ def _frame(table: Table, row: Row) -> bytes:
         Panel(f"T  {row['kind'].decode()}", skin.with_vertices(blended + corrected)),
         Panel(_largest(row), skin.with_vertices(blended + corrected), distance, top),
     ]
-    return face_strip(panels, skin, row["weights"], SIZE)
+    return draw_face_strip(panels, skin, row["weights"], SIZE)
 
 
 def _largest(row: Row) -> str:

@@ -1,6 +1,12 @@
-"""How far forces move a surface's vertices by the PD matrix, and with it the matrix of energy and contact together."""
+"""Contact constraints frozen at one state: gaps that must not be negative, their energy and its multipliers.
+
+How far forces move a surface's vertices by the PD matrix, and with it the matrix of energy and contact together.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -9,7 +15,71 @@ from scipy.sparse import csr_matrix, hstack
 from ....lhm.base.mesh import Floats, Ints
 from ..coordinates import Coordinates, Place
 from ..system import System
-from .rows import Rows
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """Gaps g = n · Σ_j weight_j x_j - thickness >= 0, r of them, each between two points of the surface.
+
+    ids (r, 4): vertices of the scene; weights (r, 4), summing to zero: a vertex against a triangle (1, -b₀, -b₁, -b₂)
+    or a point of an edge against one of another (1 - s, s, t - 1, -t); normals (r, 3): unit, from the second to the
+    first; thickness (r,) [mm]; stiffness (r,) [mN/mm]; multipliers (r,) [mN], at least 0: the forces needed so far.
+    """
+
+    ids: Ints
+    weights: Floats
+    normals: Floats
+    stiffness: Floats
+    thickness: Floats
+    multipliers: Floats
+
+    @classmethod
+    def joined(cls, parts: Sequence[Constraints]) -> Constraints:
+        """The constraints of several, in order."""
+        return cls(*(np.concatenate([getattr(rows, field.name) for rows in parts]) for field in fields(cls)))
+
+    @property
+    def between_edges(self) -> np.ndarray:
+        """Which constraints are between two edges, shape (r,)."""
+        return self.weights[:, 0] != 1.0
+
+    def gaps(self, x: Floats) -> Floats:
+        """Gaps [mm], shape (r,), at positions x [mm], shape (n, 3)."""
+        return np.einsum("rj,rjc,rc->r", self.weights, x[self.ids], self.normals) - self.thickness
+
+    def forces(self, x: Floats) -> Floats:
+        """Forces [mN], shape (r,), with which the constraints push their two points apart along the normals."""
+        return np.maximum(self.multipliers - self.stiffness * self.gaps(x), 0.0)
+
+    def add_to(self, x: Floats, gradient: Floats) -> float:
+        """Add the gradient [mN] to (n, 3) and return the energy [µJ] of the augmented Lagrangian.
+
+        Σ (f² - multiplier²) / (2 stiffness) with f the forces (Nocedal and Wright 2006, Eq. 17.50 for inequalities): a
+        penalty stiffness/2 min(g, 0)² where the multiplier is zero.
+        """
+        forces = self.forces(x)
+        pushes = -(forces[:, None] * self.weights)[:, :, None] * self.normals[:, None, :]
+        np.add.at(gradient, self.ids.ravel(), pushes.reshape(-1, 3))
+        return float(np.sum((forces**2 - self.multipliers**2) / (2.0 * self.stiffness)))
+
+    def updated(self, x: Floats) -> Constraints:
+        """The same constraints with the forces at x for multipliers."""
+        return replace(self, multipliers=self.forces(x))
+
+    def chosen(self, mask: np.ndarray) -> Constraints:
+        """Some of the constraints."""
+        return Constraints(*(getattr(self, field.name)[mask] for field in fields(self)))
+
+    def keys(self) -> list[tuple[int, ...]]:
+        """What makes a constraint the same at another state: its vertex, or its two edges."""
+        edges = self.between_edges.tolist()
+        return [(a, b, c, d) if edge else (a,) for (a, b, c, d), edge in zip(self.ids.tolist(), edges, strict=True)]
+
+    def carrying(self, others: Constraints) -> Constraints:
+        """The same constraints with the multipliers of others that have the same keys, 0 where there are none."""
+        known = dict(zip(others.keys(), others.multipliers.tolist(), strict=True))
+        return replace(self, multipliers=np.array([known.get(key, 0.0) for key in self.keys()]))
+
 
 COLUMNS = 64
 """Right-hand sides solved for at once."""
@@ -47,16 +117,16 @@ class Elasticity:
         self._known = np.zeros(len(vertices), dtype=bool)
         self._blocks = [np.zeros((len(vertices), len(vertices))) for _ in system.groups]
 
-    def of(self, rows: Rows, place: Place) -> tuple[csr_matrix, Floats]:
+    def of(self, rows: Constraints, place: Place) -> tuple[csr_matrix, Floats]:
         """The gaps' gradients over the unknowns C, shape (r, size), and C A⁻¹ Cᵀ [mm/mN], shape (r, r), at a place."""
         gradients = _gradients(self.system.coordinates, rows, place)
         return gradients, self._between_vertices(rows) + self._by_bodies(gradients, place)
 
-    def with_rows(self, rows: Rows, place: Place) -> ContactMatrix:
+    def with_rows(self, rows: Constraints, place: Place) -> ContactMatrix:
         """The matrix A with the constraints' own, linearised at a place."""
         return ContactMatrix(self.system, rows.stiffness, *self.of(rows, place))
 
-    def _between_vertices(self, rows: Rows) -> Floats:
+    def _between_vertices(self, rows: Constraints) -> Floats:
         """The part of C A⁻¹ Cᵀ that free vertices have while bodies are held."""
         vertices, local = np.unique(rows.ids, return_inverse=True)
         at = np.searchsorted(self._vertices, vertices)
@@ -103,7 +173,7 @@ def _places(free: Ints, vertices: Ints) -> Ints:
     return np.where(free[place] == vertices, place, -1)
 
 
-def _gradients(coordinates: Coordinates, rows: Rows, place: Place) -> csr_matrix:
+def _gradients(coordinates: Coordinates, rows: Constraints, place: Place) -> csr_matrix:
     """The gaps' gradients over the unknowns, shape (r, size)."""
     r = len(rows.ids)
     columns = 3 * rows.ids[:, :, None] + np.arange(3)

@@ -15,15 +15,15 @@ from ..lhm.base.files.moving_surface import write_gltf, write_vtkhdf
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
-from ..reference.face.base import turned_about
-from .preview import Preview, pictures_of, steps_shown, write_preview
+from ..reference.face.dynamics import turn_about
+from .preview import Preview, choose_frames, render_frames, write_preview
 
 Format = Literal["vtkhdf", "gltf"]
 FILES: dict[Format, str] = {"vtkhdf": "take.vtkhdf", "gltf": "take.glb"}
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Output:
     """What is written of a take to the folder `out`.
 
     `turned` shows the head turned as the take has it, about its neck, and not in its own frame.
@@ -42,7 +42,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False)
-class Played:
+class PlayedTake:
     """Skins of a take's frames.
 
     neutral: the skin without p [mm]; deltas (52, n, 3) [mm]: what the weights add to it; pivot (3,) [mm]: what the head
@@ -57,7 +57,7 @@ class Played:
     take: Take
     moved: Callable[[Sequence[int]], Iterator[NDArray]]
 
-    def export(self, wanted: Wanted, progress: OnProgress) -> Path:
+    def export(self, wanted: Output, progress: OnProgress) -> Path:
         """Write OUT/take.vtkhdf or take.glb."""
         path, count = wanted.out / FILES[wanted.format], len(self.take.times)
         progress(f"export: {path.name}", 0.0)
@@ -70,22 +70,22 @@ class Played:
         progress(f"export: {path.name}", 1.0)
         return path
 
-    def show(self, wanted: Wanted, caption: str, progress: OnProgress) -> Path:
+    def show(self, wanted: Output, caption: str, progress: OnProgress) -> Path:
         """Write OUT/preview.gif or .mp4: blendshapes, and beside them the frames under their caption."""
         path = wanted.out / f"preview.{wanted.preview}"
-        shown = steps_shown(len(self.take.times), self.take.rate, wanted.preview)
+        shown = choose_frames(len(self.take.times), self.take.rate, wanted.preview)
         pairs = (
             (self._placed(wanted, k, self._blended(k)), self.neutral.vertices + moved)
             for k, moved in zip(shown, self._shown(wanted, shown), strict=True)
         )
         told = _told(pairs, len(shown), f"preview: {path.name}", progress)
         captions, weights = ("blendshapes", caption), self.take.weights[shown]
-        pictures = pictures_of(self.neutral, told, captions, framed=self.framed, weights=weights)
+        pictures = render_frames(self.neutral, told, captions, framed=self.framed, weights=weights)
         write_preview(path, wanted.preview, pictures, self.take.times[shown], self.take.rate)
         progress(f"preview: {path.name}", 1.0)
         return path
 
-    def _shown(self, wanted: Wanted, numbers: Sequence[int]) -> Iterator[NDArray]:
+    def _shown(self, wanted: Output, numbers: Sequence[int]) -> Iterator[NDArray]:
         """Frames as they are shown, less the neutral skin [mm], each (n, 3)."""
         for number, moved in zip(numbers, self.moved(numbers), strict=True):
             if wanted.turned:
@@ -93,17 +93,17 @@ class Played:
                 moved = placed - self.neutral.vertices
             yield moved
 
-    def _placed(self, wanted: Wanted, number: int, skin: Floats) -> Floats:
+    def _placed(self, wanted: Output, number: int, skin: Floats) -> Floats:
         """A skin [mm], shape (n, 3), of the head's own frame as it is shown."""
         if not wanted.turned or self.take.head is None:
             return skin
-        return turned_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
+        return turn_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
 
     def _blended(self, number: int) -> Floats:
-        return blended(self.neutral, self.deltas, self.take.weights[number])
+        return blend_linearly(self.neutral, self.deltas, self.take.weights[number])
 
 
-def blended(neutral: Surface, deltas: Floats, weights: Floats) -> Floats:
+def blend_linearly(neutral: Surface, deltas: Floats, weights: Floats) -> Floats:
     """Linear blendshapes [mm], shape (n, 3), of weights (52,)."""
     used = np.flatnonzero(weights)
     return neutral.vertices + np.tensordot(weights[used], deltas[used], axes=1)

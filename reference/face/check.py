@@ -1,0 +1,12 @@
+"""Gates of a head as it moves: `lhm.check.check_posed` with the fast simulator."""
+
+from __future__ import annotations
+
+from ...lhm.check import Figure, check_posed
+from ...lhm.head import LayeredHead
+from .. import Parameters, facial_scene, solve
+
+
+def check_posed_head(head: LayeredHead) -> tuple[Figure, ...]:
+    """Count the tets inverted in jawOpen and in both blinks, simulated; none without a rig of the head's own."""
+    return check_posed(head, lambda skin: solve(facial_scene(head, Parameters(), skin)).volume_ratio)
