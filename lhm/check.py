@@ -306,9 +306,9 @@ def _spread(distance: Floats) -> dict[str, Any]:
 
 def _parted(
     skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, float | None]:
+) -> dict[str, Any]:
     """Skin torn and folded where lips and lids part; None where the head has no rig, or not these shapes or regions."""
-    values: dict[str, float | None] = {}
+    values: dict[str, Any] = {}
     for name, (shapes, places) in {"jaw_open": (OPEN, MOUTH), "blink": (BLINK, EYES)}.items():
         torn = folded = None
         if rigged is not None and any(place in regions for place in places):

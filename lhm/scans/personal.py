@@ -92,12 +92,10 @@ def personalise_head(
         notes.append(f"{path.name}: {note}")
     progress("fitting the expressions", 1.0)
     fitted = personalise(head.skin, head.rig.deltas, examples, np.array(list(guesses.values())))
-    describe_rig = (
-        f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
-    )
+    source = f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
     missing = tuple(name for name in head.rig.missing if ARKIT.index(name) not in used)
-    rig = Rig(fitted.deltas.astype(np.float32), describe_rig, missing, head.rig.doubtful)
-    return Personal(replace(head, rig=rig, notes=(*head.notes, describe_rig)), fitted, tuple(notes))
+    rig = Rig(fitted.deltas.astype(np.float32), source, missing, head.rig.doubtful)
+    return Personal(replace(head, rig=rig, notes=(*head.notes, source)), fitted, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,7 @@ class External:
             ties = laid.template_weights.tocsr()
             return {"laid": laid.vertices, "data": ties.data, "indices": ties.indices, "indptr": ties.indptr}
 
-        found = load_or_make(name, make)
+        found: dict[str, np.ndarray] = load_or_make(name, make)
         shape = (len(own.mean.vertices), len(other.mean.vertices))
         ties = csr_matrix((found["data"], found["indices"], found["indptr"]), shape=shape)
         return cls(own, other, found["laid"], ties, partial(fit_head, template), f"{template.digest}-{name}")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix, identity
 
-from softdeca.lhm import MeshError, Surface, check_head, load_template
+from softdeca.lhm import MeshError, Surface, check_head
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.deformation import greatest_stretches, torn_area
@@ -23,11 +23,6 @@ from softdeca.lhm.scans import lips, mouth, seals
 from softdeca.lhm.scans.eyes import REACH, Eyes, calm_lids, classify_eyes
 from softdeca.lhm.scans.slit import cut_slit
 from softdeca.lhm.wraps.landmarks import distance_to
-
-
-@pytest.fixture(scope="module")
-def template():
-    return load_template(level=1)
 
 
 def shape(template, *names):
