@@ -103,6 +103,6 @@ def _posed() -> Sequence[problems.Problem]:
 
 
 def _fine() -> Mapping[str, Outcomes]:
-    orders = {f"orders of {e}": lambda e=e: list(problems.orders.study(e)) for e in problems.orders.ORDERS}
-    locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.locking.outcomes(nu) for nu in problems.locking.POISSON}
+    orders = {f"orders of {e}": lambda e=e: list(problems.manufactured.study(e)) for e in problems.manufactured.ORDERS}
+    locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.cook.locking_outcomes(nu) for nu in problems.cook.POISSON}
     return orders | locking

@@ -7,8 +7,8 @@ from scipy.optimize import brentq
 
 from softdeca.reference import add_law, terms
 from softdeca.reference.materials import EnergyLaw
-from softdeca.reference.materials.material import lame, lame_parameters
-from softdeca.reference.problems.homogeneous import Row, free_stretch, under_load
+from softdeca.reference.materials.material import check_lame, lame
+from softdeca.reference.problems.homogeneous import Row, free_stretch, loaded_stretch
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Gent(EnergyLaw):
     Jm: float = 30.0
 
     def __post_init__(self):
-        lame_parameters(self, *self.lame)
+        check_lame(self, *self.lame)
 
     @classmethod
     def of_moduli(cls, mu, lmbda):
@@ -79,7 +79,7 @@ def pulled(law, stretch):
     stress = nominal_stress(law, [stretch, free, free], 0)
     return Row(
         "Gent nu=.45, uniaxial",
-        lambda: [terms.Hyperelastic(law)],
+        (terms.Hyperelastic(law),),
         1,
         stretch,
         free,
@@ -97,6 +97,6 @@ add_law(
     problems=tuple(
         make(row, BOUNDS, source="Gent 1996; one equation")
         for row in ROWS
-        for make in (free_stretch, under_load)
+        for make in (free_stretch, loaded_stretch)
     ),
 )

@@ -8,5 +8,5 @@ from .. import Parameters, facial_scene, solve
 
 
 def check_posed_head(head: LayeredHead) -> tuple[Figure, ...]:
-    """Count the tets inverted in jawOpen and in both blinks, simulated; none without a rig of the head's own."""
+    """Count the tets inverted in jawOpen and in both blinks, simulated; none without a rig."""
     return check_posed(head, lambda skin: solve(facial_scene(head, Parameters(), skin)).volume_ratio)

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 import ufl
 
+from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
+from .. import materials
 from ..materials import Incompressible, Material
+from ..materials.material import HasDensity, HasMixedDensity
 from . import dolfinx_version as seam
-from .densities import density_of, mixed_density
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
@@ -25,16 +27,16 @@ def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
 
     Vectors of shape (3,) or, in the order of cells (k,), (k, 3).
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field in fields(material):
         value = getattr(material, field.name)
         if isinstance(value, np.ndarray):
-            found[field.name] = seam.cell_vectors(domain, cells, value)
+            values[field.name] = seam.cell_vectors(domain, cells, value)
         elif isinstance(value, (int, float, np.number)):
-            found[field.name] = seam.constant(domain, float(value))
+            values[field.name] = seam.constant(domain, float(value))
         else:
-            found[field.name] = value
-    return SimpleNamespace(**found)
+            values[field.name] = value
+    return SimpleNamespace(**values)
 
 
 def density(displacement, cells: Ints, material: Material, growth: Floats | float = 1.0, pressure=None):
@@ -48,8 +50,23 @@ def density(displacement, cells: Ints, material: Material, growth: Floats | floa
     law = material.law if isinstance(material, Incompressible) else material
     parameters = symbols(law, domain, cells)
     if pressure is None:
-        return ratio * density_of(material)(elastic, parameters), F
-    return ratio * mixed_density(elastic, pressure, material, parameters), F
+        assert isinstance(law, HasDensity)
+        return ratio * law.density(elastic, parameters), F
+    assert isinstance(material, (HasMixedDensity, Incompressible))
+    return ratio * material.mixed_density(elastic, pressure, parameters), F
+
+
+def check_mixed(material: Material):
+    """Raise SceneError for a law that mixed elements cannot model: without a mixed density, or where it fails."""
+    law = material.law if isinstance(material, Incompressible) else material
+    if not isinstance(law, HasMixedDensity):
+        names = ", ".join(kind.__name__ for kind in materials.LAWS if issubclass(kind, HasMixedDensity))
+        raise SceneError(f"element 'P2P1' cannot model {law.name} by a pressure; it models {names}")
+    if law is material:
+        try:
+            law.check_mixed()
+        except SceneError as error:
+            raise SceneError(f"element 'P2P1': {error}") from None
 
 
 def elastic_part(F, growth: Floats | float, domain, cells: Ints):
@@ -60,11 +77,11 @@ def elastic_part(F, growth: Floats | float, domain, cells: Ints):
     return F * ratio ** (-1 / 3), ratio
 
 
-WhenAsked = Callable[[], Callable[[Ints], Floats]]
+LazyEvaluator = Callable[[], Callable[[Ints], Floats]]
 
 
-def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
-    """What gives the function of cells for an expression at a rule's points; the code may be large, and not needed."""
+def lazy_evaluator(expression, degree: int, domain) -> LazyEvaluator:
+    """Compile an expression's evaluator at a rule's points on first use: its code may be large, and not needed."""
 
     @cache
     def evaluator() -> Callable[[Ints], Floats]:
@@ -73,17 +90,17 @@ def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
     return evaluator
 
 
-def stress_and_tangent(psi, F, degree: int, domain) -> tuple[WhenAsked, WhenAsked]:
+def stress_and_tangent(psi, F, degree: int, domain) -> tuple[LazyEvaluator, LazyEvaluator]:
     """P and dP/dF of a density, evaluated when asked."""
     P = ufl.diff(psi, F)
-    return evaluated_when_asked(P, degree, domain), evaluated_when_asked(ufl.diff(P, F), degree, domain)
+    return lazy_evaluator(P, degree, domain), lazy_evaluator(ufl.diff(P, F), degree, domain)
 
 
 @dataclass(frozen=True, eq=False)
 class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there.
 
-    Of a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
+    For a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
     and that by the pressure twice, negative semi-definite [mm³/kPa].
     """
 
@@ -91,14 +108,14 @@ class HyperelasticForms:
     energy: Any
     gradient: Any
     tangent: Any
-    _P: WhenAsked
-    _dP_dF: WhenAsked
+    _P: LazyEvaluator
+    _dP_dF: LazyEvaluator
     by_pressure: Any = None
     coupling: Any = None
     by_pressure_twice: Any = None
 
     @classmethod
-    def of(
+    def compile(
         cls,
         displacement,
         cells: Ints,

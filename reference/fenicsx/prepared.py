@@ -28,10 +28,10 @@ from ..terms import (
     Volume,
 )
 from .bodies import Pose, RigidProblem
-from .densities import check_mixed, shear_modulus
 from .dolfinx_version import ALONE
 from .dynamics import March, bare, check
 from .fields import Fields, Sampling
+from .hyperelastic import check_mixed
 from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
@@ -125,7 +125,7 @@ class PreparedFenicsx:
 
     def _kind(self, linear: str) -> str:
         """The linear solver of Newton's steps by displacement: factors where multigrid leaves too much of volumes."""
-        stiff = any(t.material.stiffness > STIFF * shear_modulus(t.material) for t in self.scene.of(Hyperelastic))
+        stiff = any(t.material.stiffness > STIFF * t.material.shear_modulus for t in self.scene.of(Hyperelastic))
         if linear == "cg" and stiff and 3 * self._numbering.nodes.total < LARGE_SADDLE:
             return "mumps"
         return "cg" if linear == "block" else linear
@@ -313,7 +313,7 @@ def compressible(scene: Scene) -> Scene:
     def softer(term: Term) -> Term:
         if not isinstance(term, Hyperelastic):
             return term
-        mu = shear_modulus(term.material)
+        mu = term.material.shear_modulus
         return replace(term, material=NeoHookean(mu, BULK * mu))
 
     return replace(scene, terms=tuple(softer(term) for term in scene.terms))

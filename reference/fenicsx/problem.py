@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -11,65 +9,32 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..materials import Corotated, Material, NeoHookean, StableNeoHookean
+from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import (
     Bending,
-    Gravity,
     Hyperelastic,
     Pressure,
     RigidBody,
     Strain,
     SurfaceStrain,
-    Target,
-    Traction,
     Volume,
 )
 from . import dolfinx_version as seam
 from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
-from .densities import BY_DENSITY, shear_modulus
 from .dolfinx_version import MPI, PETSc
-from .follower import FollowerPressure
 from .hyperelastic import HyperelasticForms
-from .laws import (
-    CorotatedLaw,
-    Grown,
-    NeoHookeanLaw,
-    PrincipalLaw,
-    StableNeoHookeanLaw,
-    StrainLaw,
-    VolumeLaw,
-    add_at,
-)
-from .membrane import Membrane
-from .numbering import CELL_SHARES, FACE_SHARES, Numbering
+from .loads import FollowerPressure, Springs, dead_loads
+from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
 from .shared import Shared, anywhere
-from .solids import Solid
+from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at
+from .surface_strain import Membrane
 
-Law = tuple[Ints, PrincipalLaw]
+Law = tuple[Ints, HasStretches]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
-BY_STRETCHES = (NeoHookean, StableNeoHookean)
-"""Laws whose energy and stress are UFL's; their tangent is by singular values, where to soften it is cheap."""
-LAWS: dict[type[Material], Callable[[Floats, Floats], PrincipalLaw]] = {
-    Corotated: CorotatedLaw,
-    NeoHookean: NeoHookeanLaw,
-    StableNeoHookean: StableNeoHookeanLaw,
-}
-
-
-@dataclass(frozen=True, eq=False)
-class Spring:
-    """Springs of targets or of inertia at nodes that this process owns.
-
-    dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
-    """
-
-    dofs: Ints
-    positions: Floats
-    stiffness: Floats
 
 
 class Problem:
@@ -104,11 +69,11 @@ class Problem:
         self._hyperelastic = [self._forms(solid) for solid in by_ufl]
         self.softness = np.zeros(len(numbering.cell_dofs))
         for solid in by_ufl if mixed else []:
-            self.softness[solid.cells] += 1.0 / shear_modulus(solid.hyperelastic.material)
+            self.softness[solid.cells] += 1.0 / solid.hyperelastic.material.shear_modulus
         self._tensors = [
             (self._points(forms.cells), forms)
             for forms, solid in zip(self._hyperelastic, by_ufl, strict=True)
-            if mixed or not isinstance(solid.hyperelastic.material, BY_STRETCHES)
+            if mixed or not isinstance(solid.hyperelastic.material, HasStretches)
         ]
         self._faces = [numbering.faces(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._pressed = [numbering.faces(term.name, term.triangles) for term in scene.of(Pressure)]
@@ -122,7 +87,7 @@ class Problem:
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         owned = numbering.nodes.owned
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
-        springs = [spring.dofs for spring in self._springs_of(scene)]
+        springs = [spring.dofs for spring in Springs.from_scene(scene, numbering)]
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
@@ -139,7 +104,7 @@ class Problem:
 
     def _solids(self, scene: Scene) -> list[Solid]:
         return [
-            Solid.of(scene, term, self.numbering)
+            Solid.from_term(scene, term, self.numbering)
             for term in scene.terms
             if isinstance(term, (Strain, Volume, Hyperelastic))
         ]
@@ -150,12 +115,12 @@ class Problem:
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
     def _is_by_ufl(self, term) -> bool:
-        return isinstance(term, Hyperelastic) and (self.mixed or isinstance(term.material, BY_DENSITY))
+        return isinstance(term, Hyperelastic) and (self.mixed or isinstance(term.material, HasDensity))
 
     def _forms(self, solid: Solid) -> HyperelasticForms:
         cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
         pressure = self.pressure if self.mixed else None
-        return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth, pressure)
+        return HyperelasticForms.compile(self._displacement, cells, material, self._degree, growth, pressure)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -164,19 +129,17 @@ class Problem:
         self.loads = dead_loads(scene, order)
         self._surfaces = self._surfaces_of(scene)
         self._followers = [
-            FollowerPressure.of(term, nodes, here)
+            FollowerPressure.from_term(term, nodes, here)
             for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
         ]
-        self._springs = self._springs_of(scene)
+        self._springs = Springs.from_scene(scene, order)
         solids = self._solids(scene)
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
         self._laws = [self._law(s) for s in by_law]
-        self._laws += [self._law(s) for s in hyperelastic if isinstance(s.hyperelastic.material, Corotated)]
-        if self.mixed:
-            hyperelastic = []
-        stretched = [s for s in hyperelastic if isinstance(s.hyperelastic.material, BY_STRETCHES)]
-        self._stretched = [self._law(s) for s in stretched]
+        self._laws += [self._law(s) for s in hyperelastic if not self._is_by_ufl(s.term)]
+        by_ufl = [s for s in hyperelastic if self._is_by_ufl(s.term) and not self.mixed]
+        self._stretched = [self._law(s) for s in by_ufl if isinstance(s.hyperelastic.material, HasStretches)]
         sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
         self.energy_scale = scene.force_scale() * sizes
 
@@ -193,24 +156,13 @@ class Problem:
 
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
         surfaces: list[Membrane | Rings] = [
-            Membrane.of(term, scene.vertices, *faces)
+            Membrane.from_term(term, scene.vertices, *faces)
             for term, faces in zip(scene.of(SurfaceStrain), self._faces, strict=True)
         ]
         for term in scene.of(Bending):
             self.numbering.dofs_of(term.name, term.triangles)
-            surfaces += Rings.of(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
+            surfaces += Rings.from_term(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
         return surfaces
-
-    def _springs_of(self, scene: Scene) -> list[Spring]:
-        """Those of targets, and of inertia."""
-        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
-        stiffness, places = scene.inertia()
-        moving = np.flatnonzero(stiffness)
-        found = []
-        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
-            mine, dofs = self.numbering.own_dofs(name, vertices)
-            found.append(Spring(dofs, positions[mine], np.broadcast_to(values, len(vertices))[mine]))
-        return found
 
     def _law(self, solid: Solid) -> Law:
         term, points = solid.term, self._points(solid.cells)
@@ -223,8 +175,8 @@ class Problem:
             return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
         if isinstance(term, Volume):
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        assert isinstance(term, Hyperelastic) and isinstance(term.material, (Corotated, *BY_STRETCHES))
-        law = LAWS[type(term.material)](at_points(term.material.mu), at_points(term.material.lmbda))
+        law = term.material
+        assert isinstance(law, HasStretches)
         return points, law if np.all(term.growth == 1.0) else Grown(law, at_points(term.growth))
 
     @property
@@ -288,7 +240,7 @@ class State:
         s = self._svd()[1]
         psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
         for points, law in laws:
-            add_at(points, *law.evaluate(s[points]), psi, p, h)
+            add_at(points, *law.by_stretches(s[points]), psi, p, h)
         return psi, p, h
 
     @cached_property
@@ -302,9 +254,7 @@ class State:
         energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
         energy += sum(surface.energy(self._x) for surface in problem._surfaces)
         energy += sum(self.share * follower.energy(self._x) for follower in problem._followers)
-        for spring in problem._springs:
-            away = self._x[spring.dofs] - spring.positions
-            energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
+        energy += sum(spring.energy(self._x) for spring in problem._springs)
         return problem.comm.allreduce(energy)
 
     def gradient(self) -> Floats:
@@ -324,7 +274,7 @@ class State:
         for follower in problem._followers:
             follower.add_gradient(self._x, total, self.share)
         for spring in problem._springs:
-            total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
+            spring.add_gradient(self._x, total)
         return problem.numbering.nodes.summed(total)
 
     def strain(self) -> Floats:
@@ -386,14 +336,13 @@ class State:
         if problem._laws or problem._stretched:
             U, s, V = self._svd()
             p, h = self._curvature()
-            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).softened(kept), stiffness)
+            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).soften(kept), stiffness)
         for slots, surface in zip(problem._slots, problem._surfaces, strict=True):
             stiffness.add(surface.nodes, slots, surface.hessian(self._x, kept))
         for slots, follower in zip(problem._pressed_slots, problem._followers, strict=True):
             stiffness.add(follower.nodes, slots, self.share * follower.tangent(self._x))
         for spring in problem._springs:
-            nodes = spring.dofs[:, None]
-            stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])
+            stiffness.add(spring.nodes, stiffness.slots(spring.nodes), spring.hessian())
         return stiffness.assembled()
 
     def _curvature(self) -> tuple[Floats, Floats]:
@@ -402,24 +351,3 @@ class State:
         if problem._stretched:
             return self._principal([*problem._laws, *problem._stretched])[1:]
         return self._p, self._h
-
-
-def dead_loads(scene: Scene, order: Numbering) -> Floats:
-    """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
-    forces = np.zeros(order.X.shape)
-    for term in scene.of(Gravity):
-        tets = scene.tets_of(term)
-        weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
-        cells = order.cell[tets]
-        nodes = order.cell_dofs[cells[cells >= 0]]
-        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
-        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
-    for term in scene.of(Traction):
-        if not term.triangles.size:
-            continue
-        here, nodes = order.faces(term.name, term.triangles)
-        a, b, c = (scene.vertices[term.triangles[here, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        shares = np.outer(area, FACE_SHARES[order.degree])
-        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
-    return order.nodes.summed(forces)

@@ -1,6 +1,6 @@
 """Stresses and reactions of an answer on finite elements: P at the points of the rule, and the gradient where held.
 
-Any process may ask for them, alone: it integrates over the whole mesh once. Of a scene in parts all ask together.
+Any process may ask for them, alone: it integrates over the whole mesh once. For a scene in parts all ask together.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def recover(scene: Scene, degree: int, answer: Nodal) -> Stresses:
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Stresses.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
+    return Stresses.from_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
 
 
 def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:

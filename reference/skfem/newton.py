@@ -1,4 +1,4 @@
-"""Newton's method with a line search on the energy."""
+"""Newton's method with a line search on the energy, and the direct solver of its steps."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csc_matrix, identity
+from scipy.sparse.linalg import splu
 
+from ...lhm.base.geometry import cholesky
 from ...lhm.base.mesh import Floats
 from ..solution import Reason
-from .definite import solve_definite, solve_semidefinite
 from .energy import Energy
 from .unknowns import Unknowns
 
@@ -18,13 +20,16 @@ HALVINGS = 40
 # The exact Hessian takes over once the gradient norm is below this part of its start: projecting always is linear only.
 NEAR = 0.1
 
+SHIFTS = (0.0, 1e-10, 1e-7, 1e-4, 1e-1)
+"""Shares of a scale that are added to the diagonal of a semidefinite matrix, until it is definite."""
+
 OnStep = Callable[[Floats, float, float], bool]
 """Called with positions, energy and gradient norm, the start first; returning True stops the iteration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """What is large for a scene: a length [mm] no step exceeds, and a vertex' stiffness [mN/mm]."""
+    """A scene's scales: a length [mm] that no step exceeds, and a vertex' stiffness [mN/mm]."""
 
     length: float
     stiffness: float
@@ -69,26 +74,26 @@ def minimise(
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
         near = norm < NEAR * first
-        found: State | Reason | None = _eager(energy, state, unknowns, scales) if eager and not near else None
-        eager = found is not None
-        if found is None:
-            found = _step(energy, state, unknowns, scales, near=near)
-        if isinstance(found, Reason):
-            return state.x, Reason.STAGNATED if near and found is Reason.LINE_SEARCH else found, iteration
-        state = found
+        after: State | Reason | None = _eager_step(energy, state, unknowns, scales) if eager and not near else None
+        eager = after is not None
+        if after is None:
+            after = _step(energy, state, unknowns, scales, near=near)
+        if isinstance(after, Reason):
+            return state.x, Reason.STAGNATED if near and after is Reason.LINE_SEARCH else after, iteration
+        state = after
         iteration += 1
 
 
-def _eager(energy: Energy, state: State, unknowns: Unknowns, scales: Scales) -> State | None:
+def _eager_step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales) -> State | None:
     """A step by the exact Hessian where it halves the gradient and lowers the energy, as it does from a near start.
 
     From the start on, and for as long as it does: projected Hessians get there by a constant factor a step.
     """
-    found = _step(energy, state, unknowns, scales, near=True)
-    if isinstance(found, Reason) or not found.value < state.value:
+    after = _step(energy, state, unknowns, scales, near=True)
+    if isinstance(after, Reason) or not after.value < state.value:
         return None
-    halved = np.linalg.norm(found.gradient) <= 0.5 * np.linalg.norm(state.gradient)
-    return found if halved else None
+    halved = np.linalg.norm(after.gradient) <= 0.5 * np.linalg.norm(state.gradient)
+    return after if halved else None
 
 
 def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, near: bool) -> State | Reason:
@@ -106,7 +111,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
     if step is None:
         return Reason.LINEAR_SOLVER
     if near:
-        x = unknowns.moved(state.x, step)
+        x = unknowns.move(state.x, step)
         value = energy.value(x)
         full = _state(energy, unknowns, x, value) if np.isfinite(value) else None
         if full is not None and np.linalg.norm(full.gradient) <= 0.5 * np.linalg.norm(state.gradient):
@@ -114,7 +119,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
     slope = float(state.gradient @ step)
     length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(HALVINGS):
-        x = unknowns.moved(state.x, length * step)
+        x = unknowns.move(state.x, length * step)
         value = energy.value(x)
         if value < state.value and value <= state.value + ARMIJO * length * slope:
             return _state(energy, unknowns, x, value)
@@ -125,3 +130,45 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
 def _state(energy: Energy, unknowns: Unknowns, x: Floats, value: float) -> State:
     forces = energy.gradient(x)
     return State(x, value, forces, unknowns.gradient(x, forces))
+
+
+def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
+    """The solution, shape (size,), or None if the matrix is not positive definite to working precision.
+
+    By CHOLMOD where the system has it, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
+    signs of D count the negative eigenvalues (Sylvester).
+    """
+    solve = _superlu(matrix) if cholesky.cholmod_library() is None else _cholmod(matrix)
+    if solve is None:
+        return None
+    solution = solve(right)
+    solution += solve(right - matrix @ solution)
+    return solution if np.isfinite(solution).all() else None
+
+
+def _cholmod(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
+    try:
+        factor = cholesky.CholmodFactor(matrix, definite=True)
+    except np.linalg.LinAlgError:
+        return None
+    return lambda right: factor(right[:, None])[:, 0]
+
+
+def _superlu(matrix: csc_matrix) -> Callable[[Floats], Floats] | None:
+    options = {"SymmetricMode": True, "Equil": False}
+    try:
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:
+        return None
+    if not np.array_equal(factors.perm_r, factors.perm_c) or factors.U.diagonal().min() <= 0:
+        return None
+    return factors.solve
+
+
+def solve_semidefinite(matrix: csc_matrix, right: Floats, *, scale: float) -> Floats | None:
+    """For a semidefinite matrix: as little of `scale` is added to the diagonal as makes it definite; None as above."""
+    for shift in SHIFTS:
+        solution = solve_definite(matrix + shift * scale * identity(matrix.shape[0], format="csc"), right)
+        if solution is not None:
+            return solution
+    return None

@@ -149,8 +149,9 @@ def test_what_leaves_the_neutral_face_alone_costs_no_solve(head, changes):
 
 @pytest.mark.parametrize("layers", [(1, 1), (2, 1)])
 def test_the_settled_face_moves_with_its_flesh_and_bones(head, layers):
-    flesh = mean_on_triangles(head, flesh_share(head))
-    heavier = settle(head, Parameters(soft_volume=1.0 + 0.2 * flesh), layers=layers)
+    heavier = settle(
+        head, Parameters(soft_volume=1.0 + 0.2 * mean_on_triangles(head, flesh_share(head))), layers=layers
+    )
     out = np.einsum("ij,ij->i", heavier.displacement, head.skin.vertices) / 100.0
     share = head.skin_from_wrap @ flesh_share(head)
     assert heavier.converged and out[share > 0.9].mean() > 0.2
@@ -171,7 +172,7 @@ def test_a_head_without_regions_is_held_everywhere(sphere_head):
 
 def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkeypatch):
     # Where all targets let go, and no bone is free, the settled face is in balance with targets that follow it.
-    monkeypatch.setattr("softdeca.reference.face.settle.fleshy", lambda head: np.ones(len(head.bone)))
+    monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
     effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
     at_rest, ended = with_effect(toothless, effect, head.skin.vertices)

@@ -292,9 +292,9 @@ def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):
     head = refine_head(sphere_head)
     stack = Stack.from_head(head, (1, 1), ())
     wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
-    assert stack.between(*wraps) == pytest.approx(head.vertices)
+    assert stack.interpolate(*wraps) == pytest.approx(head.vertices)
     shift = np.array([1.0, -2.0, 3.0])
-    assert stack.between(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
+    assert stack.interpolate(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
     assert stack.first_of_skull == 2 * len(head.bone)
 
 

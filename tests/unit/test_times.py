@@ -8,7 +8,7 @@ from numba import njit
 
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
 from softdeca.reference.clock import Clock, count_compilation
-from softdeca.reference.problems import stretched_bars
+from softdeca.reference.problems import bars
 from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
 
 NAP = 0.05
@@ -74,9 +74,9 @@ def test_a_first_solve_has_the_compilation_of_its_own():
 def far(cells=(12, 2, 2)):
     """A bar to five times its length: descent leaves the path that the load grows along, and is not the answer."""
     X, tets = box(cells, (6.0, 1.0, 1.0))
-    stress = stretched_bars.neo_hookean(5.0)[1]
+    stress = bars.neo_hookean_law(5.0)[1]
     pull = terms.Traction(triangles_at(X, tets, 0, 6.0), stress * np.eye(3)[0])
-    law = materials.NeoHookean.from_young(stretched_bars.YOUNG, stretched_bars.POISSON)
+    law = materials.NeoHookean.from_young(bars.YOUNG, bars.POISSON)
     return Scene(X, tets, (terms.Hyperelastic(law), terms.Fixed(vertices_at(X, 0, 0.0)), pull))
 
 

@@ -1,8 +1,14 @@
-"""Bending by quaternions: neither a singular value decomposition nor a rotation matrix is formed.
+"""The energies of surfaces: SurfaceStrain from invariants, and Bending by quaternions.
 
-At an inner vertex, l = Σ a_j e_j and S = Σ w_j e_j E_jᵀ are linear in the positions (e_j edges, E_j at rest). With
-Horn's symmetric K(M) (4 x 4), q·K(M) q = R(q) : M for the rotation R(q) of a unit quaternion q; so the rotation nearest
-to S is the eigenvector q of K(S) with the largest eigenvalue λ, and with b = Σ a_j E_j
+Neither a singular value decomposition nor a rotation matrix is formed.
+
+SurfaceStrain: with F = [a b] (3 x 2), I = ‖F‖² and the area ratio J = |a x b|, the stretches satisfy s_1² + s_2² = I
+and s_1 s_2 = J, so s_1 + s_2 = sqrt(I + 2 J) and ‖F - r R‖² = I - 2 r sqrt(I + 2 J) + 2 r² with r = sqrt(growth)
+(SoftDECA Eq. 11).
+
+Bending: at an inner vertex, l = Σ a_j e_j and S = Σ w_j e_j E_jᵀ are linear in the positions (e_j edges, E_j at rest).
+With Horn's symmetric K(M) (4 x 4), q·K(M) q = R(q) : M for the rotation R(q) of a unit quaternion q; so the rotation
+nearest to S is the eigenvector q of K(S) with the largest eigenvalue λ, and with b = Σ a_j E_j
 
     s/2 |l - R b|² = s/2 (|l|² + |b|²) - s f,   f(l, S) = q·T q,   T = K(l bᵀ).
 
@@ -12,17 +18,99 @@ constant sparse B, so that gradient and Hessian are Bᵀ φ' and Bᵀ φ'' B.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix, kron
 
 from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
-from .discretisation import Discretisation
-from .membrane import rest_gradients
-from .parts import Treatment
+from .discretisation import Discretisation, rest_gradients
+from .solids import LEVI_CIVITA, Treatment
 
+SMALL = 1e-12
 GAP = 1e-9  # of the largest eigenvalue: below it a ring does not determine its rotation
+
+
+class Membranes:
+    """One SurfaceStrain term."""
+
+    def __init__(self, scene: Scene, term: terms.SurfaceStrain, at: Discretisation):
+        self._elements = at.triangles(term.name, term.triangles, term.rest)
+        self._law = Membrane(self._elements.at_points(term.stiffness), self._elements.at_points(term.growth))
+
+    def value(self, x: Floats) -> float:
+        """See Part."""
+        return self._elements.integral(self._law.psi(self._elements.deformation_gradients(x)))
+
+    def gradient(self, x: Floats) -> Floats:
+        """See Part."""
+        return self._elements.forces(self._law.stress(self._elements.deformation_gradients(x)))
+
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
+        """See Part."""
+        return self._elements.stiffness(treat(self._law.tangent(self._elements.deformation_gradients(x))))
+
+
+@dataclass(frozen=True, eq=False)
+class Membrane:
+    """stiffness/2 ‖F - sqrt(growth) R‖² per rest area; stiffness [mN/mm] and growth, shape (m,)."""
+
+    stiffness: Floats
+    growth: Floats
+
+    def psi(self, F: Floats) -> Floats:
+        """Energy per rest area [mN/mm], shape (m,), of F of shape (m, 3, 2)."""
+        ratio = np.sqrt(self.growth)
+        squares, area, _ = _invariants(F)
+        return self.stiffness / 2 * (squares - 2 * ratio * np.sqrt(squares + 2 * area) + 2 * self.growth)
+
+    def stress(self, F: Floats) -> Floats:
+        """dpsi/dF [mN/mm], shape (m, 3, 2)."""
+        squares, area, normal = _invariants(F)
+        factor = np.sqrt(self.growth) / np.maximum(np.sqrt(squares + 2 * area), SMALL)
+        return self.stiffness[:, None, None] * (F - factor[:, None, None] * (F + _area_gradient(F, normal)))
+
+    def tangent(self, F: Floats) -> Floats:
+        """dP/dF [mN/mm], shape (m, 3, 2, 3, 2)."""
+        squares, area, normal = _invariants(F)
+        total = np.maximum(np.sqrt(squares + 2 * area), SMALL)
+        direction = (F + _area_gradient(F, normal)) / total[:, None, None]
+        identity = np.einsum("ik,ab->iakb", np.eye(3), np.eye(2))
+        curvature = identity + _area_hessian(F, area, normal) - np.einsum("mia,mkb->miakb", direction, direction)
+        weight = (np.sqrt(self.growth) / total)[:, None, None, None, None]
+        return self.stiffness[:, None, None, None, None] * (identity - weight * curvature)
+
+
+def _invariants(F: Floats) -> tuple[Floats, Floats, Floats]:
+    """‖F‖², the area ratio and the unit normal; a triangle flattened to a line has no normal: zero."""
+    cross = np.cross(F[:, :, 0], F[:, :, 1])
+    area = np.linalg.norm(cross, axis=1)
+    return np.einsum("mia,mia->m", F, F), area, cross / np.maximum(area, SMALL)[:, None]
+
+
+def _area_gradient(F: Floats, normal: Floats) -> Floats:
+    return np.stack([np.cross(F[:, :, 1], normal), np.cross(normal, F[:, :, 0])], axis=2)
+
+
+def _area_hessian(F: Floats, area: Floats, normal: Floats) -> Floats:
+    """Second derivative of J = |a x b|: of n . (a x b) by a and b, plus the turning of the normal n."""
+    gradient = _cross_derivative(F)
+    projector = np.eye(3) - np.einsum("mp,mq->mpq", normal, normal)
+    turning = np.einsum("mpia,mpq,mqkb->miakb", gradient, projector, gradient, optimize=True)
+    hessian = turning / np.maximum(area, SMALL)[:, None, None, None, None]
+    mixed = np.einsum("pik,mp->mik", LEVI_CIVITA, normal)
+    hessian[:, :, 0, :, 1] += mixed
+    hessian[:, :, 1, :, 0] -= mixed
+    return hessian
+
+
+def _cross_derivative(F: Floats) -> Floats:
+    """d(a x b)_p/dF_ia, shape (m, 3, 3, 2)."""
+    by_first = np.einsum("pij,mj->mpi", LEVI_CIVITA, F[:, :, 1])
+    by_second = np.einsum("pji,mj->mpi", LEVI_CIVITA, F[:, :, 0])
+    return np.stack([by_first, by_second], axis=3)
 
 
 def _horn() -> Floats:
