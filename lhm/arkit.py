@@ -32,7 +32,7 @@ _HALVED = {name.lower() for name in ("browInnerUp", "cheekPuff")}
 
 
 def arkit_name(name: str) -> str | None:
-    """The ARKit expression that a morph target's name stands for, or None.
+    """Find the ARKit expression that a morph target's name stands for, or None.
 
     Letters' case, underscores, what stands before a dot or colon, and _L, _R for Left, Right make no difference. The
     halves of browInnerUp and cheekPuff, which some rigs have, stand for the whole.
@@ -51,7 +51,7 @@ def arkit_name(name: str) -> str | None:
 
 
 def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Morph targets (n, 3) by ARKit's names, halves added; those of other names, or that are zero, are left out."""
+    """Name morph targets (n, 3) by ARKit's names, halves added; unknown ones, and those that are zero, are left out."""
     found: dict[str, Floats] = {}
     for name, delta in morphs.items():
         known = arkit_name(name)
@@ -62,7 +62,7 @@ def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
 
 @check_arguments
 def index(name: str) -> int:
-    """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
+    """Find the place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
     if name in ARKIT:
         return ARKIT.index(name)
     by_lower = {known.lower(): known for known in ARKIT}
@@ -72,7 +72,7 @@ def index(name: str) -> int:
 
 
 def weights_of(named: Mapping[str, float]) -> Floats:
-    """Weights in ARKit's order, shape (52,), of the expressions named; the rest are zero.
+    """Make weights in ARKit's order, shape (52,), of the expressions named; the rest are zero.
 
     Raises InputError for a name that is unknown and a weight that is no number in [0, 1].
     """
@@ -88,7 +88,7 @@ def weights_of(named: Mapping[str, float]) -> Floats:
 
 
 def parse_weights(text: str) -> Floats:
-    """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
+    """Read weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
     named: dict[str, float] = {}
     for part in text.split("+"):
         name, star, factor = (piece.strip() for piece in part.partition("*"))
@@ -107,7 +107,7 @@ def parse_weights(text: str) -> Floats:
 
 
 def check_weights(weights) -> Floats:
-    """Weights as float64, shape (..., 52), clipped to [0, 1] with a warning that counts those outside.
+    """Check weights of shape (..., 52); as float64, clipped to [0, 1] with a warning that counts those outside.
 
     Raises InputError for another shape, and for NaN or infinity (by frame and name).
     """

@@ -59,7 +59,7 @@ class SpaceOptions(TypedDict):
 
 
 def space_options(space: LinearSpace) -> SpaceOptions:
-    """The mean head's parts, and the expressions that open its mouth and lids."""
+    """Give `build_template` the mean head's parts, and the expressions that open its mouth and lids."""
     wide = space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")]
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
 
@@ -68,7 +68,7 @@ def space_options(space: LinearSpace) -> SpaceOptions:
 def load_template(
     space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
 ) -> Template:
-    """The template of an identity space's mean head (default: the embedded head); built on first use, then cached.
+    """Load the template of a space's mean head (default: the embedded head); built on first use, then cached.
 
     `level` 1, 2 or 3: 1,212, 4,842 or 19,362 vertices per wrap. Raises FitError, naming what failed, if no valid
     layers could be made.
@@ -98,7 +98,7 @@ def build_template(
     name: str = "custom",
     progress: OnProgress = silent,
 ) -> Template:
-    """A template around a closed skin [mm], and over closed surfaces of muscles and skull inside it where given.
+    """Build a template around a closed skin [mm], over closed surfaces of muscles and skull inside it where given.
 
     Without `skull` the skull wrap is grown inward by published depths, without `muscles` the muscle wrap lies at a
     fixed share of the way. `parts` (n,): OUTSIDE, MOUTH, EYES or CAP per vertex of the skin; `jaw`, `lids` (n, 3)
@@ -208,7 +208,7 @@ class _Wanted:
     on_skull: Mask
 
     def stack(self, skin: Floats, skull: Floats) -> Floats:
-        """The stacked wraps (3 n, 3) [mm] over a skin and a skull wrap."""
+        """Stack the wraps (3 n, 3) [mm] over a skin and a skull wrap."""
         return np.vstack([skin, skin + self.share[:, None] * (skull - skin), skull])
 
 
@@ -268,7 +268,7 @@ def _middle_around(columns: Columns, values: Floats) -> Floats:
 def find_connectors(
     skin_wrap: Surface, normals: Floats, directions: Floats, surface: Surface, *, longest: float = LONGEST_RAY
 ) -> tuple[Floats, Mask]:
-    """Connectors (n, 3) [mm] from the vertices of a closed skin wrap to a closed surface inside it, and where found.
+    """Find connectors (n, 3) [mm] from a closed skin wrap to a closed surface inside it, and where there are any.
 
     A ray goes along the unit `directions` (n, 3), and where that fails against the outward unit `normals` (n, 3). Found
     is what enters `surface` from outside within `longest` [mm], neither grazing it nor the wrap, and before the ray

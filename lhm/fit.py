@@ -74,7 +74,7 @@ def fit_head(
     own: Mapping[str, Floats] | None = None,
     progress: OnProgress = silent,
 ) -> LayeredHead:
-    """The layered head of a neutral skin [mm].
+    """Fit the layered head of a neutral skin [mm].
 
     In the paper's order: the template's wraps are warped with the skin (Eq. 3); `regressor` (default: the template's)
     says how deep the skull wrap lies, and Eq. 4 finds it; the muscle wrap follows by the ten-percent rule; columns
@@ -113,7 +113,7 @@ def fit_registered(
     regressor: DepthRegressor | None = None,
     own: Mapping[str, Floats] | None = None,
 ) -> LayeredHead:
-    """The layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
+    """Fit the layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
     head = _fitted(template, laid.surface, regressor)
     rig = None if template.space is None else add_own_expressions(transfer_rig(template.space, laid), own)
     return replace(
@@ -127,19 +127,19 @@ def fit_registered(
 
 
 def rig_from_space(space: LinearSpace) -> Rig:
-    """The expressions of a space's own topology."""
+    """Take the expressions of a space's own topology."""
     return Rig(space.expressions.astype(np.float32), space.name, space.missing)
 
 
 def transfer_rig(space: LinearSpace, laid: Registration) -> Rig:
-    """A space's expressions transferred to its registered mean skin, and from there to the skin that it lies on."""
+    """Transfer a space's expressions to its registered mean skin, and from there to the skin that it lies on."""
     deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
     carried = np.stack([laid.skin_weights @ delta for delta in deltas])
     return Rig(carried.astype(np.float32), f"transferred from {space.name}", space.missing)
 
 
 def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
-    """The rig with the expressions in `own` in place of its own, by ARKit names."""
+    """Put the expressions in `own`, by ARKit names, in place of those of a rig."""
     if not own:
         return rig
     deltas = np.array(rig.deltas)
@@ -245,13 +245,13 @@ class Carrier:
 
     @classmethod
     def of(cls, surface: Surface, wrap: Floats, among: Ints) -> Carrier:
-        """Led by up to CENTRES of the wrap's vertices `among` (k,), the farthest from one another."""
+        """Let up to LEADERS of the wrap's vertices `among` (k,) lead, the farthest from one another."""
         first = np.zeros(1, dtype=np.int64)
         count = min(LEADERS, len(among))
         return cls(surface, wrap, among[farthest_points(wrap[among], count, first)])
 
     def moved(self, wrap: Floats) -> Surface:
-        """The surface [mm] when the wrap is at `wrap` (n, 3) [mm]."""
+        """Carry the surface [mm] when the wrap is at `wrap` (n, 3) [mm]."""
         coefficients = self._warp.coefficients(wrap[self.chosen] - self.wrap[self.chosen])
         return self.surface.with_vertices(self.surface.vertices + self._basis @ coefficients)
 
@@ -268,7 +268,7 @@ class SkullCarrier:
             self.share = _mandibular(skull.vertices, skull_bone)[:, None]
 
     def moved(self, wrap: Floats) -> Surface:
-        """The skull [mm] when the skull wrap is at `wrap` (n, 3) [mm]."""
+        """Carry the skull [mm] when the skull wrap is at `wrap` (n, 3) [mm]."""
         moved = self.cranium.moved(wrap)
         if self.mandible is None:
             return moved

@@ -65,7 +65,7 @@ def socket_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
 
 
 def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
-    """A share per vertex (n,) as the mean per triangle of the wraps, shape (m,)."""
+    """Average a share per vertex (n,) over each triangle of the wraps, shape (m,)."""
     return share[head.skin_wrap.triangles].mean(axis=1)
 
 

@@ -22,7 +22,7 @@ OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
 
 
 def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Shortest way [mm] along the wrap's edges from the middle of one lip to that of the other.
+    """Measure the shortest way [mm] along the wrap's edges from the middle of one lip to that of the other.
 
     The farthest from one another, along the wrap, of the vertices next to the mouth's lining and within 6 mm of its
     middle: on one lip at most some 15 mm, from lip to lip much more, for the way runs through the lining or around
@@ -43,7 +43,7 @@ def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np
 def lid_path(
     vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np.bool_]]
 ) -> tuple[float, float] | tuple[None, None]:
-    """Shortest way [mm] along the wrap's edges from upper to lower lid, and the same over the straight distance.
+    """Measure the shortest way [mm] along the wrap's edges from upper to lower lid, and that over the straight one.
 
     From the middle of the upper to that of the lower half of the ring around each socket; the eye with the smaller
     ratio counts. It runs through the socket or around the eye's corner (a ratio of pi / 2 for a round eye), and the
@@ -63,7 +63,7 @@ def lid_path(
 
 
 def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
-    """Points (n, 3) [mm] in the face's own axes, by its regions "mouth" and "eyes": across, up from mouth to eyes, out.
+    """Turn points (n, 3) [mm] into the face's own axes by its regions: across, up from mouth to eyes, out.
 
     Across is the way between the eyes, to either side. As they are where a region is missing.
     """
@@ -111,7 +111,7 @@ def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
 def triangles_at(
     skin: Surface, skin_from_wrap: csr_matrix, regions: Mapping[str, NDArray[np.bool_]], names: Sequence[str]
 ) -> Ints:
-    """The skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
+    """Find the skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
     masks = [regions[name] for name in names if name in regions]
     if not masks:
         return skin.triangles[:0]
@@ -120,12 +120,12 @@ def triangles_at(
 
 
 def measure_torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
-    """The area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
+    """Measure the area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
     return torn_area(skin.vertices, _moved(skin, rig, names), triangles)
 
 
 def measure_folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
-    """The length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
+    """Measure the length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
     return folded_length(skin.vertices, _moved(skin, rig, names), triangles)
 
 

@@ -30,7 +30,7 @@ SMALLEST_SIZE = 0.2
 
 
 def refine_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
-    """Every tet split into eight (Bey's red refinement), and each new tet's parent, shape (8 m,).
+    """Split every tet into eight (Bey's red refinement); also each new tet's parent, shape (8 m,).
 
     The domain and each parent's volume stay; old vertices come first. The inner octahedron is cut along its shortest
     diagonal.
@@ -51,7 +51,7 @@ def refine_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
 
 
 def refine_head(head: LayeredHead) -> LayeredHead:
-    """The head with every triangle of its wraps split into four at its edges' middles: the same surfaces, finer.
+    """Split every triangle of a head's wraps into four at its edges' middles: the same surfaces, finer.
 
     Its tets, a `volume`, are the head's split into eight (prisms between the finer wraps could be inverted where the
     head's are twisted), so a layer of tets becomes two. Old vertices of a wrap come first. The skin stays, tied to
@@ -105,7 +105,7 @@ def _carried(carry: csr_matrix, vertices: Floats) -> Floats:
 
 
 def remesh(head: LayeredHead, size: float) -> LayeredHead:
-    """The head with free tets of `size` [mm] between its wraps, as its `volume`; wraps and all else are kept.
+    """Fill the space between a head's wraps with free tets of `size` [mm], its `volume`; wraps and all else are kept.
 
     The wraps' triangles stay as they are and grade the size: tets are as large as the triangles by the wraps, and where
     a layer is thick no larger than `size` inside. Where it is thinner than its triangles are wide, tets reach from wrap

@@ -82,7 +82,7 @@ class Template:
     def layered(
         self, skin: Surface, stack: Floats, *, muscles: Surface | None = None, skull: Surface | None = None
     ) -> LayeredHead:
-        """A head of this template's triangulation from its skin and the stacked wraps (3 n, 3) [mm]."""
+        """Make a head of this template's triangulation from its skin and the stacked wraps (3 n, 3) [mm]."""
         skin_wrap, muscle_wrap, skull_wrap = (Surface(wrap, self.triangles) for wrap in stack.reshape(3, -1, 3))
         ties = (self.wrap_from_skin, self.skin_from_wrap)
         wraps = (skin_wrap, muscle_wrap, skull_wrap)

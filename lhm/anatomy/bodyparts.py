@@ -80,7 +80,7 @@ class Anatomy:
     bite: Floats
 
     def moved(self, move: Callable[[Floats], Floats]) -> Anatomy:
-        """The anatomy with every point (k, 3) [mm] where `move` puts it."""
+        """Move the anatomy with every point (k, 3) [mm] where `move` puts it."""
         surfaces = [self.cranium, self.mandible, *self.muscles.values()]
         points = [surface.vertices for surface in surfaces] + [self.eyes, self.bite[None]]
         ends = np.cumsum([len(p) for p in points])[:-1]
@@ -90,12 +90,12 @@ class Anatomy:
 
 
 def load(path: str | os.PathLike[str]) -> Anatomy:
-    """The anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
+    """Read the anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
     return anatomy_from_arrays(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
 
 
 def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:
-    """The anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
+    """Make the anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _anatomy(data)
     except (ValueError, IndexError, TypeError, KeyError) as error:
@@ -151,7 +151,7 @@ def _centre(points: Floats) -> Floats:
 
 
 def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) -> dict[str, np.ndarray]:
-    """The arrays that `bodyparts.load` reads, from a folder of OBJ files in the body's coordinates [mm].
+    """Read the arrays that `bodyparts.load` reads, from a folder of OBJ files in the body's coordinates [mm].
 
     Release 3.0 names its files by FMA (FMA52748.obj), 4.0 by numbers of its own (FJ1234.obj) and has the FMA in a
     comment at the top, several files of one FMA being pieces of it; both are looked for in the folder and those below.
@@ -186,7 +186,7 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
 
 
 def missing_parts(arrays: Mapping[str, np.ndarray]) -> list[str]:
-    """Names of the parts that the arrays of `read_folder` lack; eyeballs may be there as such or as their scleras."""
+    """Name the parts that the arrays of `read_folder` lack; eyeballs may be there as such or as their scleras."""
     there = set(arrays["part_name"].tolist())
     names = [name for text in FMA_PARTS.values() for _, name in _named(text)]
     eyes = [name for name in names if "eyeball" in name]

@@ -104,7 +104,7 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
 
 
 def close_pockets(skin: Surface, parts: Ints) -> Surface:
-    """The visible skin, closed over mouth and eye sockets by lids across their rims, which come last."""
+    """Close the visible skin over mouth and eye sockets by lids across their rims, which come last."""
     triangles = skin.triangles[_visible(skin, parts)]
     vertices = skin.vertices
     for loop in boundary_loops(triangles):
@@ -118,7 +118,7 @@ def _visible(skin: Surface, parts: Ints) -> Mask:
 
 
 def keep_triangles(surface: Surface, kept: Mask) -> Surface:
-    """The triangles that a mask (m,) keeps, over their own vertices."""
+    """Keep the triangles of a mask (m,), over their own vertices."""
     used, numbers = np.unique(surface.triangles[kept], return_inverse=True)
     return Surface(surface.vertices[used], numbers.reshape(-1, 3))
 

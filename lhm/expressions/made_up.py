@@ -129,7 +129,7 @@ GESTURES = {
 
 @check_arguments
 def sample_weights(rng: np.random.Generator) -> Floats:
-    """One random expression: ARKit weights in [0, 1], shape (52,).
+    """Draw one random expression: ARKit weights in [0, 1], shape (52,).
 
     The jaw opens in 60 % of all; one unit is active, and a Poisson number of mean 2 beside it; a pair is symmetric to
     10 % in 80 % of cases and one-sided otherwise. mouthClose, which means closing an open jaw, never exceeds jawOpen.
@@ -156,7 +156,7 @@ def sample_weights(rng: np.random.Generator) -> Floats:
 
 @check_arguments
 def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
-    """Weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
+    """Make up weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
 
     Each is reached in 0.15 to 0.6 s, smoothly, as the one before has mostly gone, so that of two that contradict each
     other one is below 0.15; it is held for 0.1 to 0.4 s. Raises InputError for fewer than one frame and a rate that is
@@ -206,7 +206,7 @@ def contradict(a: str, b: str) -> bool:
 
 @check_arguments
 def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
-    """Weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
+    """Make up weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
 
     The same generator state gives the same weights. Of contradictory pairs (jawLeft and jawRight, mouthLeft and
     mouthRight, smile and frown, up and down, in and out of a gaze) one is zero, eyeWide fades while the eye blinks,
@@ -225,7 +225,7 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
 
 @check_arguments
 def conversation_take(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Take:
-    """A conversation's weights as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
+    """Make up a conversation as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
     weights = conversation(rng, frames, rate=rate)
     head = head_motion(rng, frames, rate=rate)
     return Take(weights, rate, np.arange(frames) / rate, head=head, synthetic="made-up conversation")
@@ -248,7 +248,7 @@ class _Face:
             self.values[name + side] = self.values[name + side] + values * (1.0 + self.wander(3.0, UNEVEN))
 
     def split(self, name: str, opposite: str, signed: Floats) -> None:
-        """Positive values to one expression and negative ones to its opposite."""
+        """Add positive values to one expression and negative ones to its opposite."""
         self.add(name, np.maximum(signed, 0.0))
         self.add(opposite, np.maximum(-signed, 0.0))
 
@@ -260,11 +260,11 @@ class _Face:
         return deviation * self.smooth(walk, min(0.1 * seconds, 0.1))
 
     def smooth(self, values: Floats, seconds: float) -> Floats:
-        """Averaged over a Gaussian of this deviation [s]."""
+        """Average over a Gaussian of this deviation [s]."""
         return gaussian_filter1d(values, seconds * self.rate, axis=0, mode="nearest")
 
     def weights(self) -> Floats:
-        """All in ARKit's order, in [0, 1], shape (frames, 52)."""
+        """Give all in ARKit's order, in [0, 1], shape (frames, 52)."""
         self.values["mouthClose"] = np.minimum(self.values["mouthClose"], self.values["jawOpen"])
         return np.clip(np.stack([self.values[name] for name in ARKIT], axis=1), 0.0, 1.0)
 
@@ -457,6 +457,6 @@ def _spoken(word: str, sounds_of) -> list[str]:
 
 
 def shipped_sentences() -> tuple[str, ...]:
-    """Sentences to be spoken, each of some seconds, with every sound of English and many closed lips."""
+    """Read the sentences to be spoken, each of some seconds, with every sound of English and many closed lips."""
     lines = resources.files(__package__).joinpath("speech.txt").read_text(encoding="utf-8").splitlines()
     return tuple(line for line in lines if line.strip())

@@ -46,7 +46,7 @@ class Recording:
     pace: float = PACE
 
     def take(self) -> Take:
-        """The take, evenly spaced at `rate`; InputError where its file is gone or has another length by now."""
+        """Make the take, evenly spaced at `rate`; InputError where its file is gone or has another length by now."""
         take = _made(self.kind, self.origin, self.frames, self.rate, self.pace)
         if len(take.times) != self.frames:
             raise InputError(
@@ -67,7 +67,7 @@ def recordings(
     rate: float = RATE,
     pace: float = PACE,
 ) -> dict[str, Recording]:
-    """Recordings by their names, in a fixed order: real ones, speech, conversations, random combinations, hard ones.
+    """List recordings by name, in a fixed order: real ones, speech, conversations, random combinations, hard ones.
 
     `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
     `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`, `hard`: how many, each of
@@ -91,7 +91,7 @@ def recordings(
 
 
 def starts(take: Take, length: int) -> Ints:
-    """Where `length` consecutive frames can begin, shape (k,), with none of them in a gap of the take."""
+    """Find where `length` consecutive frames can begin, shape (k,), with none of them in a gap of the take."""
     real = _recorded(take)
     before = np.concatenate([[0], np.cumsum(real)])
     return np.flatnonzero(before[length:] - before[:-length] == length) if length <= len(real) else np.zeros(0, int)

@@ -92,7 +92,7 @@ class Take:
         return len(self.lost_at)
 
     def part(self, chosen: slice) -> Take:
-        """Some of the frames, with what is counted in their time alone; InputError if there are none."""
+        """Keep some of the frames, with what is counted in their time alone; InputError if there are none."""
         times = self.times[chosen]
         if not len(times):
             raise InputError(f"take: none of its {len(self.times)} frames")
@@ -108,7 +108,7 @@ class Take:
         )
 
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know of the take, a line each; what there is nothing of is left out."""
+        """Say what a user should know of the take, a line each; what there is nothing of is left out."""
         few = ", ".join(self.missing[:FEW]) + (", ..." if len(self.missing) > FEW else "")
         bridged = "; the weights between are read off a line" if len(self.gaps) else ""
         said = (
@@ -140,7 +140,7 @@ def take_from_columns(
     head: Floats | None = None,
     lost_at: Floats | None = None,
 ) -> Take:
-    """A Take of values, shape (frames, len(names)), whose columns are the expressions named; clipped and counted."""
+    """Make a Take of values (frames, len(names)) whose columns are the expressions named; clipped and counted."""
     weights = np.zeros((len(columns), len(ARKIT)))
     weights[:, [ARKIT.index(name) for name in names]] = columns
     outside = np.count_nonzero((weights < 0.0) | (weights > 1.0), axis=1)
@@ -157,7 +157,7 @@ def take_from_columns(
 
 @check_arguments
 def resample(take: Take, rate: float) -> Take:
-    """The take at evenly spaced times from its first to its last, `rate` [Hz].
+    """Give the take at evenly spaced times from its first to its last, `rate` [Hz].
 
     Between frames weights and head are linear in time, also where frames were lost: what is further apart than GAP
     stands in `gaps`. Where the rate rises or stays, they are read off there; where it falls, they are averaged exactly
@@ -199,7 +199,7 @@ def _integral(times: Floats, values: Floats, until: Floats) -> Floats:
 
 
 def rotations(angles) -> Floats:
-    """Rotation matrices R, shape (frames, 3, 3), of yaw, pitch and roll [rad], shape (frames, 3).
+    """Make rotation matrices R, shape (frames, 3, 3), of yaw, pitch and roll [rad], shape (frames, 3).
 
     R = Ry(yaw) Rx(pitch) Rz(roll) takes the head's own frame to the room's. Axes as everywhere: x to the subject's
     left, y up, z forward. Positive yaw turns the face to the subject's left, positive pitch downward, positive roll

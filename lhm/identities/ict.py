@@ -65,7 +65,7 @@ KIT_PARTS = (
 
 
 def load(path: str | os.PathLike[str]) -> LinearSpace:
-    """Face, head, neck, mouth lining and eye sockets, closed at the neck; teeth, gums, tongue and eyes left out.
+    """Load face, head, neck, mouth lining and eye sockets, closed at the neck; teeth, gums, tongue and eyes left out.
 
     Raises InputError naming the file if it is missing, damaged or lacks an array.
     """
@@ -73,7 +73,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
 
 def space_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> LinearSpace:
-    """The space of the arrays of a file or folder; InputError naming it if they do not fit together."""
+    """Make the space of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _space(data)
     except (ValueError, IndexError, TypeError, KeyError) as error:
@@ -139,7 +139,7 @@ def _inside(triangles: Ints, part_of: Ints, part: int) -> Ints:
 
 
 def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) -> dict[str, np.ndarray]:
-    """The arrays that `ict.load` reads [cm], from the folder FaceXModel or the one that holds it (some 20 seconds).
+    """Read the arrays that `ict.load` reads [cm], from the folder FaceXModel or the one that holds it (20 seconds).
 
     Files of ARKit's names are the expressions and `identityNNN.obj` the identities, as many as `ict` uses, each less
     the neutral mesh; others are left out. `license` is the comment at the top of that mesh.

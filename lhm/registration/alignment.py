@@ -60,13 +60,13 @@ class Target:
 
 
 def tukey_weights(distance: Floats, limit: float) -> Floats:
-    """Tukey's biweight of distances [mm]: 1 at zero, 0 from `limit` on."""
+    """Weigh distances [mm] by Tukey's biweight: 1 at zero, 0 from `limit` on."""
     inside = np.maximum(1 - (distance / limit) ** 2, 0.0)
     return inside * inside
 
 
 def open_edges(triangles: Ints) -> Ints:
-    """The edges that have one triangle, shape (k, 2)."""
+    """Find the edges that have one triangle, shape (k, 2)."""
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     return unique[count == 1]
@@ -86,7 +86,7 @@ class Similarity:
 
 
 def fit_similarity(rest: Floats, moved: Floats) -> Similarity:
-    """The least-squares fit moved = s R rest + t of points (n, 3) (Umeyama, IEEE TPAMI 13(4), 1991, Eq. 39-42)."""
+    """Fit moved = s R rest + t to points (n, 3) by least squares (Umeyama, IEEE TPAMI 13(4), 1991, Eq. 39-42)."""
     rotation, _ = rigid_motion(rest, moved)
     a, b = rest - rest.mean(axis=0), moved - moved.mean(axis=0)
     scale = float(np.einsum("nd,nd->", b, a @ rotation.T) / max(np.einsum("nd,nd->", a, a), 1e-30))
@@ -94,7 +94,7 @@ def fit_similarity(rest: Floats, moved: Floats) -> Similarity:
 
 
 def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similarity, float]:
-    """The similarity that lays a template's face on a skin, by ICP from 27 starts, and its score [mm].
+    """Find the similarity that lays a template's face on a skin, by ICP from 27 starts, and its score [mm].
 
     `points` (n, 3) [mm] and their `normals` are the template's face; both look along +z with +y up. Each start puts
     the foremost points of both upon one another, then varies pitch, height and scale. The score is the mean distance
@@ -115,7 +115,7 @@ def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similar
 
 
 def icp(start: Similarity, points: Floats, normals: Floats, target: Target, steps: int) -> Similarity:
-    """The similarity after so many steps, each a fit to the closest points [mm], those far off left out."""
+    """Fit the similarity in so many steps, each to the closest points [mm], those far off left out."""
     limits = np.geomspace(30.0, CAP, steps)
     for limit in limits:
         closest, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=limit)
@@ -127,6 +127,6 @@ def icp(start: Similarity, points: Floats, normals: Floats, target: Target, step
 
 
 def score_start(start: Similarity, points: Floats, normals: Floats, target: Target) -> float:
-    """How far the points are off the target on average [mm at the points' own size], 10 mm where there is no match."""
+    """Measure how far points are off the target on average [mm at their own size], 10 mm where nothing matches."""
     _, distance, weight = target.match(start(points), normals @ start.rotation.T, reach=CAP)
     return float(np.where(weight > 0, np.minimum(distance, CAP), CAP).mean()) / start.scale

@@ -72,7 +72,7 @@ class SmoothAffine:
         self._factor: Solve | None = None
 
     def solve(self, stiffness: float, weights: Floats, targets: Floats) -> Floats:
-        """The positions (n, 3) [mm] of least stiffness E + sum_i weights_i |x_i - targets_i|²."""
+        """Find the positions (n, 3) [mm] of least stiffness E + sum_i weights_i |x_i - targets_i|²."""
         data = np.concatenate([weights, np.zeros(3 * self.n)])
         right = stiffness * self._right
         right[: self.n] += weights[:, None] * targets
@@ -84,7 +84,7 @@ class SmoothAffine:
 def lay_onto(
     start: Surface, parts: Ints, places: Landmarks, target: Target, marks: Pairs | None, progress: OnProgress
 ) -> tuple[Floats, int]:
-    """The vertices (n, 3) [mm] of a template that stands at `start`, laid onto a skin; how many pairs cross anew.
+    """Lay a template that stands at `start` onto a skin: its vertices (n, 3) [mm], and how many pairs cross anew.
 
     `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
     Visible vertices are drawn to their matches; those in hidden `parts`, those that see no sky but at the lips, and

@@ -107,7 +107,7 @@ def register(
 def register_by_mapping(
     template_skin: Surface, parts: Ints, mapping: csr_matrix | tuple[Ints, Floats], skin: Surface
 ) -> Registration:
-    """A registration from a known correspondence: where on the skin each template vertex lies.
+    """Make a registration from a known correspondence: where on the skin each template vertex lies.
 
     `mapping`: weights (n, skin vertices), or per template vertex three skin vertices and their weights, both (n, 3).
     Raises InputError for another shape, vertices out of range, and rows that do not sum to one.
@@ -137,7 +137,7 @@ def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
 
 
 def find_face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
-    """A template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
+    """Find a template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
     if np.shape(parts) != (len(template_skin.vertices),):
         raise InputError(f"parts: expected shape ({len(template_skin.vertices)},), got {np.shape(parts)}")
     if not (parts == MOUTH).any() or not (parts == EYES).any():
@@ -192,7 +192,7 @@ def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
 
 
 def replace_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
-    """The matrix with `rows` (k, columns) in place of its own `ids` (k,)."""
+    """Put `rows` (k, columns) in place of the `ids` (k,) of a matrix."""
     n, k = matrix.shape[0], len(ids)
     kept = np.setdiff1d(np.arange(n), ids)
     places = csr_matrix((np.ones(k), (ids, np.arange(k))), shape=(n, k))
@@ -212,5 +212,5 @@ def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.
 
 
 def barycentric_matrix(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
-    """A matrix whose rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
+    """Make a matrix whose rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
     return csr_matrix((weights.ravel(), (np.repeat(np.arange(len(ids)), 3), ids.ravel())), shape=shape)

@@ -67,7 +67,7 @@ class DepthPairs:
                 raise InputError(f"pair {name}: wraps must be finite and depths positive [mm]")
 
     def without(self, index: int) -> DepthPairs:
-        """The pairs but for one."""
+        """Leave out one of the pairs."""
         kept = np.arange(len(self.names)) != index
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return replace(self, names=names, wraps=self.wraps[kept], depths=self.depths[kept])
@@ -95,7 +95,7 @@ class DepthRegressor:
 
     @classmethod
     def fit(cls, pairs: DepthPairs, template_wrap: Surface) -> DepthRegressor:
-        """Ridge regression of the depths' principal scores on the wraps', the ridge chosen by leave-one-out.
+        """Fit the depths' principal scores to the wraps' by ridge regression, the ridge chosen by leave-one-out.
 
         On principal scores the ridge's hat matrix is diagonal, so that each pair's error without it has a closed
         form, e_i / (1 - h_i) (Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, section 7.10).
@@ -134,7 +134,7 @@ class DepthRegressor:
         )
 
     def predict(self, skin_wrap: Floats) -> Floats:
-        """Depths (n,) [mm], all positive, from a skin wrap's vertices (n, 3) [mm] to its skull wrap's.
+        """Predict depths (n,) [mm], all positive, from a skin wrap's vertices (n, 3) [mm] to its skull wrap's.
 
         Only rigid motion is taken out of it; InputError for another shape or values that are not finite.
         """
@@ -175,12 +175,12 @@ class DepthRegressor:
         return regressor
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All fields by name, for a file."""
+        """Name all fields, for a file."""
         return {"format": np.array(FORMAT)} | {name: np.array(value) for name, value in vars(self).items()}
 
     @classmethod
     def from_arrays(cls, arrays) -> DepthRegressor:
-        """The inverse of `arrays`; InputError where shapes do not fit together or values are not finite."""
+        """Make the regressor of `arrays`; InputError where shapes do not fit together or values are not finite."""
         reference = finite("reference", arrays["reference"], (None, 3), most=LARGEST)
         deviations = in_range("deviations", arrays["deviations"], LEAST_DEVIATION, LARGEST, (None,))
         n, k = len(reference), len(deviations)
@@ -207,7 +207,7 @@ _ARRAYS = ("format", *DepthRegressor.__dataclass_fields__)
 
 
 def wrap_digest(template_wrap: Surface) -> str:
-    """A name for a template's skin wrap, 12 hexadecimal digits.
+    """Hash a template's skin wrap to 12 hexadecimal digits.
 
     Of places and triangles: templates of other heads have the same triangles, but not at the same places of the face.
     """

@@ -54,7 +54,7 @@ class MeasuredDepths:
 
 
 def move_wrap(template: Template, skin: Floats) -> Floats:
-    """The template's skin wrap (n, 3) [mm] moved with a skin (skin vertices, 3) of its topology."""
+    """Move the template's skin wrap (n, 3) [mm] with a skin (skin vertices, 3) of its topology."""
     return template.skin_wrap.vertices + template.wrap_from_skin @ (skin - template.skin.vertices)
 
 
@@ -70,7 +70,7 @@ def inward_normals(skin_wrap: Surface) -> Floats:
 
 
 def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) -> MeasuredDepths:
-    """Distances from a skin wrap's vertices (n, 3) [mm] along `inward` (n, 3) to the first bone that a ray meets.
+    """Measure from a skin wrap's vertices (n, 3) [mm] along `inward` (n, 3) to the first bone that a ray meets.
 
     Where none is met within the plausible range (eye sockets, the nose's tip, the neck), or only one far behind the
     closest (through a hole of thin bone, between the teeth, under the zygomatic arch), the closest point of the bones
@@ -104,7 +104,7 @@ def read_pairs(
     unit: str = "mm",
     progress: OnProgress = silent,
 ) -> tuple[DepthPairs, tuple[PairReport, ...]]:
-    """The pairs NAME_skin.* and NAME_skull.* (OBJ, PLY, STL, NPZ) of a folder, their depths measured.
+    """Read the pairs NAME_skin.* and NAME_skull.* (OBJ, PLY, STL, NPZ) of a folder, and measure their depths.
 
     Skins of the identity space's topology are taken as they are, others are registered (half a minute each; they look
     along +z with +y up). Raises InputError, naming the pair or file, for a missing partner, fewer than three pairs, a
@@ -152,7 +152,7 @@ def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
 def read_skin(
     path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm", progress: OnProgress = silent
 ) -> tuple[Surface, float]:
-    """A skin [mm] in the identity space's topology, and how far off the skin the registered face is on average [mm].
+    """Read a skin [mm] in the space's topology, and how far off it the registered face is on average [mm].
 
     0 for a skin of that topology. InputError names the file that cannot be read, registered, or is of another unit.
     """
@@ -168,7 +168,7 @@ def read_skin(
 
 
 def read_skull(paths: Sequence[str | os.PathLike[str]], *, unit: str = "mm") -> Surface:
-    """A skull [mm], all its bones in one surface; InputError names files that cannot be read or are of another unit."""
+    """Read a skull [mm], all bones in one surface; InputError names files that are bad or of another unit."""
     bones = [read_surface(path, unit=unit) for path in paths]
     starts = np.cumsum([0, *(len(bone.vertices) for bone in bones)])
     triangles = np.vstack([bone.triangles + start for bone, start in zip(bones, starts[:-1], strict=True)])

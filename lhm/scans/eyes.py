@@ -67,12 +67,12 @@ class Eyes:
         }
 
     def still_rims(self, template: Surface, parts: Ints, lids: Ints) -> Ints:
-        """Those of the template's `lids` vertices that are of eyes that stay still."""
+        """Find those of the template's `lids` vertices that are of eyes that stay still."""
         sides = zip(_by_side(template, parts, lids), (self.left, self.right), strict=True)
         return np.concatenate([rim if state in STILL else rim[:0] for rim, state in sides])
 
     def told(self) -> str:
-        """What is said of them; empty for open eyes."""
+        """Describe them in a line; empty for open eyes."""
         if self.left == self.right:
             return "" if self.left == "open" else f"eyes: {_WORDS[self.left]}"
         both = (("left", self.left), ("right", self.right))
@@ -82,7 +82,7 @@ class Eyes:
 def classify_eyes(
     space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface
 ) -> Eyes:
-    """The states of a skin's eyes, which the registered template (n vertices) [mm] lies on.
+    """Tell the states of a skin's eyes, on which the registered template (n vertices) [mm] lies.
 
     `space`: whose expressions the template has; `lids`: the vertices of its lids' rims.
     """
@@ -158,7 +158,7 @@ def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> fl
 
 
 def calm_lids(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:
-    """The rig in which a skin near the registered rims (k, 3) [mm] of lids that stay still goes with what is around it.
+    """Let the skin near the registered rims (k, 3) [mm] of lids that stay still go with what is around it.
 
     Displacements there are those of least squared Laplacian, so that no expression draws one lid over the other; the
     expressions in `own` stay as they are.

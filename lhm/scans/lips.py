@@ -135,7 +135,7 @@ def _furrow(skin: Surface, line: LipLine, along: Floats, height: Floats, ahead: 
 
 
 def chain_shares(along: Floats) -> Floats:
-    """Places along a chain from 0 to 1, ever rising."""
+    """Give places along a chain as shares from 0 to 1, ever rising."""
     rising = np.maximum.accumulate(along) + 1e-9 * np.arange(len(along))
     return (rising - rising[0]) / (rising[-1] - rising[0])
 

@@ -46,7 +46,7 @@ class OpenedMouth:
     before: Registration = field(repr=False)
 
     def carried(self, own: Mapping[str, Floats]) -> dict[str, Floats]:
-        """Displacements [mm] of the given skin, for this one; the pocket follows what lies around it."""
+        """Carry displacements [mm] of the given skin to this one; the pocket follows what lies around it."""
         to_pocket = self.before.template_weights[self.pocket]
         return {name: np.vstack([self.slit.on(delta), to_pocket @ delta]) for name, delta in own.items()}
 
@@ -60,7 +60,7 @@ def is_sealed(line: LipLine, skin: Surface) -> bool:
 
 
 def ways_across(line: LipLine, skin: Surface) -> Floats:
-    """Shortest ways over the skin between the lips over their straight distance, at places off the corners; inf: none.
+    """Measure shortest ways over the skin between the lips, off the corners, over the straight distance; inf: none.
 
     Where the skin has no vertices on one of the lips there is no way.
     """
@@ -87,7 +87,7 @@ def ways_across(line: LipLine, skin: Surface) -> Floats:
 
 
 def open_mouth(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth:
-    """The skin with its sealed mouth opened, and the registration on it; MeshError, saying why, if it cannot be cut."""
+    """Open a sealed mouth: the skin, and the registration on it; MeshError, saying why, if it cannot be cut."""
     furrow = find_lip_line(template, parts, laid.surface, skin)
     if not is_sealed(furrow, skin):
         line = find_lip_line(template, parts, laid.surface, skin, share=0.0)
@@ -116,7 +116,7 @@ def _over_membrane(template: Surface, parts: Ints, laid: Registration, skin: Sur
 def cut_mouth(
     template: Surface, parts: Ints, laid: Registration, skin: Surface, line: LipLine, above: Floats
 ) -> OpenedMouth:
-    """The skin cut where `above` (n,) changes its sign, with the template's lining sewn in behind.
+    """Cut the skin where `above` (n,) changes its sign, and sew the template's lining in behind.
 
     MeshError where it cannot be cut.
     """

@@ -65,7 +65,7 @@ def personalise_head(
     *,
     progress: OnProgress = silent,
 ) -> Personal:
-    """The head with a rig fitted to scans of its person, files as `read_scan` reads (half a minute each).
+    """Fit the head's rig to scans of its person, files as `read_scan` reads (half a minute each).
 
     `guesses`: by file the ARKit weights (52,) that the person may be making in it; expressions that none of them has
     stay as they are. A scan with the triangles of the head's skin is aligned to it where they move it least; upon any
@@ -118,7 +118,7 @@ class _Start:
         return cls(head, laid, template, deltas, used)
 
     def example(self, path: Path, weights: Floats) -> tuple[Floats, str]:
-        """The head's skin [mm] in a scan's expression, and what is said of it."""
+        """Make the head's skin [mm] in a scan's expression, and what is said of it."""
         scan = read_scan(path)
         skin = self.head.skin
         for same in (scan, repair_scan(scan).scan):
@@ -202,7 +202,7 @@ def _settled(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Fl
 
 
 def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
-    """What was fitted, a line each: the expressions found in each scan, and how far the rig is from the scans."""
+    """Describe what was fitted, a line each: expressions found in each scan, and how far the rig is from the scans."""
     lines = []
     for name, weights in zip(names, rig.weights, strict=True):
         largest = sorted(np.flatnonzero(weights > 0.01), key=lambda k: -weights[k])
@@ -212,7 +212,7 @@ def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
 
 
 def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
-    """Weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
+    """Read weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
     path = Path(path)
     if path.suffix.lower() not in (".json", ".csv"):
         raise InputError(f"{path}: unknown kind of file; expected .json or .csv")

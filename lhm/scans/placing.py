@@ -46,7 +46,7 @@ class Placement:
     notes: tuple[str, ...]
 
     def inverse(self, points: Floats) -> Floats:
-        """Points (n, 3) of the head [mm] in the file's own unit and axes."""
+        """Take points (n, 3) of the head [mm] back to the file's own unit and axes."""
         return (points - self.motion.shift) @ self.motion.rotation / self.motion.scale
 
 
@@ -87,7 +87,7 @@ def find_placement(
 
 
 def millimetres(unit: str) -> float:
-    """Millimetres in a unit, by its name or as a number; InputError for others."""
+    """Read a unit, by its name or as a number, in millimetres; InputError for others."""
     if unit in UNITS:
         return UNITS[unit]
     try:
@@ -237,7 +237,7 @@ class Sieve:
 
     @classmethod
     def of(cls, skin: Surface) -> Sieve:
-        """Up to POINTS of the surface's triangles, by their centres."""
+        """Choose up to POINTS of the surface's triangles, by their centres."""
         along = np.cumsum(skin.areas)
         chosen = np.unique(np.searchsorted(along, (np.arange(POINTS) + 0.5) / POINTS * along[-1]))
         chosen = np.minimum(chosen, len(along) - 1)
@@ -248,7 +248,7 @@ class Sieve:
     def best(
         self, starts: Sequence[Similarity], points: Floats, normals: Floats, kept: int, steps: int
     ) -> list[Similarity]:
-        """The `kept` best of `starts` after so many steps each; `points` (k, 3) [mm] and `normals` are laid."""
+        """Keep the `kept` best of `starts` after so many steps each; `points` (k, 3) [mm] and `normals` are laid."""
         scale = np.array([start.scale for start in starts])
         turn = np.array([start.rotation for start in starts])
         shift = np.array([start.shift for start in starts])

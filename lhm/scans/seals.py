@@ -71,7 +71,7 @@ def keep_seals(template: Template, laid: Registration, skin: Surface, own: Mappi
 
 
 def mark_rig(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
-    """The rig in which lids that are not open stay still, and what tears a mouth that stayed sealed is named."""
+    """Keep lids still that are not open, and name what tears a mouth that stayed sealed."""
     rig = rig.without({name: reason for name, reason in done.still.items() if name not in done.own})
     if len(done.rims):
         rig = calm_lids(rig, head.skin, done.laid.vertices[done.rims], done.own)
