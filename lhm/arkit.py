@@ -52,12 +52,12 @@ def arkit_name(name: str) -> str | None:
 
 def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
     """Name morph targets (n, 3) by ARKit's names, halves added; unknown ones, and those that are zero, are left out."""
-    found: dict[str, Floats] = {}
+    named: dict[str, Floats] = {}
     for name, delta in morphs.items():
         known = arkit_name(name)
         if known is not None and np.any(delta):
-            found[known] = found[known] + delta if known in found else delta
-    return found
+            named[known] = named[known] + delta if known in named else delta
+    return named
 
 
 @check_arguments

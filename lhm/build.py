@@ -244,9 +244,9 @@ def _wanted(
     connectors *= (np.minimum(length, size) / size)[:, None]
     share = np.full(columns.n, MUSCLE)
     if muscles is not None:
-        met, found = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
-        reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
-        share[found] = np.clip(reach, *MUSCLE_BOUNDS)
+        met, on_muscle = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
+        reach = np.linalg.norm(met[on_muscle], axis=1) / np.linalg.norm(connectors[on_muscle], axis=1)
+        share[on_muscle] = np.clip(reach, *MUSCLE_BOUNDS)
         share = inner.smooth(columns, share[:, None], 0.5)[:, 0]
     return _Wanted(connectors, share, wanted, room, on_skull)
 

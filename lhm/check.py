@@ -153,8 +153,8 @@ class HeadReport:
             # What lies between a wrap's vertices grows with its triangles, and they with the face.
             larger = self.face_edge_mean / (COARSE_EDGE if coarse else EDGE)
             bounds["wrap_to_skin_mean"] = round(bounds["wrap_to_skin_mean"] * max(1.0, larger), 3)
-        found = (Figure(item.name, getattr(self, item.name), **item.metadata) for item in fields(self))
-        return tuple(replace(figure, bound=bounds.get(figure.name, figure.bound)) for figure in found)
+        figures = (Figure(item.name, getattr(self, item.name), **item.metadata) for item in fields(self))
+        return tuple(replace(figure, bound=bounds.get(figure.name, figure.bound)) for figure in figures)
 
     @property
     def gates(self) -> tuple[Figure, ...]:

@@ -71,12 +71,12 @@ def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
 
 def _within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
     """How far within a lining, shape (n,): from 0 to 1 `between` these distances [mm] from the region at its edge."""
-    found, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
+    share, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
     inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
     if inside.any() and not inside.all():
         near, far = between
-        found[inside] = _smooth_step((_path_from(head, ~inside)[inside] - near) / (far - near))
-    return found
+        share[inside] = _smooth_step((_path_from(head, ~inside)[inside] - near) / (far - near))
+    return share
 
 
 def _region(head: LayeredHead, name: str) -> np.ndarray:

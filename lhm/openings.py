@@ -58,8 +58,8 @@ def lid_path(
     vertices = turn_upright(vertices, regions)
     x = vertices[:, 0]
     middle = 0.5 * (x[eyes].min() + x[eyes].max())
-    found = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
-    return min(found, key=lambda pair: pair[1])
+    paths = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
+    return min(paths, key=lambda pair: pair[1])
 
 
 def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:

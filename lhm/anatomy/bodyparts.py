@@ -120,12 +120,12 @@ def _anatomy(given: Mapping[str, np.ndarray]) -> Anatomy:
     lower_case = np.char.lower(names)
 
     def among(group: str, *words: str) -> Ints:
-        found = groups == group
+        mask = groups == group
         for word in words:
-            found &= np.char.find(lower_case, word) >= 0
-        if not found.any():
+            mask &= np.char.find(lower_case, word) >= 0
+        if not mask.any():
             raise ValueError(f"no part of group {group!r} is named {' '.join(words) or 'anything'}")
-        return np.flatnonzero(found)
+        return np.flatnonzero(mask)
 
     def surface(parts: Ints) -> Surface:
         used, numbers = np.unique(data["faces"][np.isin(data["face_part"], parts)], return_inverse=True)
@@ -165,10 +165,10 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     files = _files(folder, {concept for _, concept, _ in wanted})
     if not files:
         raise InputError(f"{folder}: no OBJ file of a head's part in it; expected BodyParts3D's, such as FMA52748.obj")
-    found = [part for part in wanted if part[1] in files]
+    parts = [part for part in wanted if part[1] in files]
     vertices, faces = [], []
-    for number, (_, concept, _) in enumerate(found):
-        progress("BodyParts3D's parts", number / len(found))
+    for number, (_, concept, _) in enumerate(parts):
+        progress("BodyParts3D's parts", number / len(parts))
         points, triangles = _merged(files[concept])
         vertices.append(points[:, [0, 2, 1]] * [1, 1, -1] - SHIFT)
         faces.append(triangles)
@@ -177,10 +177,10 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     return {
         "vertices": np.vstack(vertices).astype(np.float32),
         "faces": np.vstack([part + start for part, start in zip(faces, starts, strict=True)]).astype(np.int32),
-        "face_part": np.repeat(np.arange(len(found)), [len(part) for part in faces]).astype(np.uint8),
-        "part_fma": np.array([concept for _, concept, _ in found]),
-        "part_group": np.array([group for group, _, _ in found]),
-        "part_name": np.array([name for _, _, name in found]),
+        "face_part": np.repeat(np.arange(len(parts)), [len(part) for part in faces]).astype(np.uint8),
+        "part_fma": np.array([concept for _, concept, _ in parts]),
+        "part_group": np.array([group for group, _, _ in parts]),
+        "part_name": np.array([name for _, _, name in parts]),
         "license": np.array("BodyParts3D, (c) The Database Center for Life Science, CC BY-SA 2.1 Japan"),
     }
 

@@ -103,14 +103,14 @@ def find_start(points: Floats, normals: Floats, target: Target) -> tuple[Similar
     skin = target.skin.vertices
     tip, goal = points[points[:, 2].argmax()], skin[skin[:, 2].argmax()]
     some = np.unique(np.linspace(0, len(points) - 1, FEW).astype(int))
-    found: list[tuple[float, int, Similarity]] = []
+    fits: list[tuple[float, int, Similarity]] = []
     for pitch, height, scale in product(np.radians(PITCHES), HEIGHTS, SCALES):
         c, s = np.cos(pitch), np.sin(pitch)
         rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
         start = Similarity(scale, rotation, goal + [0.0, height, 0.0] - scale * rotation @ tip)
         moved = icp(start, points[some], normals[some], target, COARSE_STEPS)
-        found.append((score_start(moved, points[some], normals[some], target), len(found), moved))
-    moved = icp(min(found)[2], points, normals, target, FINE_STEPS)
+        fits.append((score_start(moved, points[some], normals[some], target), len(fits), moved))
+    moved = icp(min(fits)[2], points, normals, target, FINE_STEPS)
     return moved, score_start(moved, points, normals, target)
 
 

@@ -109,8 +109,8 @@ def lay_onto(
         for _ in range(STEPS[which]):
             normals, turned = start.with_vertices(x).vertex_normals, TURNED[which]
             goals, weights, limit = x.copy(), np.zeros(len(x)), LIMITS[which]
-            goals[drawn], distance, found = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
-            weights[drawn] = found * tukey_weights(distance, limit) * (EARLY if turned else 1.0)
+            goals[drawn], distance, matched = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
+            weights[drawn] = matched * tukey_weights(distance, limit) * (EARLY if turned else 1.0)
             x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()

@@ -131,22 +131,22 @@ def read_pairs(
 def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    found: dict[str, dict[str, Path]] = {}
+    pairs: dict[str, dict[str, Path]] = {}
     for path in sorted(folder.iterdir()):
         name, _, kind = path.stem.rpartition("_")
         if path.suffix.lower() in SUFFIXES and kind in ("skin", "skull") and name:
-            if kind in found.setdefault(name, {}):
+            if kind in pairs.setdefault(name, {}):
                 raise InputError(f"{folder}: pair {name} has two files of its {kind}: {path.name} is the second")
-            found[name][kind] = path
-    for name, pair in found.items():
+            pairs[name][kind] = path
+    for name, pair in pairs.items():
         for kind in ("skin", "skull"):
             if kind not in pair:
                 raise InputError(f"{folder}: pair {name} has no {name}_{kind} ({', '.join(SUFFIXES)})")
-    if len(found) < LEAST_PAIRS:
+    if len(pairs) < LEAST_PAIRS:
         raise InputError(
-            f"{folder}: {len(found)} pairs of files NAME_skin and NAME_skull; a regressor needs {LEAST_PAIRS} or more"
+            f"{folder}: {len(pairs)} pairs of files NAME_skin and NAME_skull; a regressor needs {LEAST_PAIRS} or more"
         )
-    return {name: (pair["skin"], pair["skull"]) for name, pair in found.items()}
+    return {name: (pair["skin"], pair["skull"]) for name, pair in pairs.items()}
 
 
 def read_skin(

@@ -169,14 +169,14 @@ def _strip(outer: Ints, inner: Ints, local: Floats, triangles: Ints) -> Ints:
     """Triangles between two chains of vertices that run side by side, oriented against the outer one's own."""
     a, b = chain_shares(local[outer, 0]), chain_shares(local[inner, 0])
     i = j = 0
-    found = []
+    strip = []
     while i < len(outer) - 1 or j < len(inner) - 1:
         if j == len(inner) - 1 or (i < len(outer) - 1 and a[i + 1] <= b[j + 1]):
-            found.append([outer[i], outer[i + 1], inner[j]])
+            strip.append([outer[i], outer[i + 1], inner[j]])
             i += 1
         else:
-            found.append([outer[i], inner[j + 1], inner[j]])
+            strip.append([outer[i], inner[j + 1], inner[j]])
             j += 1
     edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     same = (edges == outer[:2]).all(axis=1).any()
-    return np.array(found)[:, ::-1] if same else np.array(found)
+    return np.array(strip)[:, ::-1] if same else np.array(strip)

@@ -133,9 +133,9 @@ class _Start:
         if self.head.rig is None:
             raise InputError("head: it has no expressions")
         calm = _calm(self.head.rig.deltas[self.used], face)
-        found = fit_similarity(points[calm], skin.vertices[calm])
-        scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / found.scale)))
-        scale = scale if abs(scale / found.scale - 1) < SAME_SIZE else found.scale
+        similarity = fit_similarity(points[calm], skin.vertices[calm])
+        scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / similarity.scale)))
+        scale = scale if abs(scale / similarity.scale - 1) < SAME_SIZE else similarity.scale
         rotation, shift = rigid_motion(scale * points[calm], skin.vertices[calm])
         aligned = scale * points @ rotation.T + shift
         off = float(np.linalg.norm(aligned[calm] - skin.vertices[calm], axis=1).mean())
@@ -219,27 +219,27 @@ def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
     content = read_bytes(path, JSON_BYTES)
     try:
         rows = _of_json(content) if path.suffix.lower() == ".json" else _of_csv(content)
-        found = _weights(rows, path.parent)
+        guesses = _weights(rows, path.parent)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return found
+    return guesses
 
 
 def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], folder: Path) -> dict[Path, Floats]:
-    found: dict[Path, Floats] = {}
+    by_scan: dict[Path, Floats] = {}
     for name, named in rows:
         scan = folder / name
-        if scan in found:
+        if scan in by_scan:
             raise InputError(f"{name}: it stands there twice")
         try:
-            found[scan] = weights_of(named)
+            by_scan[scan] = weights_of(named)
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
         if not is_plain_file(scan):
             raise InputError(f"{name}: no such file beside it")
-    if not any(weights.any() for weights in found.values()):
+    if not any(weights.any() for weights in by_scan.values()):
         raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
-    return found
+    return by_scan
 
 
 def _of_json(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
@@ -259,12 +259,12 @@ def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
         raise InputError("no lines of scan and weights in it") from None
     if head[0].lower() != "scan":
         raise InputError(f"line 1: begins with {head[0][:40]!r}, expected: scan,jawOpen,...")
-    found: list[tuple[str, Mapping[str, Any]]] = []
+    weighted: list[tuple[str, Mapping[str, Any]]] = []
     for row in rows:
         if len(row) != len(head):
             raise InputError(f"{row[0]}: {len(row) - 1} weights, the first line names {len(head) - 1}")
-        found.append((row[0], {name: _number(cell) for name, cell in zip(head[1:], row[1:], strict=True) if cell}))
-    return found
+        weighted.append((row[0], {name: _number(cell) for name, cell in zip(head[1:], row[1:], strict=True) if cell}))
+    return weighted
 
 
 def _number(cell: str) -> Any:

@@ -72,17 +72,17 @@ def find_placement(
     rotations = _rotations(up, front)
     used = skin.vertices[np.unique(skin.triangles)]
     if landmarks is not None:
-        found = fit_similarity(*landmarks)
-        off = float(np.linalg.norm(found(landmarks[0]) - landmarks[1], axis=1).mean() / found.scale)
+        motion = fit_similarity(*landmarks)
+        off = float(np.linalg.norm(motion(landmarks[0]) - landmarks[1], axis=1).mean() / motion.scale)
     else:
-        found, off = _searched(skin, used, face, given, rotations, progress)
+        motion, off = _searched(skin, used, face, given, rotations, progress)
         if off > FOUND:
             raise FitError(
                 f"skin: no face found in it (the template's face fits it to {off:.1f} mm, at most {FOUND:g}); "
                 "is it a head, with its face? --up, --front and --unit, or --landmarks, say where it is"
             )
-    told, scale = _unit(given, 1.0 / found.scale, float(np.ptp(used, axis=0).max()))
-    rotation, way = _upright(found.rotation.T, known=up is not None and front is not None)
+    told, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
+    rotation, way = _upright(motion.rotation.T, known=up is not None and front is not None)
     return Placement(Similarity(scale, rotation, np.zeros(3)), off, (told, way))
 
 
@@ -105,18 +105,18 @@ def _rotations(up: str | None, front: str | None) -> list[Floats]:
         if axis is not None and axis not in AXES:
             raise InputError(f"{name} {axis!r}: expected one of {', '.join(AXES)}")
     directions = {axis: (-1 if axis.startswith("-") else 1) * np.eye(3)["xyz".index(axis[-1])] for axis in AXES}
-    found = []
+    rotations = []
     for high, ahead in permutations(AXES, 2):
         if high[-1] != ahead[-1] and (up in (None, high)) and (front in (None, ahead)):
             y, z = directions[high], directions[ahead]
-            found.append(np.stack([np.cross(y, z), y, z], axis=1))
-    if not found:
+            rotations.append(np.stack([np.cross(y, z), y, z], axis=1))
+    if not rotations:
         raise InputError(f"up {up!r} and front {front!r}: expected two different axes")
     # The usual ones first: of equals the first counts.
     usual = (("y", "z"), ("z", "-y"), ("y", "-z"), ("z", "y"), ("z", "x"))
     rank = {pair: k for k, pair in enumerate(usual)}
-    keys = [(_axis(r[:, 1]), _axis(r[:, 2])) for r in found]
-    return [found[k] for k in sorted(range(len(found)), key=lambda k: rank.get(keys[k], len(usual)))]
+    keys = [(_axis(r[:, 1]), _axis(r[:, 2])) for r in rotations]
+    return [rotations[k] for k in sorted(range(len(rotations)), key=lambda k: rank.get(keys[k], len(usual)))]
 
 
 def _axis(direction: Floats) -> str:
@@ -142,9 +142,9 @@ def _searched(
         for number, size in enumerate(sizes):
             progress("finding the face", (attempt + number / len(sizes)) / 2)
             target = Target(Surface(skin.vertices * size, skin.triangles))
-            found, off = _best(target, used * size, face, turns)
+            motion, off = _best(target, used * size, face, turns)
             if off < best[0]:
-                best = off, Similarity(found.scale / size, found.rotation, found.shift / size)
+                best = off, Similarity(motion.scale / size, motion.rotation, motion.shift / size)
         if best[0] <= FOUND:
             break
         tilts = _tilts()
@@ -192,13 +192,13 @@ def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
     upright = used @ turn  # in the template's axes
     top, low = upright[:, 1].max(), upright[:, 1].min()
     tip = points[points[:, 2].argmax()]
-    found = []
+    starts = []
     for reach in (0.45, 0.7, 1.0):
         part = upright[upright[:, 1] >= top - reach * (top - low)]
         goal = part[part[:, 2].argmax()]
         for height in (-18.0, 12.0):
-            found.append(Similarity(1.0, turn, (goal + [0.0, height, 0.0]) @ turn.T - turn @ tip))
-    return found
+            starts.append(Similarity(1.0, turn, (goal + [0.0, height, 0.0]) @ turn.T - turn @ tip))
+    return starts
 
 
 def _unit(given: float | None, guess: float, extent: float) -> tuple[str, float]:

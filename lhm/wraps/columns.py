@@ -85,12 +85,12 @@ def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Flo
 
     A piece of the mesh in which nothing is given stays as it is.
     """
-    found = np.array(values, dtype=np.float64)
-    edges = neighbours(triangles, len(found))
+    filled = np.array(values, dtype=np.float64)
+    edges = neighbours(triangles, len(filled))
     _, piece = connected_components(edges, directed=False)
     free = ~given & np.isin(piece, piece[given])
     if free.any():
         laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel()) - edges).tocsr()[free]
-        right = -(laplacian[:, ~free] @ found[~free].reshape(np.count_nonzero(~free), -1))
-        found[free] = factorise(laplacian[:, free].tocsc())(right).reshape(found[free].shape)
-    return found
+        right = -(laplacian[:, ~free] @ filled[~free].reshape(np.count_nonzero(~free), -1))
+        filled[free] = factorise(laplacian[:, free].tocsc())(right).reshape(filled[free].shape)
+    return filled

@@ -88,10 +88,10 @@ def smooth(columns: Columns, values: Floats, amount: float) -> Floats:
 @njit(cache=True, error_model="numpy")
 def sines(stack, tets):
     """The smallest signed sine of each tet's dihedral angles, shape (m,)."""
-    found = np.empty(len(tets))
+    smallest = np.empty(len(tets))
     for t in range(len(tets)):
-        found[t] = climb.smallest_sine(stack, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
-    return found
+        smallest[t] = climb.smallest_sine(stack, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+    return smallest
 
 
 @dataclass
