@@ -9,7 +9,7 @@ import click
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.limits import TRAINING_STEPS
 from .counts import counted
-from .progress import shown
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -65,7 +65,7 @@ def train(
     """
     from ..animation.plots import draw_learning_curve
 
-    with shown() as progress:
+    with show_progress() as progress:
         if network == "modal":
             config = {"steps": steps, "device": device, "precision": precision}
             read = {"partial": partial, "share": share}
