@@ -136,7 +136,7 @@ class HeadReport:
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
     # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear or crumple, and lips that streaks cross, 220
+    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear or crumple, lips that streaks cross: 220
     # and more.
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
     # Random identities 14 to 61; jagged lids 240.
