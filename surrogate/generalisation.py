@@ -136,7 +136,7 @@ class PairStore:
     plan: CorpusPlan
     people: People
     rows: RowStore
-    choose_pairs: Sequence[Pair]
+    pairs: Sequence[Pair]
 
     def simulate(self, pair: Pair) -> None:
         """Simulate a pair into its file."""
