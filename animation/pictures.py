@@ -376,10 +376,10 @@ def draw_labelled(
     The names are listed below.
     """
     pyvista = load_pyvista()
-    window = (size * len(draw_views), size)
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(draw_views)), window_size=window, border=False)
+    window = (size * len(views), size)
+    plotter = pyvista.Plotter(off_screen=True, shape=(1, len(views)), window_size=window, border=False)
     places = np.array(list(points.values()), dtype=np.float64).reshape(-1, 3)
-    for column, (_, view) in enumerate(draw_views):
+    for column, (_, view) in enumerate(views):
         plotter.subplot(0, column)
         mesh = to_polydata(pyvista, surface.vertices, surface.triangles)
         plotter.add_mesh(mesh, color=SKIN, smooth_shading=True, specular=0.15)
@@ -398,4 +398,4 @@ def draw_labelled(
         aim_camera(plotter, *frame_view([surface.vertices], view, framed), view)
     plotter.set_background("white", all_renderers=True)
     legend = "\n".join(f"{number}  {name}" for number, name in enumerate(points, start=1))
-    return _sheet(plotter, [caption for caption, _ in draw_views], legend=legend)
+    return _sheet(plotter, [caption for caption, _ in views], legend=legend)

@@ -1,4 +1,4 @@
-"""The names of Apple's 52 face blendshapes."""
+"""Apple's 52 face expressions: their names, spellings of other programs, and weights."""
 
 from __future__ import annotations
 
@@ -26,14 +26,13 @@ ARKIT = tuple(
 """The names of Apple's 52 blendshapes, alphabetical: the order of every array of weights."""
 
 
-# DOC """ARKit's names as programs and phone apps write them: eyeBlink_L, blendShape1.jawOpen, MouthSmileLeft."""
 _SIDES = {"_l": "left", "_r": "right", ".l": "left", ".r": "right", "-l": "left", "-r": "right"}
 _KNOWN = {name.lower(): name for name in ARKIT}
 _HALVED = {name.lower() for name in ("browInnerUp", "cheekPuff")}
 
 
 def arkit_name(name: str) -> str | None:
-    """The ARKit expression that a morph target's name stands for, or None.
+    """Find the ARKit expression that a morph target's name stands for, or None.
 
     Letters' case, underscores, what stands before a dot or colon, and _L, _R for Left, Right make no difference. The
     halves of browInnerUp and cheekPuff, which some rigs have, stand for the whole.
@@ -52,19 +51,18 @@ def arkit_name(name: str) -> str | None:
 
 
 def find_arkit_morphs(morphs: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Morph targets (n, 3) by ARKit's names, halves added; those of other names, or that are zero, are left out."""
-    found: dict[str, Floats] = {}
+    """Name morph targets (n, 3) by ARKit's names, halves added; unknown ones, and those that are zero, are left out."""
+    named: dict[str, Floats] = {}
     for name, delta in morphs.items():
         known = arkit_name(name)
         if known is not None and np.any(delta):
-            found[known] = found[known] + delta if known in found else delta
-    return found
+            named[known] = named[known] + delta if known in named else delta
+    return named
 
 
-# DOC """ARKit's 52 expressions: their names and order, and linear blending of an identity space's shapes."""
 @check_arguments
 def index(name: str) -> int:
-    """The place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
+    """Find the place of an expression in ARKIT; InputError names one that is unknown, and its near misses."""
     if name in ARKIT:
         return ARKIT.index(name)
     by_lower = {known.lower(): known for known in ARKIT}
@@ -74,7 +72,7 @@ def index(name: str) -> int:
 
 
 def weights_of(named: Mapping[str, float]) -> Floats:
-    """Weights in ARKit's order, shape (52,), of the expressions named; the rest are zero.
+    """Make weights in ARKit's order, shape (52,), of the expressions named; the rest are zero.
 
     Raises InputError for a name that is unknown and a weight that is no number in [0, 1].
     """
@@ -90,7 +88,7 @@ def weights_of(named: Mapping[str, float]) -> Floats:
 
 
 def parse_weights(text: str) -> Floats:
-    """Weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
+    """Read weights (52,) of 'jawOpen*0.5+cheekPuff'; InputError names what cannot be read."""
     named: dict[str, float] = {}
     for part in text.split("+"):
         name, star, factor = (piece.strip() for piece in part.partition("*"))
@@ -109,7 +107,7 @@ def parse_weights(text: str) -> Floats:
 
 
 def check_weights(weights) -> Floats:
-    """Weights as float64, shape (..., 52), clipped to [0, 1] with a warning that counts those outside.
+    """Check weights of shape (..., 52); as float64, clipped to [0, 1] with a warning that counts those outside.
 
     Raises InputError for another shape, and for NaN or infinity (by frame and name).
     """

@@ -43,6 +43,11 @@ MUSCLE = 0.6
 """The muscle wrap lies at this fraction of the way from skin to skull where no muscles are given."""
 MUSCLE_BOUNDS = (0.35, 0.7)
 """Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
+LONGEST_RAY = 45.0  # [mm]
+OFF_SKIN = 1e-3
+"""[mm] by which a ray starts inside the wrap, so that it does not meet the triangles that it starts from."""
+GRAZING = 0.2
+"""A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
 
 
 class SpaceOptions(TypedDict):
@@ -54,7 +59,7 @@ class SpaceOptions(TypedDict):
 
 
 def space_options(space: LinearSpace) -> SpaceOptions:
-    """The mean head's parts, and the expressions that open its mouth and lids."""
+    """Give `build_template` the mean head's parts, and the expressions that open its mouth and lids."""
     wide = space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")]
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
 
@@ -63,7 +68,7 @@ def space_options(space: LinearSpace) -> SpaceOptions:
 def load_template(
     space: LinearSpace | None = None, *, level: int = DEFAULT_LEVEL, progress: OnProgress = silent
 ) -> Template:
-    """The template of an identity space's mean head (default: the embedded head); built on first use, then cached.
+    """Load the template of a space's mean head (default: the embedded head); built on first use, then cached.
 
     `level` 1, 2 or 3: 1,212, 4,842 or 19,362 vertices per wrap. Raises FitError, naming what failed, if no valid
     layers could be made.
@@ -95,7 +100,7 @@ def build_template(
     name: str = "custom",
     progress: OnProgress = silent,
 ) -> Template:
-    """A template around a closed skin [mm], and over closed surfaces of muscles and skull inside it where given.
+    """Build a template around a closed skin [mm], over closed surfaces of muscles and skull inside it where given.
 
     Without `skull` the skull wrap is grown inward by published depths, without `muscles` the muscle wrap lies at a
     fixed share of the way. `parts` (n,): OUTSIDE, MOUTH, EYES or CAP per vertex of the skin; `jaw`, `lids` (n, 3)
@@ -205,7 +210,7 @@ class _Wanted:
     on_skull: Mask
 
     def stack(self, skin: Floats, skull: Floats) -> Floats:
-        """The stacked wraps (3 n, 3) [mm] over a skin and a skull wrap."""
+        """Stack the wraps (3 n, 3) [mm] over a skin and a skull wrap."""
         return np.vstack([skin, skin + self.share[:, None] * (skull - skin), skull])
 
 
@@ -241,9 +246,9 @@ def _wanted(
     connectors *= (np.minimum(length, size) / size)[:, None]
     share = np.full(columns.n, MUSCLE)
     if muscles is not None:
-        met, found = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
-        reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
-        share[found] = np.clip(reach, *MUSCLE_BOUNDS)
+        met, on_muscle = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
+        reach = np.linalg.norm(met[on_muscle], axis=1) / np.linalg.norm(connectors[on_muscle], axis=1)
+        share[on_muscle] = np.clip(reach, *MUSCLE_BOUNDS)
         share = inner.smooth(columns, share[:, None], 0.5)[:, 0]
     return _Wanted(connectors, share, wanted, room, on_skull)
 
@@ -262,18 +267,10 @@ def _middle_around(columns: Columns, values: Floats) -> Floats:
     return np.array([np.median([values[v], *values[others[starts[v] : starts[v + 1]]]]) for v in range(columns.n)])
 
 
-# DOC """The way from a skin wrap inward to a surface of the anatomy."""
-LONGEST_RAY = 45.0  # [mm]
-OFF_SKIN = 1e-3
-"""[mm] by which a ray starts inside the wrap, so that it does not meet the triangles that it starts from."""
-GRAZING = 0.2
-"""A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
-
-
 def find_connectors(
     skin_wrap: Surface, normals: Floats, directions: Floats, surface: Surface, *, longest: float = LONGEST_RAY
 ) -> tuple[Floats, Mask]:
-    """Connectors (n, 3) [mm] from the vertices of a closed skin wrap to a closed surface inside it, and where found.
+    """Find connectors (n, 3) [mm] from a closed skin wrap to a closed surface inside it, and where there are any.
 
     A ray goes along the unit `directions` (n, 3), and where that fails against the outward unit `normals` (n, 3). Found
     is what enters `surface` from outside within `longest` [mm], neither grazing it nor the wrap, and before the ray
@@ -281,8 +278,7 @@ def find_connectors(
     """
     bone = TriangleTree(surface.vertices, surface.triangles)
     skin = TriangleTree(skin_wrap.vertices, skin_wrap.triangles)
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(surface.face_normals)
     connectors = np.full_like(skin_wrap.vertices, np.nan)
     for way in (directions, -normals):
         missing = np.flatnonzero(np.isnan(connectors[:, 0]))

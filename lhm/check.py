@@ -136,7 +136,8 @@ class HeadReport:
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
     # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear, or crumple, 100 and more.
+    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear or crumple, lips that streaks cross: 220
+    # and more.
     jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
     # Random identities 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
@@ -153,8 +154,8 @@ class HeadReport:
             # What lies between a wrap's vertices grows with its triangles, and they with the face.
             larger = self.face_edge_mean / (COARSE_EDGE if coarse else EDGE)
             bounds["wrap_to_skin_mean"] = round(bounds["wrap_to_skin_mean"] * max(1.0, larger), 3)
-        found = (Figure(item.name, getattr(self, item.name), **item.metadata) for item in fields(self))
-        return tuple(replace(figure, bound=bounds.get(figure.name, figure.bound)) for figure in found)
+        figures = (Figure(item.name, getattr(self, item.name), **item.metadata) for item in fields(self))
+        return tuple(replace(figure, bound=bounds.get(figure.name, figure.bound)) for figure in figures)
 
     @property
     def gates(self) -> tuple[Figure, ...]:
@@ -306,9 +307,9 @@ def _spread(distance: Floats) -> dict[str, Any]:
 
 def _parted(
     skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, float | None]:
+) -> dict[str, Any]:
     """Skin torn and folded where lips and lids part; None where the head has no rig, or not these shapes or regions."""
-    values: dict[str, float | None] = {}
+    values: dict[str, Any] = {}
     for name, (shapes, places) in {"jaw_open": (OPEN, MOUTH), "blink": (BLINK, EYES)}.items():
         torn = folded = None
         if rigged is not None and any(place in regions for place in places):
@@ -322,8 +323,8 @@ def _parted(
 
 
 INVERTED = 100
-"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may stay
-below it: `jaw_open_torn` tells those."""
+"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may
+stay below it: `jaw_open_torn` tells those."""
 
 
 def check_posed(head: LayeredHead, volume_ratios: Callable[[Floats], Floats]) -> tuple[Figure, ...]:

@@ -36,6 +36,7 @@ LEAST_SIZE, MOST_SIZE, MOST_TURNED = 0.4, 2.5, 60.0
 """Of a skin's size to the template's, and of its rotation [degrees]: a child looking aside keeps well within."""
 LEAST_MUSCLE, MOST_MUSCLE = 0.5, 0.7
 """Bounds of the muscle's thickness: in mm, and as a share of the column, without which thin faces have no skin."""
+LEADERS = 400
 
 
 class _Prepared:
@@ -73,15 +74,15 @@ def fit_head(
     own: Mapping[str, Floats] | None = None,
     progress: OnProgress = silent,
 ) -> LayeredHead:
-    """The layered head of a neutral skin [mm].
+    """Fit the layered head of a neutral skin [mm].
 
     In the paper's order: the template's wraps are warped with the skin (Eq. 3); `regressor` (default: the template's)
     says how deep the skull wrap lies, and Eq. 4 finds it; the muscle wrap follows by the ten-percent rule; columns
     that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
 
     A skin with the template's triangles needs nothing else. On another topology the template's skin is laid first,
-    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the head's
-    skin is then the given one, tied to the wraps through the other.
+    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the
+    head's skin is then the given one, tied to the wraps through the other.
 
     The head's rig has the expressions of the template's space, transferred to the registered skin (Sumner and Popović
     2004), but for those in `own`: displacements [mm], shape (n, 3), of this skin by ARKit names.
@@ -112,7 +113,7 @@ def fit_registered(
     regressor: DepthRegressor | None = None,
     own: Mapping[str, Floats] | None = None,
 ) -> LayeredHead:
-    """The layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
+    """Fit the layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
     head = _fitted(template, laid.surface, regressor)
     rig = None if template.space is None else add_own_expressions(transfer_rig(template.space, laid), own)
     return replace(
@@ -126,19 +127,19 @@ def fit_registered(
 
 
 def rig_from_space(space: LinearSpace) -> Rig:
-    """The expressions of a space's own topology."""
+    """Take the expressions of a space's own topology."""
     return Rig(space.expressions.astype(np.float32), space.name, space.missing)
 
 
 def transfer_rig(space: LinearSpace, laid: Registration) -> Rig:
-    """A space's expressions transferred to its registered mean skin, and from there to the skin that it lies on."""
+    """Transfer a space's expressions to its registered mean skin, and from there to the skin that it lies on."""
     deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
     carried = np.stack([laid.skin_weights @ delta for delta in deltas])
     return Rig(carried.astype(np.float32), f"transferred from {space.name}", space.missing)
 
 
 def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
-    """The rig with the expressions in `own` in place of its own, by ARKit names."""
+    """Put the expressions in `own`, by ARKit names, in place of those of a rig."""
     if not own:
         return rig
     deltas = np.array(rig.deltas)
@@ -224,10 +225,6 @@ def _muscle(template: Template, wrap: Floats, skull: Floats) -> Floats:
     return skull + (thickness / np.maximum(depth, 1e-12))[:, None] * (wrap - skull)
 
 
-# DOC """Muscles and skull carried by their wraps (SoftDECA 3.1.1, last step: B = RBF of the skull wrap's motion at B_T)."""
-LEADERS = 400
-
-
 @dataclass(frozen=True, eq=False)
 class Carrier:
     """Moves a surface with the vertices of a wrap; factorised once per template.
@@ -248,13 +245,13 @@ class Carrier:
 
     @classmethod
     def of(cls, surface: Surface, wrap: Floats, among: Ints) -> Carrier:
-        """Led by up to CENTRES of the wrap's vertices `among` (k,), the farthest from one another."""
+        """Let up to LEADERS of the wrap's vertices `among` (k,) lead, the farthest from one another."""
         first = np.zeros(1, dtype=np.int64)
         count = min(LEADERS, len(among))
         return cls(surface, wrap, among[farthest_points(wrap[among], count, first)])
 
     def moved(self, wrap: Floats) -> Surface:
-        """The surface [mm] when the wrap is at `wrap` (n, 3) [mm]."""
+        """Carry the surface [mm] when the wrap is at `wrap` (n, 3) [mm]."""
         coefficients = self._warp.coefficients(wrap[self.chosen] - self.wrap[self.chosen])
         return self.surface.with_vertices(self.surface.vertices + self._basis @ coefficients)
 
@@ -271,7 +268,7 @@ class SkullCarrier:
             self.share = _mandibular(skull.vertices, skull_bone)[:, None]
 
     def moved(self, wrap: Floats) -> Surface:
-        """The skull [mm] when the skull wrap is at `wrap` (n, 3) [mm]."""
+        """Carry the skull [mm] when the skull wrap is at `wrap` (n, 3) [mm]."""
         moved = self.cranium.moved(wrap)
         if self.mandible is None:
             return moved

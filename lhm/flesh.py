@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from .base.errors import InputError
 from .base.mesh import Floats
 from .head import LayeredHead
+from .wraps.columns import edge_graph
 
 FADE = 12.0
 """Width [mm], along the skin wrap, over which the share of flesh rises from 0 to 1."""
@@ -65,18 +65,18 @@ def socket_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
 
 
 def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
-    """A share per vertex (n,) as the mean per triangle of the wraps, shape (m,)."""
+    """Average a share per vertex (n,) over each triangle of the wraps, shape (m,)."""
     return share[head.skin_wrap.triangles].mean(axis=1)
 
 
 def _within(head: LayeredHead, lining: str, edge: str, between: tuple[float, float]) -> Floats:
     """How far within a lining, shape (n,): from 0 to 1 `between` these distances [mm] from the region at its edge."""
-    found, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
+    share, none = np.zeros(len(head.skin_wrap.vertices)), np.zeros(len(head.skin_wrap.vertices), dtype=bool)
     inside = head.regions.get(lining, none) & ~head.regions.get(edge, none)
     if inside.any() and not inside.all():
         near, far = between
-        found[inside] = _smooth_step((_path_from(head, ~inside)[inside] - near) / (far - near))
-    return found
+        share[inside] = _smooth_step((_path_from(head, ~inside)[inside] - near) / (far - near))
+    return share
 
 
 def _region(head: LayeredHead, name: str) -> np.ndarray:
@@ -87,11 +87,8 @@ def _region(head: LayeredHead, name: str) -> np.ndarray:
 
 def _path_from(head: LayeredHead, outside: np.ndarray) -> Floats:
     """Length [mm] of the way along the skin wrap's edges from the vertices `outside`, shape (n,)."""
-    wrap = head.skin_wrap
-    a, b = wrap.triangles.ravel(), np.roll(wrap.triangles, -1, axis=1).ravel()
-    length = np.linalg.norm(wrap.vertices[a] - wrap.vertices[b], axis=1)
-    edges = csr_matrix((length, (a, b)), shape=(len(wrap.vertices),) * 2)
-    return dijkstra(edges, directed=False, indices=np.flatnonzero(outside), min_only=True)
+    graph = edge_graph(head.skin_wrap.vertices, head.skin_wrap.triangles)
+    return dijkstra(graph, directed=False, indices=np.flatnonzero(outside), min_only=True)
 
 
 def _smooth_step(t: Floats) -> Floats:

@@ -85,7 +85,7 @@ class LayeredHead:
 
     @check_arguments
     def sub_layers(self, soft: int, muscle: int) -> tuple[TetMesh, TetMesh]:
-        """Soft tissue and muscle with their prisms split into so many layers, over shared vertices; see `layers`."""
+        """Split the prisms of soft tissue and muscle into so many layers, over shared vertices; see `layers`."""
         wraps = (self.skin_wrap.vertices, self.muscle_wrap.vertices, self.skull_wrap.vertices)
         outer, inner = sub_layers(wraps, self.skin_wrap.triangles, (soft, muscle))
         return outer, inner

@@ -42,7 +42,7 @@ def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
 
 
 def stack_wraps(wraps: Sequence[Floats], counts: Sequence[int]) -> Floats:
-    """Wraps (n, 3) and the evenly spaced vertices between them, from outside to inside; see `sub_layers`."""
+    """Stack wraps (n, 3) and evenly spaced vertices between them, from outside to inside; see `sub_layers`."""
     stack = [wraps[0]]
     for outer, inner, count in zip(wraps[:-1], wraps[1:], counts, strict=True):
         stack += [outer + (k / count) * (inner - outer) for k in range(1, count)] + [inner]
@@ -50,7 +50,7 @@ def stack_wraps(wraps: Sequence[Floats], counts: Sequence[int]) -> Floats:
 
 
 def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) -> tuple[TetMesh, ...]:
-    """One tet mesh per gap between consecutive wraps, gap k split evenly into counts[k] layers of prisms.
+    """Make one tet mesh per gap between consecutive wraps, gap k split evenly into counts[k] layers of prisms.
 
     `wraps`: arrays (n, 3) [mm] from the outermost to the innermost over `triangles` (m, 3). The meshes share their
     vertices: the wraps and those between them, stacked from outside to inside. With counts of one they are a

@@ -1,4 +1,4 @@
-"""Whether mouth and eyes are open in a wrap: the way along it from upper to lower lip, and from lid to lid."""
+"""Whether mouth and eyes are open: ways along a wrap from lip to lip, and skin torn or folded where they part."""
 
 from __future__ import annotations
 
@@ -13,12 +13,16 @@ from .arkit import ARKIT
 from .base.geometry.deformation import folded_length, torn_area
 from .base.mesh import Floats, Ints, Surface
 from .rig import Rig
+from .wraps.columns import edge_graph
 
 LIP_MIDDLE = 6.0
+MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
+"""Regions of a wrap."""
+OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
 
 
 def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Shortest way [mm] along the wrap's edges from the middle of one lip to that of the other.
+    """Measure the shortest way [mm] along the wrap's edges from the middle of one lip to that of the other.
 
     The farthest from one another, along the wrap, of the vertices next to the mouth's lining and within 6 mm of its
     middle: on one lip at most some 15 mm, from lip to lip much more, for the way runs through the lining or around
@@ -39,7 +43,7 @@ def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np
 def lid_path(
     vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np.bool_]]
 ) -> tuple[float, float] | tuple[None, None]:
-    """Shortest way [mm] along the wrap's edges from upper to lower lid, and the same over the straight distance.
+    """Measure the shortest way [mm] along the wrap's edges from upper to lower lid, and that over the straight one.
 
     From the middle of the upper to that of the lower half of the ring around each socket; the eye with the smaller
     ratio counts. It runs through the socket or around the eye's corner (a ratio of pi / 2 for a round eye), and the
@@ -54,12 +58,12 @@ def lid_path(
     vertices = turn_upright(vertices, regions)
     x = vertices[:, 0]
     middle = 0.5 * (x[eyes].min() + x[eyes].max())
-    found = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
-    return min(found, key=lambda pair: pair[1])
+    paths = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
+    return min(paths, key=lambda pair: pair[1])
 
 
 def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
-    """Points (n, 3) [mm] in the face's own axes, by its regions "mouth" and "eyes": across, up from mouth to eyes, out.
+    """Turn points (n, 3) [mm] into the face's own axes by its regions: across, up from mouth to eyes, out.
 
     Across is the way between the eyes, to either side. As they are where a region is missing.
     """
@@ -101,23 +105,13 @@ def _ring(triangles: Ints, inside: NDArray[np.bool_]) -> Ints:
 
 def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
     """Length [mm] of the shortest way along edges from `start` to every vertex, shape (n,)."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    # The two triangles at an edge name it in opposite directions, so no entry is there twice to be summed.
-    graph = csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices), len(vertices)))
-    return dijkstra(graph, directed=False, indices=start, min_only=True)
-
-
-# DOC """Skin that is drawn out between lips or lids when they part: stretched fivefold and more."""
-MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
-"""Regions of a wrap."""
-OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
+    return dijkstra(edge_graph(vertices, triangles), directed=False, indices=start, min_only=True)
 
 
 def triangles_at(
     skin: Surface, skin_from_wrap: csr_matrix, regions: Mapping[str, NDArray[np.bool_]], names: Sequence[str]
 ) -> Ints:
-    """The skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
+    """Find the skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
     masks = [regions[name] for name in names if name in regions]
     if not masks:
         return skin.triangles[:0]
@@ -126,12 +120,12 @@ def triangles_at(
 
 
 def measure_torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
-    """The area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
+    """Measure the area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
     return torn_area(skin.vertices, _moved(skin, rig, names), triangles)
 
 
 def measure_folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
-    """The length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
+    """Measure the length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
     return folded_length(skin.vertices, _moved(skin, rig, names), triangles)
 
 

@@ -1,4 +1,4 @@
-"""Finer meshes of an unchanged domain, for studies of how an answer depends on the mesh."""
+"""Other tets for a head's layers: each split into eight, or free ones by gmsh (`pip install softdeca[mesh]`)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,15 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 CORNER_TETS = np.array([[0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3]])
 DIAGONALS = np.array([[4, 9], [5, 8], [6, 7]])
 AROUND = np.array([[5, 6, 8, 7], [4, 7, 9, 6], [4, 5, 9, 8]])
+TRIANGLE, TET = 2, 4
+"""Numbers of gmsh's types of elements."""
+NETGEN = "Netgen"
+"""The optimiser that takes slivers away: of the default head's tets below 2 degrees, all but 1 in 30,000."""
+SMALLEST_SIZE = 0.2
 
 
 def refine_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
-    """Every tet split into eight (Bey's red refinement), and each new tet's parent, shape (8 m,).
+    """Split every tet into eight (Bey's red refinement); also each new tet's parent, shape (8 m,).
 
     The domain and each parent's volume stay; old vertices come first. The inner octahedron is cut along its shortest
     diagonal.
@@ -46,7 +51,7 @@ def refine_tets(mesh: TetMesh) -> tuple[TetMesh, Ints]:
 
 
 def refine_head(head: LayeredHead) -> LayeredHead:
-    """The head with every triangle of its wraps split into four at its edges' middles: the same surfaces, finer.
+    """Split every triangle of a head's wraps into four at its edges' middles: the same surfaces, finer.
 
     Its tets, a `volume`, are the head's split into eight (prisms between the finer wraps could be inverted where the
     head's are twisted), so a layer of tets becomes two. Old vertices of a wrap come first. The skin stays, tied to
@@ -99,16 +104,8 @@ def _carried(carry: csr_matrix, vertices: Floats) -> Floats:
     return np.asarray(carry @ vertices)
 
 
-# DOC """Volume meshes between a head's wraps at a chosen size, by gmsh (an extra: `pip install softdeca[mesh]`)."""
-TRIANGLE, TET = 2, 4
-"""Numbers of gmsh's types of elements."""
-NETGEN = "Netgen"
-"""The optimiser that takes slivers away: of the default head's tets below 2 degrees, all but 1 in 30,000."""
-SMALLEST_SIZE = 0.2
-
-
 def remesh(head: LayeredHead, size: float) -> LayeredHead:
-    """The head with free tets of `size` [mm] between its wraps, as its `volume`; wraps and all else are kept.
+    """Fill the space between a head's wraps with free tets of `size` [mm], its `volume`; wraps and all else are kept.
 
     The wraps' triangles stay as they are and grade the size: tets are as large as the triangles by the wraps, and where
     a layer is thick no larger than `size` inside. Where it is thinner than its triangles are wide, tets reach from wrap

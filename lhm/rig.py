@@ -39,7 +39,7 @@ class Rig:
         object.__setattr__(self, "deltas", deltas)
 
     def moved(self, weights) -> Floats:
-        """What ARKit weights (52,) add to the skin [mm], shape (n, 3); InputError for another shape."""
+        """Add up what ARKit weights (52,) do to the skin [mm], shape (n, 3); InputError for another shape."""
         values = np.asarray(weights, dtype=np.float64)
         if values.shape != (len(ARKIT),):
             raise InputError(f"weights: expected shape ({len(ARKIT)},), got {values.shape}")
@@ -47,7 +47,7 @@ class Rig:
         return np.tensordot(values[used], self.deltas[used].astype(np.float64), axes=1)
 
     def without(self, still: Mapping[str, str]) -> Rig:
-        """The rig in which some expressions do nothing, each by its ARKit name with the reason."""
+        """Let some expressions do nothing, each by its ARKit name with the reason."""
         if not still:
             return self
         deltas = np.array(self.deltas)
@@ -55,13 +55,13 @@ class Rig:
         return replace(self, deltas=deltas, doubtful={**self.doubtful, **still})
 
     def doubting(self, doubtful: Mapping[str, str]) -> Rig:
-        """The rig with more expressions named that will not look right, each with its reason."""
+        """Name more expressions that will not look right, each with its reason."""
         return replace(self, doubtful={**self.doubtful, **doubtful})
 
 
 @check_arguments
 def blend(space: LinearSpace, code, weights) -> Floats:
-    """Skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
+    """Blend skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
 
     `code` as in `space.skin`, `weights` (frames, 52) or (52,) in [0, 1] (clipped with a warning that counts them);
     returns (frames, n, 3). Raises InputError for another shape and for weights that are not finite.

@@ -56,7 +56,7 @@ def _pieces(edges: Ints) -> int:
 
 
 def check_registrable(skin: Surface) -> Surface:
-    """The skin's largest connected piece over the same vertices; a warning says how many others are left out.
+    """Check a skin; its largest connected piece over the same vertices, with a warning that counts the others.
 
     It may be open. Raises MeshError if it is empty, has edges with more than two triangles or neighbours oriented
     against one another, faces inwards (which is what mirroring leaves), or is not of a head's size.

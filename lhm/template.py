@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -14,11 +13,9 @@ from scipy.sparse import csr_matrix
 from .base.mesh import Floats, Ints, Surface
 from .head import LayeredHead
 from .identities.space import LinearSpace
+from .regressor.depths import DepthRegressor
 from .wraps.columns import Columns
 from .wraps.landmarks import Landmarks, Mask, find_landmarks
-
-if TYPE_CHECKING:
-    from .regressor.depths import DepthRegressor
 
 DEFAULT_LEVEL = 2
 LEVELS = {1: 1212, 2: 4842, 3: 19362}
@@ -85,7 +82,7 @@ class Template:
     def layered(
         self, skin: Surface, stack: Floats, *, muscles: Surface | None = None, skull: Surface | None = None
     ) -> LayeredHead:
-        """A head of this template's triangulation from its skin and the stacked wraps (3 n, 3) [mm]."""
+        """Make a head of this template's triangulation from its skin and the stacked wraps (3 n, 3) [mm]."""
         skin_wrap, muscle_wrap, skull_wrap = (Surface(wrap, self.triangles) for wrap in stack.reshape(3, -1, 3))
         ties = (self.wrap_from_skin, self.skin_from_wrap)
         wraps = (skin_wrap, muscle_wrap, skull_wrap)

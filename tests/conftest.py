@@ -16,7 +16,7 @@ import pytest
 import trimesh
 from scipy.sparse import identity
 
-from softdeca.lhm import LayeredHead, Surface
+from softdeca.lhm import LayeredHead, Surface, load_template
 
 # Under nohup, and in a background job, SIGINT is ignored, and so it would be in the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -52,6 +52,12 @@ def sphere_head():
 def spheres():
     """`layered_sphere`, for heads of more vertices."""
     return layered_sphere
+
+
+@pytest.fixture(scope="session")
+def template():
+    """The default template of level 1; one object, so that what fitting prepares from it is made once."""
+    return load_template(level=1)
 
 
 @dataclass(frozen=True)

@@ -30,95 +30,6 @@ _EYES, _MANDIBLE = "eyeball", "mandible"
 LARGEST = 1e5
 """[mm] of a coordinate: whole bodies have 2,000."""
 _MUSCLES = ("expression", "jaw")
-
-
-@dataclass(frozen=True, eq=False)
-class Anatomy:
-    """Bones and muscles of one head [mm]; x is the subject's left, y up, z forward.
-
-    `cranium`: all bones of the skull but the mandible, with the upper teeth; `mandible`: with the lower teeth;
-    `muscles` by name; `eyes` (2, 3): the eyeballs' centres, the left first; `bite` (3,): between the edges of the
-    upper central incisors. The surfaces are collections of parts, in general neither connected nor closed.
-    """
-
-    cranium: Surface
-    mandible: Surface
-    muscles: Mapping[str, Surface] = field(repr=False)
-    eyes: Floats
-    bite: Floats
-
-    def moved(self, move: Callable[[Floats], Floats]) -> Anatomy:
-        """The anatomy with every point (k, 3) [mm] where `move` puts it."""
-        surfaces = [self.cranium, self.mandible, *self.muscles.values()]
-        points = [surface.vertices for surface in surfaces] + [self.eyes, self.bite[None]]
-        ends = np.cumsum([len(p) for p in points])[:-1]
-        *vertices, eyes, bite = np.split(move(np.vstack(points)), ends)
-        cranium, mandible, *muscles = (s.with_vertices(v) for s, v in zip(surfaces, vertices, strict=True))
-        return Anatomy(cranium, mandible, dict(zip(self.muscles, muscles, strict=True)), eyes, bite[0])
-
-
-def load(path: str | os.PathLike[str]) -> Anatomy:
-    """The anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
-    return anatomy_from_arrays(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
-
-
-def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:
-    """The anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
-    try:
-        return _anatomy(data)
-    except (ValueError, IndexError, TypeError, KeyError) as error:
-        raise InputError(f"{path}: not BodyParts3D's data ({error})") from None
-
-
-def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays, each of its shape and range; InputError names one that is not."""
-    vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
-    faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
-    names, groups = (array_of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
-    PARTS.check("it has", names.size)
-    shape("part_name", names, (None,))
-    shape("part_group", groups, (len(names),))
-    part = indices_below("face_part", data["face_part"], len(names), (len(faces),))
-    return {"vertices": vertices, "faces": faces, "face_part": part, "part_name": names, "part_group": groups}
-
-
-def _anatomy(given: Mapping[str, np.ndarray]) -> Anatomy:
-    data = _checked(given)
-    names, groups = data["part_name"], data["part_group"]
-    lower_case = np.char.lower(names)
-
-    def among(group: str, *words: str) -> Ints:
-        found = groups == group
-        for word in words:
-            found &= np.char.find(lower_case, word) >= 0
-        if not found.any():
-            raise ValueError(f"no part of group {group!r} is named {' '.join(words) or 'anything'}")
-        return np.flatnonzero(found)
-
-    def surface(parts: Ints) -> Surface:
-        used, numbers = np.unique(data["faces"][np.isin(data["face_part"], parts)], return_inverse=True)
-        return Surface(data["vertices"][used], numbers.reshape(-1, 3))
-
-    jaw = among("skull", _MANDIBLE)
-    upper, lower = among("teeth", "upper"), among("teeth", "lower")
-    eyes = surface(among("other", _EYES)).vertices
-    incisors = [surface(np.array([part])).vertices for part in among("teeth", "upper", "central")]
-    return Anatomy(
-        surface(np.concatenate([np.setdiff1d(among("skull"), jaw), upper])),
-        surface(np.concatenate([jaw, lower])),
-        {str(names[part]): surface(np.array([part])) for group in _MUSCLES for part in among(group)},
-        np.stack([_centre(eyes[eyes[:, 0] > 0]), _centre(eyes[eyes[:, 0] <= 0])]),
-        np.mean([tooth[tooth[:, 1].argmin()] for tooth in incisors], axis=0),
-    )
-
-
-def _centre(points: Floats) -> Floats:
-    if not len(points):
-        raise InputError("an eyeball is missing on one side")
-    return 0.5 * (points.min(axis=0) + points.max(axis=0))
-
-
-# DOC """BodyParts3D as its project publishes it, a folder of OBJ files, made the arrays that `bodyparts` reads."""
 SHIFT = np.array([0.0, 1500.0, 120.0])
 """[mm] from the body's height and depth to about the head's centre."""
 FMA_PARTS = {
@@ -153,8 +64,94 @@ HEADER = 40
 """Lines of an OBJ file within which its concept is named."""
 
 
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """Bones and muscles of one head [mm]; x is the subject's left, y up, z forward.
+
+    `cranium`: all bones of the skull but the mandible, with the upper teeth; `mandible`: with the lower teeth;
+    `muscles` by name; `eyes` (2, 3): the eyeballs' centres, the left first; `bite` (3,): between the edges of the
+    upper central incisors. The surfaces are collections of parts, in general neither connected nor closed.
+    """
+
+    cranium: Surface
+    mandible: Surface
+    muscles: Mapping[str, Surface] = field(repr=False)
+    eyes: Floats
+    bite: Floats
+
+    def moved(self, move: Callable[[Floats], Floats]) -> Anatomy:
+        """Move the anatomy with every point (k, 3) [mm] where `move` puts it."""
+        surfaces = [self.cranium, self.mandible, *self.muscles.values()]
+        points = [surface.vertices for surface in surfaces] + [self.eyes, self.bite[None]]
+        ends = np.cumsum([len(p) for p in points])[:-1]
+        *vertices, eyes, bite = np.split(move(np.vstack(points)), ends)
+        cranium, mandible, *muscles = (s.with_vertices(v) for s, v in zip(surfaces, vertices, strict=True))
+        return Anatomy(cranium, mandible, dict(zip(self.muscles, muscles, strict=True)), eyes, bite[0])
+
+
+def load(path: str | os.PathLike[str]) -> Anatomy:
+    """Read the anatomy in a file; InputError naming the file if it is missing, damaged, or lacks an array or a part."""
+    return anatomy_from_arrays(read_arrays(path, *_NEEDED, of="BodyParts3D's data"), path)
+
+
+def anatomy_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Anatomy:
+    """Make the anatomy of the arrays of a file or folder; InputError naming it if they do not fit together."""
+    try:
+        return _anatomy(data)
+    except (ValueError, IndexError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: not BodyParts3D's data ({error})") from None
+
+
+def _checked(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays, each of its shape and range; InputError names one that is not."""
+    vertices = finite("vertices", data["vertices"], (None, 3), most=LARGEST)
+    faces = indices_below("faces", data["faces"], VERTICES.check("it has", len(vertices)), (None, 3))
+    names, groups = (array_of_kind(key, data[key], "U", "texts") for key in ("part_name", "part_group"))
+    PARTS.check("it has", names.size)
+    shape("part_name", names, (None,))
+    shape("part_group", groups, (len(names),))
+    part = indices_below("face_part", data["face_part"], len(names), (len(faces),))
+    return {"vertices": vertices, "faces": faces, "face_part": part, "part_name": names, "part_group": groups}
+
+
+def _anatomy(given: Mapping[str, np.ndarray]) -> Anatomy:
+    data = _checked(given)
+    names, groups = data["part_name"], data["part_group"]
+    lower_case = np.char.lower(names)
+
+    def among(group: str, *words: str) -> Ints:
+        mask = groups == group
+        for word in words:
+            mask &= np.char.find(lower_case, word) >= 0
+        if not mask.any():
+            raise ValueError(f"no part of group {group!r} is named {' '.join(words) or 'anything'}")
+        return np.flatnonzero(mask)
+
+    def surface(parts: Ints) -> Surface:
+        used, numbers = np.unique(data["faces"][np.isin(data["face_part"], parts)], return_inverse=True)
+        return Surface(data["vertices"][used], numbers.reshape(-1, 3))
+
+    jaw = among("skull", _MANDIBLE)
+    upper, lower = among("teeth", "upper"), among("teeth", "lower")
+    eyes = surface(among("other", _EYES)).vertices
+    incisors = [surface(np.array([part])).vertices for part in among("teeth", "upper", "central")]
+    return Anatomy(
+        surface(np.concatenate([np.setdiff1d(among("skull"), jaw), upper])),
+        surface(np.concatenate([jaw, lower])),
+        {str(names[part]): surface(np.array([part])) for group in _MUSCLES for part in among(group)},
+        np.stack([_centre(eyes[eyes[:, 0] > 0]), _centre(eyes[eyes[:, 0] <= 0])]),
+        np.mean([tooth[tooth[:, 1].argmin()] for tooth in incisors], axis=0),
+    )
+
+
+def _centre(points: Floats) -> Floats:
+    if not len(points):
+        raise InputError("an eyeball is missing on one side")
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
 def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) -> dict[str, np.ndarray]:
-    """The arrays that `bodyparts.load` reads, from a folder of OBJ files in the body's coordinates [mm].
+    """Read the arrays that `bodyparts.load` reads, from a folder of OBJ files in the body's coordinates [mm].
 
     Release 3.0 names its files by FMA (FMA52748.obj), 4.0 by numbers of its own (FJ1234.obj) and has the FMA in a
     comment at the top, several files of one FMA being pieces of it; both are looked for in the folder and those below.
@@ -168,10 +165,10 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     files = _files(folder, {concept for _, concept, _ in wanted})
     if not files:
         raise InputError(f"{folder}: no OBJ file of a head's part in it; expected BodyParts3D's, such as FMA52748.obj")
-    found = [part for part in wanted if part[1] in files]
+    parts = [part for part in wanted if part[1] in files]
     vertices, faces = [], []
-    for number, (_, concept, _) in enumerate(found):
-        progress("BodyParts3D's parts", number / len(found))
+    for number, (_, concept, _) in enumerate(parts):
+        progress("BodyParts3D's parts", number / len(parts))
         points, triangles = _merged(files[concept])
         vertices.append(points[:, [0, 2, 1]] * [1, 1, -1] - SHIFT)
         faces.append(triangles)
@@ -180,16 +177,16 @@ def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) 
     return {
         "vertices": np.vstack(vertices).astype(np.float32),
         "faces": np.vstack([part + start for part, start in zip(faces, starts, strict=True)]).astype(np.int32),
-        "face_part": np.repeat(np.arange(len(found)), [len(part) for part in faces]).astype(np.uint8),
-        "part_fma": np.array([concept for _, concept, _ in found]),
-        "part_group": np.array([group for group, _, _ in found]),
-        "part_name": np.array([name for _, _, name in found]),
+        "face_part": np.repeat(np.arange(len(parts)), [len(part) for part in faces]).astype(np.uint8),
+        "part_fma": np.array([concept for _, concept, _ in parts]),
+        "part_group": np.array([group for group, _, _ in parts]),
+        "part_name": np.array([name for _, _, name in parts]),
         "license": np.array("BodyParts3D, (c) The Database Center for Life Science, CC BY-SA 2.1 Japan"),
     }
 
 
 def missing_parts(arrays: Mapping[str, np.ndarray]) -> list[str]:
-    """Names of the parts that the arrays of `read_folder` lack; eyeballs may be there as such or as their scleras."""
+    """Name the parts that the arrays of `read_folder` lack; eyeballs may be there as such or as their scleras."""
     there = set(arrays["part_name"].tolist())
     names = [name for text in FMA_PARTS.values() for _, name in _named(text)]
     eyes = [name for name in names if "eyeball" in name]

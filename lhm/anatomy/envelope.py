@@ -29,7 +29,7 @@ _BAND = 2.5
 
 
 def skull_surface(anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING) -> Surface:
-    """The skull and its teeth as one filled body [mm]: orbits, temporal fossae, cheek arches and braincase closed.
+    """Close skull and teeth to one filled body [mm]: orbits, temporal fossae, cheek arches and braincase closed.
 
     What comes closer than 1.5 mm to the skin, the linings of its pockets included, is cut away: the mouth of a game
     head is a bag that takes the place of the teeth and of the jaws' alveolar parts.
@@ -41,7 +41,7 @@ def skull_surface(anatomy: Anatomy, skin: Surface, *, spacing: float = SPACING) 
 
 
 def muscle_surface(anatomy: Anatomy, skin: Surface, skull: Surface, *, spacing: float = SPACING) -> Surface:
-    """The skull surface with all muscles on it as one filled body [mm], at least 1 mm inside the skin."""
+    """Close the skull surface with all muscles on it as one filled body [mm], at least 1 mm inside the skin."""
     bodies = [skull, *anatomy.muscles.values()]
     return closed_envelope(
         bodies, closing=MUSCLE_CLOSING, spacing=spacing, inflate=FASCIA, within=skin, clearance=MUSCLE_CLEARANCE
@@ -49,7 +49,7 @@ def muscle_surface(anatomy: Anatomy, skin: Surface, skull: Surface, *, spacing: 
 
 
 def bone_at(anatomy: Anatomy, points: Floats, *, near: float = NEAR_BONE) -> Ints:
-    """FREE, CRANIUM or MANDIBLE per point, shape (k,): the nearer bone, or none where both are farther than `near`."""
+    """Label points FREE, CRANIUM or MANDIBLE, shape (k,): the nearer bone, or none where both are beyond `near`."""
     bones = (anatomy.cranium, anatomy.mandible)
     distance = np.stack([TriangleTree(bone.vertices, bone.triangles).closest(points)[2] for bone in bones])
     nearer = np.where(distance[0] <= distance[1], CRANIUM, MANDIBLE)
@@ -67,7 +67,7 @@ def closed_envelope(
     clearance: float = 0.0,
     smallest: float | None = None,
 ) -> Surface:
-    """A closed surface, normals outward, around surfaces that may be open, cross or lie apart. All in mm.
+    """Lay a closed surface, normals outward, around surfaces that may be open, cross or lie apart. All in mm.
 
     The morphological closing of their union by a ball of radius `closing`: gaps narrower than its diameter are bridged
     and what is then enclosed is filled; so is an inner cavity that holds a ball of radius `cavity` and has no opening
@@ -114,7 +114,7 @@ class _Grid:
         self.shape = tuple(np.ceil((np.ptp(points, axis=0) + 2 * margin) / spacing).astype(int) + 1)
 
     def marked(self, corners: Floats) -> np.ndarray:
-        """The grid points nearest to samples of triangles (m, 3, 3) that leave no hole."""
+        """Mark the grid points nearest to samples of triangles (m, 3, 3) that leave no hole."""
         mask = np.zeros(self.shape, bool)
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         parts = np.maximum(np.ceil(edge / (0.5 * self.spacing)).astype(int), 1)
@@ -188,7 +188,7 @@ def _large(field: Floats, spacing: float, smallest: float | None) -> Floats:
 
 
 def smooth(surface: Surface, rounds: int = 8) -> Surface:
-    """Taubin's smoothing without shrinkage: an umbrella step inward, a larger one back (SIGGRAPH 1995)."""
+    """Smooth by Taubin's steps, without shrinkage: an umbrella step inward, a larger one back (SIGGRAPH 1995)."""
     i, j = np.vstack([surface.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]).T
     n = len(surface.vertices)
     edges = csr_matrix((np.ones(len(i)), (i, j)), shape=(n, n))

@@ -104,7 +104,7 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
 
 
 def close_pockets(skin: Surface, parts: Ints) -> Surface:
-    """The visible skin, closed over mouth and eye sockets by lids across their rims, which come last."""
+    """Close the visible skin over mouth and eye sockets by lids across their rims, which come last."""
     triangles = skin.triangles[_visible(skin, parts)]
     vertices = skin.vertices
     for loop in boundary_loops(triangles):
@@ -118,7 +118,7 @@ def _visible(skin: Surface, parts: Ints) -> Mask:
 
 
 def keep_triangles(surface: Surface, kept: Mask) -> Surface:
-    """The triangles that a mask (m,) keeps, over their own vertices."""
+    """Keep the triangles of a mask (m,), over their own vertices."""
     used, numbers = np.unique(surface.triangles[kept], return_inverse=True)
     return Surface(surface.vertices[used], numbers.reshape(-1, 3))
 
@@ -143,12 +143,12 @@ class _Tissue:
 
     def excess(self, points: Floats, normals: Floats) -> Floats:
         """Vectors (k, 3) that bring points within the bounds of depth, and zero where nothing is asked for."""
-        found, outward = self.at(points, normals)
-        least = np.maximum(THINNEST * found.wanted, LEAST)
+        tissue, outward = self.at(points, normals)
+        least = np.maximum(THINNEST * tissue.wanted, LEAST)
         # Deep muscle covers the neck's side of the skull, the fossae and the ramus: no upper bound holds there.
-        most = np.where(found.depth < 2.5 * found.wanted, THICKEST * found.wanted, np.inf)
-        wrong = found.depth - np.clip(found.depth, least, np.maximum(most, least))
-        return np.where(found.near_skin, wrong, 0.0)[:, None] * outward
+        most = np.where(tissue.depth < 2.5 * tissue.wanted, THICKEST * tissue.wanted, np.inf)
+        wrong = tissue.depth - np.clip(tissue.depth, least, np.maximum(most, least))
+        return np.where(tissue.near_skin, wrong, 0.0)[:, None] * outward
 
 
 def _pulled(tissue: _Tissue, start: Floats, x: Floats, normals: Floats) -> Floats:
@@ -170,8 +170,8 @@ def _aligned(tissue: _Tissue, exposed: Floats, normals: Floats, held: Floats, go
     for _ in range(20):
         scale, rotation, shift = fit
         x = scale * exposed[vault] @ rotation.T + shift
-        found, outward = tissue.at(x, normals[vault] @ rotation.T)
-        target = x + (found.depth - found.wanted)[:, None] * outward
+        depths, outward = tissue.at(x, normals[vault] @ rotation.T)
+        target = x + (depths.depth - depths.wanted)[:, None] * outward
         fit = _similarity(source, np.vstack([goals, target]), weight)
     return fit
 

@@ -20,7 +20,7 @@ def anatomical_template(
     level: int = DEFAULT_LEVEL,
     progress: OnProgress = silent,
 ) -> Template:
-    """The template of a space's mean head over the bones and muscles in a BodyParts3D file (some two minutes).
+    """Build the template of a space's mean head over the bones and muscles in a BodyParts3D file (two minutes).
 
     Raises InputError naming the file, FitError naming what failed.
     """

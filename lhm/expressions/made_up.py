@@ -1,4 +1,14 @@
-"""Random expressions: a few shapes at a time, mostly symmetric, none that contradict another; still, or as a take."""
+"""Made-up takes, for training where no recordings are at hand: random expressions, conversation, head motion, speech.
+
+In a conversation, turns of talk and of listening follow one another. In talk, 3 to 6 syllables per second each draw the
+mouth to a consonant and then to a vowel; smoothing over 35 ms lets neighbours colour one another (coarticulation).
+Mood, brows and sideways motion are Ornstein-Uhlenbeck processes whose sign chooses the expression, so that of a
+contradictory pair (left or right, smile or frown) one is always zero. Now and then mood rises to a broad smile, during
+which the lips are less rounded. Eyes fixate, mostly ahead and sometimes far aside, and lids follow them down; most
+blinks close the lids. A conversation of 2 s or more holds a blink that closes them in at least one frame, and a broad
+smile; a shorter one has them where there is room. The figures are chosen by us, to have the range and speed of a
+recorded take.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +25,7 @@ from ..base.checks import check_arguments
 from ..base.errors import InputError, quote
 from ..base.limits import SPEECH_LETTERS
 from ..base.mesh import Floats
-from .readers import parse_csv
+from .readers import read_livelink
 from .takes import Take, check_frames, check_rate
 
 UNITS: tuple[tuple[str, ...], ...] = (
@@ -67,11 +77,59 @@ MOVED, HOLDS, MEET = (0.15, 0.6), (0.1, 0.4), 0.3  # [s], [s], share of a fall i
 JAW_SHARE, SYMMETRIC_SHARE, MORE_UNITS = 0.6, 0.8, 2.0
 HARD_SHAPES, HARD_RANGES = (2, 5), ((0.2, 1.0), (0.1, 0.5))
 """Shapes of a hard expression, and the range of their weights in either half of all."""
+# Mouth targets at full effort; names without a side stand for both sides.
+CONSONANTS: tuple[dict[str, float], ...] = (
+    {"jawOpen": 0.25, "mouthClose": 0.25, "mouthPress": 0.3, "mouthRollUpper": 0.2, "mouthRollLower": 0.25},  # m b p
+    {"jawOpen": 0.15, "mouthClose": 0.15, "mouthPress": 0.25, "cheekPuff": 0.2, "mouthPucker": 0.15},  # p, plosive
+    {"jawOpen": 0.1, "mouthRollLower": 0.35, "mouthUpperUp": 0.2, "mouthShrugLower": 0.2},  # f v
+    {"jawOpen": 0.18, "mouthUpperUp": 0.15, "mouthLowerDown": 0.25, "mouthStretch": 0.2},  # t d n
+    {"jawOpen": 0.2, "mouthLowerDown": 0.3, "mouthUpperUp": 0.15, "tongueOut": 0.15},  # l th
+    {"jawOpen": 0.06, "jawForward": 0.12, "mouthStretch": 0.3, "mouthLowerDown": 0.3, "mouthDimple": 0.1},  # s z
+    {"jawOpen": 0.1, "jawForward": 0.15, "mouthFunnel": 0.55, "mouthPucker": 0.2, "mouthShrugUpper": 0.2},  # sh
+    {"jawOpen": 0.25, "mouthUpperUp": 0.1, "mouthLowerDown": 0.15},  # k g
+    {"jawOpen": 0.15, "mouthFunnel": 0.35, "mouthPucker": 0.35},  # r w
+)
+VOWELS: tuple[dict[str, float], ...] = (
+    {"jawOpen": 0.65, "mouthLowerDown": 0.35, "mouthUpperUp": 0.2},  # a
+    {"jawOpen": 0.35, "mouthStretch": 0.3, "mouthLowerDown": 0.4, "mouthUpperUp": 0.25, "mouthDimple": 0.15},  # e
+    {"jawOpen": 0.15, "mouthStretch": 0.4, "mouthLowerDown": 0.35, "mouthDimple": 0.25},  # i
+    {"jawOpen": 0.4, "mouthFunnel": 0.5, "mouthPucker": 0.3},  # o
+    {"jawOpen": 0.15, "mouthFunnel": 0.3, "mouthPucker": 0.7},  # u
+    {"jawOpen": 0.3, "mouthLowerDown": 0.2, "mouthShrugLower": 0.1},  # schwa
+)
+REST = {"mouthPress": 0.08, "mouthShrugLower": 0.1, "mouthShrugUpper": 0.08, "mouthRollLower": 0.05}
+ROUNDED = ("mouthPucker", "mouthFunnel", "mouthPress", "mouthRollLower", "mouthRollUpper")
+SYLLABLES = (3.0, 6.0)  # [1/s]
+TALK, LISTEN = (2.0, 7.0), (0.8, 4.0)  # [s]
+BLINK_EVERY, BLINK_LASTS = (2.0, 6.0), (0.12, 0.4)  # [s]
+CLOSED_SHARE, PARTLY = 0.8, (0.6, 0.95)  # of the blinks; how far the others go
+FALL, HELD = 0.3, 0.2  # of a blink: lids going down, and staying closed
+SMILE_EVERY, SMILE_LASTS, SMILE_RISES = (6.0, 16.0), (1.0, 3.5), (0.25, 0.5)  # [s]
+BROAD = (0.75, 1.0)
+GLANCES, GLANCE = 0.2, 2.5  # share of fixations far aside, and how much farther they are
+LIDS_FOLLOW = 0.4  # eyeBlink per eyeLookDown; 0.67 over a recorded take, in which lids also close for other reasons
+COARTICULATION = 0.035  # [s]
+UNEVEN = 0.08
+POSTURE = np.radians([7.0, 4.0, 3.0])
+"""Standard deviations of yaw, pitch and roll [rad], and those of the beats."""
+BEATS = np.radians([1.2, 2.0, 0.8])
+SLOW, QUICK = 0.5, 0.07
+"""Time constants [s] of posture and of beats."""
+PASSES = 4
+PACE = 12.0
+"""Sounds per second of unhurried talk; 18 is fast."""
+SLOWEST, FASTEST = 2.0, 30.0
+SILENCE, COMMA, STOP = 0.2, 0.2, 0.4
+"""Silence [s] at both ends, within a sentence and between sentences."""
+GESTURES = {
+    "blink_L": (("eyeBlinkLeft", 1.0),),
+    "blink_R": (("eyeBlinkRight", 1.0),),
+}
 
 
 @check_arguments
 def sample_weights(rng: np.random.Generator) -> Floats:
-    """One random expression: ARKit weights in [0, 1], shape (52,).
+    """Draw one random expression: ARKit weights in [0, 1], shape (52,).
 
     The jaw opens in 60 % of all; one unit is active, and a Poisson number of mean 2 beside it; a pair is symmetric to
     10 % in 80 % of cases and one-sided otherwise. mouthClose, which means closing an open jaw, never exceeds jawOpen.
@@ -98,7 +156,7 @@ def sample_weights(rng: np.random.Generator) -> Floats:
 
 @check_arguments
 def combinations(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
-    """Weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
+    """Make up weights that go from one random expression to another, shape (frames, 52), in [0, 1], `rate` [Hz].
 
     Each is reached in 0.15 to 0.6 s, smoothly, as the one before has mostly gone, so that of two that contradict each
     other one is below 0.15; it is held for 0.1 to 0.4 s. Raises InputError for fewer than one frame and a rate that is
@@ -146,54 +204,9 @@ def contradict(a: str, b: str) -> bool:
     )
 
 
-# DOC """Made-up talk: weights with the rhythm of a conversation, for training where no recordings are at hand.
-# DOC
-# DOC Turns of talk and of listening follow one another. In talk, 3 to 6 syllables per second each draw the mouth to a
-# DOC consonant and then to a vowel; smoothing over 35 ms lets neighbours colour one another (coarticulation). Mood, brows and
-# DOC sideways motion are Ornstein-Uhlenbeck processes whose sign chooses the expression, so that of a contradictory pair
-# DOC (left or right, smile or frown) one is always zero. Now and then mood rises to a broad smile, during which the lips are
-# DOC less rounded. Eyes fixate, mostly ahead and sometimes far aside, and lids follow them down; most blinks close the lids.
-# DOC A conversation of 2 s or more holds a blink that closes them in at least one frame, and a broad smile; a shorter one has
-# DOC them where there is room. The figures are chosen by us, to have the range and speed of a recorded take.
-# DOC """
-# Mouth targets at full effort; names without a side stand for both sides.
-CONSONANTS: tuple[dict[str, float], ...] = (
-    {"jawOpen": 0.25, "mouthClose": 0.25, "mouthPress": 0.3, "mouthRollUpper": 0.2, "mouthRollLower": 0.25},  # m b p
-    {"jawOpen": 0.15, "mouthClose": 0.15, "mouthPress": 0.25, "cheekPuff": 0.2, "mouthPucker": 0.15},  # p, plosive
-    {"jawOpen": 0.1, "mouthRollLower": 0.35, "mouthUpperUp": 0.2, "mouthShrugLower": 0.2},  # f v
-    {"jawOpen": 0.18, "mouthUpperUp": 0.15, "mouthLowerDown": 0.25, "mouthStretch": 0.2},  # t d n
-    {"jawOpen": 0.2, "mouthLowerDown": 0.3, "mouthUpperUp": 0.15, "tongueOut": 0.15},  # l th
-    {"jawOpen": 0.06, "jawForward": 0.12, "mouthStretch": 0.3, "mouthLowerDown": 0.3, "mouthDimple": 0.1},  # s z
-    {"jawOpen": 0.1, "jawForward": 0.15, "mouthFunnel": 0.55, "mouthPucker": 0.2, "mouthShrugUpper": 0.2},  # sh
-    {"jawOpen": 0.25, "mouthUpperUp": 0.1, "mouthLowerDown": 0.15},  # k g
-    {"jawOpen": 0.15, "mouthFunnel": 0.35, "mouthPucker": 0.35},  # r w
-)
-VOWELS: tuple[dict[str, float], ...] = (
-    {"jawOpen": 0.65, "mouthLowerDown": 0.35, "mouthUpperUp": 0.2},  # a
-    {"jawOpen": 0.35, "mouthStretch": 0.3, "mouthLowerDown": 0.4, "mouthUpperUp": 0.25, "mouthDimple": 0.15},  # e
-    {"jawOpen": 0.15, "mouthStretch": 0.4, "mouthLowerDown": 0.35, "mouthDimple": 0.25},  # i
-    {"jawOpen": 0.4, "mouthFunnel": 0.5, "mouthPucker": 0.3},  # o
-    {"jawOpen": 0.15, "mouthFunnel": 0.3, "mouthPucker": 0.7},  # u
-    {"jawOpen": 0.3, "mouthLowerDown": 0.2, "mouthShrugLower": 0.1},  # schwa
-)
-REST = {"mouthPress": 0.08, "mouthShrugLower": 0.1, "mouthShrugUpper": 0.08, "mouthRollLower": 0.05}
-ROUNDED = ("mouthPucker", "mouthFunnel", "mouthPress", "mouthRollLower", "mouthRollUpper")
-SYLLABLES = (3.0, 6.0)  # [1/s]
-TALK, LISTEN = (2.0, 7.0), (0.8, 4.0)  # [s]
-BLINK_EVERY, BLINK_LASTS = (2.0, 6.0), (0.12, 0.4)  # [s]
-CLOSED_SHARE, PARTLY = 0.8, (0.6, 0.95)  # of the blinks; how far the others go
-FALL, HELD = 0.3, 0.2  # of a blink: lids going down, and staying closed
-SMILE_EVERY, SMILE_LASTS, SMILE_RISES = (6.0, 16.0), (1.0, 3.5), (0.25, 0.5)  # [s]
-BROAD = (0.75, 1.0)
-GLANCES, GLANCE = 0.2, 2.5  # share of fixations far aside, and how much farther they are
-LIDS_FOLLOW = 0.4  # eyeBlink per eyeLookDown; 0.67 over a recorded take, in which lids also close for other reasons
-COARTICULATION = 0.035  # [s]
-UNEVEN = 0.08
-
-
 @check_arguments
 def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
-    """Weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
+    """Make up weights like those of a conversation, in ARKit's order, shape (frames, 52), in [0, 1], `rate` [Hz].
 
     The same generator state gives the same weights. Of contradictory pairs (jawLeft and jawRight, mouthLeft and
     mouthRight, smile and frown, up and down, in and out of a gaze) one is zero, eyeWide fades while the eye blinks,
@@ -212,7 +225,7 @@ def conversation(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -
 
 @check_arguments
 def conversation_take(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Take:
-    """A conversation's weights as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
+    """Make up a conversation as a take at `rate` [Hz] whose head moves as a talker's (see `head_motion`)."""
     weights = conversation(rng, frames, rate=rate)
     head = head_motion(rng, frames, rate=rate)
     return Take(weights, rate, np.arange(frames) / rate, head=head, synthetic="made-up conversation")
@@ -235,7 +248,7 @@ class _Face:
             self.values[name + side] = self.values[name + side] + values * (1.0 + self.wander(3.0, UNEVEN))
 
     def split(self, name: str, opposite: str, signed: Floats) -> None:
-        """Positive values to one expression and negative ones to its opposite."""
+        """Add positive values to one expression and negative ones to its opposite."""
         self.add(name, np.maximum(signed, 0.0))
         self.add(opposite, np.maximum(-signed, 0.0))
 
@@ -247,11 +260,11 @@ class _Face:
         return deviation * self.smooth(walk, min(0.1 * seconds, 0.1))
 
     def smooth(self, values: Floats, seconds: float) -> Floats:
-        """Averaged over a Gaussian of this deviation [s]."""
+        """Average over a Gaussian of this deviation [s]."""
         return gaussian_filter1d(values, seconds * self.rate, axis=0, mode="nearest")
 
     def weights(self) -> Floats:
-        """All in ARKit's order, in [0, 1], shape (frames, 52)."""
+        """Give all in ARKit's order, in [0, 1], shape (frames, 52)."""
         self.values["mouthClose"] = np.minimum(self.values["mouthClose"], self.values["jawOpen"])
         return np.clip(np.stack([self.values[name] for name in ARKIT], axis=1), 0.0, 1.0)
 
@@ -366,22 +379,12 @@ def _blinks(face: _Face, rng: np.random.Generator) -> Floats:
     return closed
 
 
-# DOC """Made-up head motion: yaw, pitch and roll of somebody who talks and listens, for takes that have none recorded.
-# DOC
-# DOC Posture drifts over seconds, and on it small beats follow one another as syllables stressed or nods do. Both are
-# DOC noise through low passes, so that the angular acceleration is continuous as that of a real head: what shakes flesh
-# DOC is an acceleration. The figures are chosen by us.
-# DOC """
-POSTURE = np.radians([7.0, 4.0, 3.0])
-"""Standard deviations of yaw, pitch and roll [rad], and those of the beats."""
-BEATS = np.radians([1.2, 2.0, 0.8])
-SLOW, QUICK = 0.5, 0.07
-"""Time constants [s] of posture and of beats."""
-PASSES = 4
-
-
 def head_motion(rng: np.random.Generator, frames: int, *, rate: float = 60.0) -> Floats:
-    """Yaw, pitch and roll [rad] (see `head_rotation`) about straight ahead, shape (frames, 3), `rate` [Hz].
+    """Make up the yaw, pitch and roll [rad] (see `rotations`) of a head that talks, shape (frames, 3), `rate` [Hz].
+
+    Posture drifts over seconds about straight ahead; on it small beats follow one another as stressed syllables or nods
+    do. Both are noise through low passes, so that the angular acceleration is continuous as that of a real head: what
+    shakes flesh is an acceleration. The figures are chosen by us.
 
     The same generator state gives the same angles. Raises InputError for fewer than one frame and a rate that is not
     positive.
@@ -402,25 +405,13 @@ def _swayed(rng: np.random.Generator, frames: int, constant: float) -> Floats:
     return lfilter([1.0], poles, noise, axis=0)[ahead:] / np.linalg.norm(answer)
 
 
-# DOC """Speech from a text by openfacefx (MIT): phonemes, visemes with coarticulation, ARKit weights. Synthetic.
-# DOC
-# DOC Nobody has spoken it: sounds last as long as such sounds do (openfacefx's priors), at a pace of our choosing, and pauses
-# DOC stand where the text has punctuation. Beside the mouth the lids blink; brows, gaze and head rest.
-# DOC """
-PACE = 12.0
-"""Sounds per second of unhurried talk; 18 is fast."""
-SLOWEST, FASTEST = 2.0, 30.0
-SILENCE, COMMA, STOP = 0.2, 0.2, 0.4
-"""Silence [s] at both ends, within a sentence and between sentences."""
-GESTURES = {
-    "blink_L": (("eyeBlinkLeft", 1.0),),
-    "blink_R": (("eyeBlinkRight", 1.0),),
-}
-
-
 @check_arguments
 def speech(text: str, *, pace: float = PACE) -> Take:
-    """A take of someone saying an English text, at 60 Hz; the same text and pace [sounds per second] give the same.
+    """Make up a take of someone saying an English text, at 60 Hz, by openfacefx (MIT).
+
+    The same text and pace [sounds per second] give the same. Nobody has spoken it: sounds last as long as such sounds
+    do (openfacefx's priors), and pauses stand where the text has punctuation. Beside the mouth the lids blink; brows,
+    gaze and head rest.
 
     Raises InputError for a text without words or with one that has no sounds, such as 3, for one that is longer than
     `limits.SPEECH_LETTERS`, for a pace outside [2, 30], and where openfacefx is not installed.
@@ -436,7 +427,7 @@ def speech(text: str, *, pace: float = PACE) -> Take:
     segments = _segments(text, 1.0 / pace)
     track = fx.generate_from_alignment(segments, gestures=fx.GestureParams(seed=zlib.crc32(text.encode())))
     csv, _ = fx.livelink_csv_string(retarget(track, PRESETS["arkit"] | GESTURES))
-    take = parse_csv(csv)
+    take = read_livelink(csv)
     return Take(take.weights, take.rate, take.times, synthetic="speech by openfacefx")
 
 
@@ -466,6 +457,6 @@ def _spoken(word: str, sounds_of) -> list[str]:
 
 
 def shipped_sentences() -> tuple[str, ...]:
-    """Sentences to be spoken, each of some seconds, with every sound of English and many closed lips."""
+    """Read the sentences to be spoken, each of some seconds, with every sound of English and many closed lips."""
     lines = resources.files(__package__).joinpath("speech.txt").read_text(encoding="utf-8").splitlines()
     return tuple(line for line in lines if line.strip())

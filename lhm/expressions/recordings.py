@@ -46,7 +46,7 @@ class Recording:
     pace: float = PACE
 
     def take(self) -> Take:
-        """The take, evenly spaced at `rate`; InputError where its file is gone or has another length by now."""
+        """Make the take, evenly spaced at `rate`; InputError where its file is gone or has another length by now."""
         take = _made(self.kind, self.origin, self.frames, self.rate, self.pace)
         if len(take.times) != self.frames:
             raise InputError(
@@ -67,7 +67,7 @@ def recordings(
     rate: float = RATE,
     pace: float = PACE,
 ) -> dict[str, Recording]:
-    """Recordings by their names, in a fixed order: real ones, speech, conversations, random combinations, hard ones.
+    """List recordings by name, in a fixed order: real ones, speech, conversations, random combinations, hard ones.
 
     `folder`: where CSV and JSON takes are looked for, at any depth; a file that is none is left out with a warning.
     `spoken`: texts, by default the shipped ones; () for none. `conversations`, `random`, `hard`: how many, each of
@@ -78,20 +78,20 @@ def recordings(
         RECORDINGS.check(name, count)
     check_frames(seconds * rate, rate)
     frames = round(seconds * rate)
-    found = [] if folder is None else _real(Path(folder), rate)
+    pool = [] if folder is None else _real(Path(folder), rate)
     spoken = shipped_sentences() if spoken is None else spoken
     RECORDINGS.check("spoken", len(spoken))
     for number, text in enumerate(spoken):
         count = len(_made("speech", text, 0, rate, pace).times)
-        found.append(Recording(f"speech/{number:02d}", "speech", count, rate, text, pace))
-    found += [Recording(f"conversation/{k}", "conversation", frames, rate, str(k)) for k in range(conversations)]
-    found += [Recording(f"random/{k}", "random", frames, rate, str(k)) for k in range(random)]
-    found += [Recording(f"hard/{k}", "hard", frames, rate, str(k)) for k in range(hard)]
-    return {recording.name: recording for recording in found}
+        pool.append(Recording(f"speech/{number:02d}", "speech", count, rate, text, pace))
+    pool += [Recording(f"conversation/{k}", "conversation", frames, rate, str(k)) for k in range(conversations)]
+    pool += [Recording(f"random/{k}", "random", frames, rate, str(k)) for k in range(random)]
+    pool += [Recording(f"hard/{k}", "hard", frames, rate, str(k)) for k in range(hard)]
+    return {recording.name: recording for recording in pool}
 
 
 def starts(take: Take, length: int) -> Ints:
-    """Where `length` consecutive frames can begin, shape (k,), with none of them in a gap of the take."""
+    """Find where `length` consecutive frames can begin, shape (k,), with none of them in a gap of the take."""
     real = _recorded(take)
     before = np.concatenate([[0], np.cumsum(real)])
     return np.flatnonzero(before[length:] - before[:-length] == length) if length <= len(real) else np.zeros(0, int)
@@ -108,7 +108,7 @@ def _recorded(take: Take) -> NDArray[np.bool_]:
 def _real(folder: Path, rate: float) -> list[Recording]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    found = []
+    takes = []
     files = (path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
     paths = sorted(islice(files, RECORDED_FILES.most + 1))
     RECORDED_FILES.check(str(folder), len(paths))
@@ -119,10 +119,10 @@ def _real(folder: Path, rate: float) -> list[Recording]:
             warnings.warn(f"left out of the recordings: {error}", stacklevel=3)
             continue
         name = f"real/{path.relative_to(folder).as_posix()}"
-        found.append(Recording(name, "real", count, rate, str(path.resolve())))
-    if not found:
+        takes.append(Recording(name, "real", count, rate, str(path.resolve())))
+    if not takes:
         raise InputError(f"{folder}: no take in it, {' or '.join(SUFFIXES)}")
-    return found
+    return takes
 
 
 def _made(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Take:

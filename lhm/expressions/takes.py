@@ -1,4 +1,4 @@
-"""Takes: ARKit weights over time, and at other times."""
+"""Takes: ARKit weights and head angles over time, and at other times."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ TURNED = 1e4
 """[rad] A head's angle, whose turns are counted: more than a thousand of them."""
 GAP = 0.1
 """Frames further apart than this [s] have something missing between them."""
+FASTEST = 10_000.0
+"""Frames per second [Hz]."""
 
 
 @check_arguments
@@ -28,7 +30,7 @@ class Take:
 
     `rate` [Hz] is the usual number of frames per second; dropped frames show in `times`. `missing`: which of the 52
     were not there and are zero. `head` [rad], shape (frames, 3), or None: the head's yaw, pitch and roll (see
-    `head_rotation`). `clipped_at`, `lost_at` [s], shape (k,): when a value lay outside [0, 1] where it came from, and
+    `rotations`). `clipped_at`, `lost_at` [s], shape (k,): when a value lay outside [0, 1] where it came from, and
     when a frame was left out since it had no face. `gaps` [s], shape (k, 2): from when to when frames were made up
     between two that were recorded. `synthetic`: what made the take up, or "". Raises InputError for other shapes,
     weights outside [0, 1] or not finite, angles not finite, and times that do not rise.
@@ -90,7 +92,7 @@ class Take:
         return len(self.lost_at)
 
     def part(self, chosen: slice) -> Take:
-        """Some of the frames, with what is counted in their time alone; InputError if there are none."""
+        """Keep some of the frames, with what is counted in their time alone; InputError if there are none."""
         times = self.times[chosen]
         if not len(times):
             raise InputError(f"take: none of its {len(self.times)} frames")
@@ -106,7 +108,7 @@ class Take:
         )
 
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know of the take, a line each; what there is nothing of is left out."""
+        """Say what a user should know of the take, a line each; what there is nothing of is left out."""
         few = ", ".join(self.missing[:FEW]) + (", ..." if len(self.missing) > FEW else "")
         bridged = "; the weights between are read off a line" if len(self.gaps) else ""
         said = (
@@ -115,10 +117,6 @@ class Take:
             (self.missing, f"{len(self.missing)} expressions are missing, and zero ({few})"),
         )
         return tuple(text for there, text in said if there)
-
-
-FASTEST = 10_000.0
-"""Frames per second [Hz]."""
 
 
 def check_rate(rate: float) -> None:
@@ -133,7 +131,7 @@ def check_frames(frames: float, rate: float) -> None:
     TAKE_FRAMES.check("take", round(frames) if np.isfinite(frames) else TAKE_FRAMES.most + 1)
 
 
-def take_of(
+def take_from_columns(
     columns: Floats,
     names: list[str],
     rate: float,
@@ -142,7 +140,7 @@ def take_of(
     head: Floats | None = None,
     lost_at: Floats | None = None,
 ) -> Take:
-    """A Take of values, shape (frames, len(names)), whose columns are the expressions named; clipped and counted."""
+    """Make a Take of values (frames, len(names)) whose columns are the expressions named; clipped and counted."""
     weights = np.zeros((len(columns), len(ARKIT)))
     weights[:, [ARKIT.index(name) for name in names]] = columns
     outside = np.count_nonzero((weights < 0.0) | (weights > 1.0), axis=1)
@@ -159,7 +157,7 @@ def take_of(
 
 @check_arguments
 def resample(take: Take, rate: float) -> Take:
-    """The take at evenly spaced times from its first to its last, `rate` [Hz].
+    """Give the take at evenly spaced times from its first to its last, `rate` [Hz].
 
     Between frames weights and head are linear in time, also where frames were lost: what is further apart than GAP
     stands in `gaps`. Where the rate rises or stays, they are read off there; where it falls, they are averaged exactly
@@ -200,14 +198,13 @@ def _integral(times: Floats, values: Floats, until: Floats) -> Floats:
     return before[frame] + rest * (values[frame] + 0.5 * rest * slopes[frame])
 
 
-# DOC """How a head is turned: yaw about y, pitch about x, roll about z [rad], R = Ry(yaw) Rx(pitch) Rz(roll).
-# DOC
-# DOC Axes as everywhere: x to the subject's left, y up, z forward. Positive yaw turns the face to the subject's left,
-# DOC positive pitch downward, positive roll tilts it towards the subject's right shoulder. R takes the head's own frame to
-# DOC the room's.
-# DOC """
 def rotations(angles) -> Floats:
-    """Rotation matrices, shape (frames, 3, 3), of yaw, pitch and roll [rad], shape (frames, 3)."""
+    """Make rotation matrices R, shape (frames, 3, 3), of yaw, pitch and roll [rad], shape (frames, 3).
+
+    R = Ry(yaw) Rx(pitch) Rz(roll) takes the head's own frame to the room's. Axes as everywhere: x to the subject's
+    left, y up, z forward. Positive yaw turns the face to the subject's left, positive pitch downward, positive roll
+    tilts it towards the subject's right shoulder.
+    """
     values = np.asarray(angles, dtype=np.float64)
     (sy, sp, sr), (cy, cp, cr) = np.sin(values.T), np.cos(values.T)
     rows = (

@@ -51,7 +51,7 @@ class Anchors:
 
 @check_arguments
 def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface) -> Floats:
-    """The displacements [mm] of the target's 52 expressions, shape (52, n, 3).
+    """Find the displacements [mm] of the target's 52 expressions, shape (52, n, 3).
 
     source_neutral, target: neutral skins [mm] with the same triangles, oriented alike. source_deltas: what each
     expression adds to the source [mm], shape (52, n, 3), in ARKit's order. A part of which every vertex moves (an
@@ -76,7 +76,7 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
 
 
 def check_deltas(name: str, deltas, neutral: Surface) -> Floats:
-    """Displacements of the 52 expressions as float64; MeshError unless finite and of shape (52, n, 3)."""
+    """Check displacements of the 52 expressions, as float64; MeshError unless finite, of shape (52, n, 3)."""
     try:
         values = np.asarray(deltas, dtype=np.float64)
     except (TypeError, ValueError):

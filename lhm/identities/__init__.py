@@ -62,7 +62,10 @@ def from_text(text: str) -> LinearSpace:
     kind, _, path = text.partition(":")
     if kind == "anny" and not path:
         return Anny()
-    loaders = {"ict": ICTFaceKit, "flame": FLAME, "folder": MeshFolder}
-    if kind in loaders and path:
-        return loaders[kind](path)
+    if kind == "ict" and path:
+        return ICTFaceKit(path)
+    if kind == "flame" and path:
+        return FLAME(path)
+    if kind == "folder" and path:
+        return MeshFolder(path)
     raise InputError(f"identities {text!r}: expected 'anny', 'ict:FILE', 'flame:FILE' or 'folder:DIR'")

@@ -1,4 +1,4 @@
-"""Cut a head off a body and close the cut: a linear map from the body's vertices to the head's."""
+"""A head's skin out of a larger model: cut off, closed, and lips that keep their distance."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from .space import MOUTH, OUTSIDE
 
 RINGS = 5
 EVEN = 6
+REACH = 6.0
+WIDTH = 5.0
 
 
 def boundary_loops(triangles: Ints) -> list[Ints]:
-    """The loops of edges that have one triangle, each as vertex ids in the direction of their triangles."""
+    """Find the loops of edges that have one triangle, each as vertex ids in the direction of their triangles."""
     edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     n = int(triangles.max()) + 1
     inner = np.isin(edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0])
@@ -35,7 +37,7 @@ def boundary_loops(triangles: Ints) -> list[Ints]:
 
 
 def close_loop(loop: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
-    """A lid of rings that shrink to the loop's centroid: weights of its new vertices, and its triangles.
+    """Close a loop by rings that shrink to its centroid: weights of the new vertices, and triangles.
 
     The new vertices are numbered from `n_vertices` on; weights have shape (new vertices, n_vertices).
     """
@@ -55,7 +57,7 @@ def close_loop(loop: Ints, n_vertices: int) -> tuple[csr_matrix, Ints]:
 
 
 def even_loop(loop: Ints, n_vertices: int) -> csr_matrix:
-    """Weights (n, n) that smooth the saw teeth of a loop that follows the edges of a mesh; the rest stays."""
+    """Smooth the saw teeth of a loop that follows the edges of a mesh: weights (n, n); the rest stays."""
     weights = identity(n_vertices, format="lil")
     for before, vertex, after in zip(np.roll(loop, 1), loop, np.roll(loop, -1), strict=True):
         weights[vertex, [before, vertex, after]] = (0.25, 0.5, 0.25)
@@ -64,7 +66,7 @@ def even_loop(loop: Ints, n_vertices: int) -> csr_matrix:
 
 
 def largest_piece(triangles: Ints) -> Ints:
-    """The triangles of the largest piece connected through vertices."""
+    """Keep the triangles of the largest piece connected through vertices."""
     n = int(triangles.max()) + 1
     pairs = triangles[:, [0, 1, 1, 2]].reshape(-1, 2)
     _, label = connected_components(csr_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)
@@ -92,13 +94,8 @@ def cut_and_close(triangles: Ints, n_vertices: int) -> tuple[csr_matrix, Ints, I
     return vstack([kept, lid @ kept]).tocsr(), np.vstack([triangles, more]), used
 
 
-# DOC """Identity directions under which upper and lower lip keep their distance."""
-REACH = 6.0
-WIDTH = 5.0
-
-
 def keep_lips_together(mean: Floats, triangles: Ints, parts: Ints, directions: Floats) -> Floats:
-    """The directions (k, n, 3) [mm], averaged near the lips' rim over both lips alike.
+    """Average the directions (k, n, 3) [mm] near the lips' rim over both lips alike.
 
     A linear model of neutral heads knows no contact: the lips of `mean` (n, 3) [mm] are half a millimetre apart, and
     a direction that thickens or squeezes them lets them cross. Within some 6 mm of the rim a direction is replaced by

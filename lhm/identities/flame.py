@@ -35,7 +35,7 @@ _NEEDED = ("v_template", "f", "shapedirs", "posedirs", "weights", "J_regressor")
 
 
 def load(path: str | os.PathLike[str]) -> LinearSpace:
-    """The head without its eyeballs, closed at the neck; openings of mouth and eyes are closed by pockets.
+    """Load the head without its eyeballs, closed at the neck; pockets close the openings of mouth and eyes.
 
     jawOpen turns the jaw joint by 20 degrees with its skinning and corrective shapes; FLAME has no other expression of
     ARKit's, all of them are in `missing`. Raises InputError naming the file if it is missing, damaged, lacks an array

@@ -22,7 +22,7 @@ CODE_SIZE = 50
 
 
 def load(path: str | os.PathLike[str], *, unit: str = "mm") -> LinearSpace:
-    """Mean and principal components of the neutral skins in a folder: OBJ, PLY, STL or NPZ [`unit`: mm, cm or m].
+    """Load mean and principal components of the neutral skins in a folder: OBJ, PLY, STL or NPZ [`unit`: mm, cm or m].
 
     The skins are moved rigidly onto the first by name; codes are standard normal, none for a single skin. Optional:
     `expressions/NAME.obj` and so on with ARKit's names, each a shape of the same topology, beside the

@@ -38,10 +38,34 @@ _NEEDED = (
     "expression_deltas",
     "expression_arkit",
 )
+NEUTRAL = "generic_neutral_mesh.obj"
+DIGITS = 6
+"""Decimals [cm] of the files: differences have no more, but for rounding."""
+KIT_VERTICES = 26719
+KIT_PARTS = (
+    ("face", 18460),
+    ("head_neck", 3828),
+    ("mouth_socket", 4164),
+    ("eye_socket_l", 808),
+    ("eye_socket_r", 808),
+    ("gums_tongue", 5808),
+    ("teeth", 8696),
+    ("eyeball_l", 3132),
+    ("eyeball_r", 3132),
+    ("lacrimal_l", 326),
+    ("lacrimal_r", 326),
+    ("eyeblend_l", 30),
+    ("eyeblend_r", 30),
+    ("eyeocc_l", 256),
+    ("eyeocc_r", 256),
+    ("eyelash_l", 1080),
+    ("eyelash_r", 1080),
+)
+"""Parts of the mesh and their triangles (its polygons as fans), one after another: the README's table of topology."""
 
 
 def load(path: str | os.PathLike[str]) -> LinearSpace:
-    """Face, head, neck, mouth lining and eye sockets, closed at the neck; teeth, gums, tongue and eyes left out.
+    """Load face, head, neck, mouth lining and eye sockets, closed at the neck; teeth, gums, tongue and eyes left out.
 
     Raises InputError naming the file if it is missing, damaged or lacks an array.
     """
@@ -49,7 +73,7 @@ def load(path: str | os.PathLike[str]) -> LinearSpace:
 
 
 def space_from_arrays(data: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> LinearSpace:
-    """The space of the arrays of a file or folder; InputError naming it if they do not fit together."""
+    """Make the space of the arrays of a file or folder; InputError naming it if they do not fit together."""
     try:
         return _space(data)
     except (ValueError, IndexError, TypeError, KeyError) as error:
@@ -114,35 +138,8 @@ def _inside(triangles: Ints, part_of: Ints, part: int) -> Ints:
     return np.setdiff1d(triangles[part_of == part], triangles[(part_of != part) & (part_of >= 0)])
 
 
-# DOC """ICT-FaceKit as its project publishes it, a folder of OBJ files, made the arrays that `ict` reads."""
-NEUTRAL = "generic_neutral_mesh.obj"
-DIGITS = 6
-"""Decimals [cm] of the files: differences have no more, but for rounding."""
-KIT_VERTICES = 26719
-KIT_PARTS = (
-    ("face", 18460),
-    ("head_neck", 3828),
-    ("mouth_socket", 4164),
-    ("eye_socket_l", 808),
-    ("eye_socket_r", 808),
-    ("gums_tongue", 5808),
-    ("teeth", 8696),
-    ("eyeball_l", 3132),
-    ("eyeball_r", 3132),
-    ("lacrimal_l", 326),
-    ("lacrimal_r", 326),
-    ("eyeblend_l", 30),
-    ("eyeblend_r", 30),
-    ("eyeocc_l", 256),
-    ("eyeocc_r", 256),
-    ("eyelash_l", 1080),
-    ("eyelash_r", 1080),
-)
-"""Parts of the mesh and their triangles (its polygons as fans), one after another: the README's table of topology."""
-
-
 def read_folder(path: str | os.PathLike[str], *, progress: OnProgress = silent) -> dict[str, np.ndarray]:
-    """The arrays that `ict.load` reads [cm], from the folder FaceXModel or the one that holds it (some 20 seconds).
+    """Read the arrays that `ict.load` reads [cm], from the folder FaceXModel or the one that holds it (20 seconds).
 
     Files of ARKit's names are the expressions and `identityNNN.obj` the identities, as many as `ict` uses, each less
     the neutral mesh; others are left out. `license` is the comment at the top of that mesh.

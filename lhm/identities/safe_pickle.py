@@ -106,7 +106,7 @@ class _Reader(pickle._Unpickler):
 
 
 def read_pickled(path: str | os.PathLike[str], *names: str, of: str) -> dict[str, np.ndarray]:
-    """The arrays of these names from a pickled dict; sparse ones are made dense.
+    """Read the arrays of these names from a pickled dict; sparse ones are made dense.
 
     Nothing that the file names is imported or called, but numpy's own arrays. Raises InputError, one line that names
     the file, if it is missing, damaged, lacks an array or holds anything else in its place.

@@ -47,15 +47,15 @@ class IdentitySpace(Protocol):
         ...
 
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
-        """A random identity: its code, shape (code_size,), and its neutral skin [mm]."""
+        """Draw a random identity: its code, shape (code_size,), and its neutral skin [mm]."""
         ...
 
     def skin(self, code) -> Surface:
-        """The neutral skin [mm] of a code, shape (code_size,)."""
+        """Make the neutral skin [mm] of a code, shape (code_size,)."""
         ...
 
     def expression_deltas(self, code) -> Floats:
-        """What each of the 52 ARKit expressions adds [mm], shape (52, n, 3)."""
+        """Give what each of the 52 ARKit expressions adds [mm], shape (52, n, 3)."""
         ...
 
 
@@ -85,12 +85,12 @@ class LinearSpace:
         return self.mean.triangles
 
     def skin(self, code) -> Surface:
-        """The neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
+        """Make the neutral skin of a code, shape (k,); InputError for another shape or values that are not finite."""
         return self.mean.with_vertices(self.mean.vertices + np.tensordot(self._checked(code), self.identity, axes=1))
 
     @check_arguments
     def sample(self, rng: np.random.Generator) -> tuple[Floats, Surface]:
-        """A random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
+        """Draw a random identity: its code, standard normal and clipped to |c| <= 2.5, and its neutral skin."""
         code = np.clip(rng.standard_normal(self.code_size), -CLIP, CLIP)
         return code, self.skin(code)
 
@@ -100,7 +100,7 @@ class LinearSpace:
         return self.expressions
 
     def fingerprint(self) -> str:
-        """A short hash of all that a template depends on."""
+        """Hash all that a template depends on."""
         digest = hashlib.sha256(self.mean.triangles.tobytes())
         for array in (self.mean.vertices, self.expressions, self.parts):
             digest.update(np.ascontiguousarray(array).tobytes())

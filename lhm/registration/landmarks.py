@@ -27,7 +27,7 @@ FAR = 20.0  # [mm] farther from the skin, or from where the others put it, a lan
 
 
 def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
-    """Vertices of a template's skin [mm] by name: corners of eyes and mouth, tip and root of the nose, chin, lips.
+    """Name vertices of a template's skin [mm]: corners of eyes and mouth, tip and root of the nose, chin, lips.
 
     "left" and "right" are the subject's, +x is the left. They follow from the rims of mouth and eyes in `parts` (n,)
     and from the profile at mid-face. Raises MeshError for a skin without a mouth or without eyes.
@@ -65,7 +65,7 @@ def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
 
 
 def pair_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pairs:
-    """Pairs for points [mm] given by the names of `landmark_ids`; InputError names an unknown one or a bad point."""
+    """Pair points [mm], given by the names of `landmark_ids`, with vertices; InputError names a bad one."""
     ids = landmark_ids(skin, parts)
     unknown = [name for name in points if name not in ids]
     if unknown:
@@ -82,7 +82,7 @@ def pair_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pai
 
 
 def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
-    """Points by name from a JSON file, {"nose tip": [x, y, z], ...}; InputError names a file that is not that."""
+    """Read points by name from a JSON file, {"nose tip": [x, y, z], ...}; InputError names a file that is not that."""
     read = read_json(path, "a JSON file of landmarks")
     if not isinstance(read, dict) or not read:
         raise InputError(f'{path}: expected landmarks by name, {{"nose tip": [x, y, z], ...}}')
@@ -95,7 +95,7 @@ def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
 
 
 def check_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
-    """The pairs as arrays; InputError for fewer than four, vertices out of range or repeated, points not finite."""
+    """Check pairs; InputError for fewer than four, vertices out of range or repeated, points not finite."""
     try:
         ids, points = np.asarray(pairs[0]), as_points("find_landmarks", pairs[1])
     except MeshError as error:
@@ -112,7 +112,6 @@ def check_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     return ids.astype(np.int64), points
 
 
-# DOC """What a skin of any topology has to be before a template is registered with it."""
 def check_placed(template: Floats, pairs: Pairs, skin: Surface) -> None:
     """Raise InputError for landmarks that are mirrored, of another scale, off the skin, or that contradict each other.
 

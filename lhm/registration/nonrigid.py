@@ -1,4 +1,4 @@
-"""Motions of a surface that vary smoothly: one affine map per vertex, as in non-rigid ICP."""
+"""Non-rigid ICP: a template laid onto a skin, stiff at first and ever softer (Amberg et al., CVPR 2007)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..base.geometry.rays import visible_sky
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress
 from ..identities.space import EYES, MOUTH, OUTSIDE
-from ..wraps.columns import neighbours
+from ..wraps.columns import neighbours, unit
 from ..wraps.landmarks import Landmarks, Mask, distance_to
 from .alignment import FACING, Target, tukey_weights
 from .landmarks import Pairs
@@ -21,6 +21,22 @@ RETURN = 0.01
 
 TIE = 4.0
 """Weight of what should move together, beside the edges' 1."""
+STIFFNESSES, LIMITS = np.geomspace(200.0, 0.1, 13), np.geomspace(25.0, 12.0, 13)
+"""The last limit [mm] is no smaller: a heavy neck is still that far off when the template is soft enough for it. With a
+last stiffness of .2 a ragged scan's face is .46 mm off in place of .37; slides and transferred shapes are the same."""
+TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
+"""[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
+STEPS = np.where(TURNED > 0, 10, 4)
+EARLY = 0.5
+"""Weight of a match while normals count: it may lie beside its point."""
+SEEN = 0.15
+"""What sees less of the sky (nostrils, folds of ears) has no counterpart on another head, or in a scan."""
+LATE = 8  # From this stage on matches are taken from lips and lids that cross.
+REPAIRS = 8
+LANDMARK, FADES = 5.0, 20.0
+"""Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
+exact."""
+LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
 
 
 class SmoothAffine:
@@ -56,7 +72,7 @@ class SmoothAffine:
         self._factor: Solve | None = None
 
     def solve(self, stiffness: float, weights: Floats, targets: Floats) -> Floats:
-        """The positions (n, 3) [mm] of least stiffness E + sum_i weights_i |x_i - targets_i|²."""
+        """Find the positions (n, 3) [mm] of least stiffness E + sum_i weights_i |x_i - targets_i|²."""
         data = np.concatenate([weights, np.zeros(3 * self.n)])
         right = stiffness * self._right
         right[: self.n] += weights[:, None] * targets
@@ -65,29 +81,10 @@ class SmoothAffine:
         return self._factor(right)[: self.n]
 
 
-# DOC """Non-rigid ICP: a template that is laid onto a skin, stiff at first and ever softer (Amberg et al., CVPR 2007)."""
-STIFFNESSES, LIMITS = np.geomspace(200.0, 0.1, 13), np.geomspace(25.0, 12.0, 13)
-"""The last limit [mm] is no smaller: a heavy neck is still that far off when the template is soft enough for it. With a
-last stiffness of .2 a ragged scan's face is .46 mm off in place of .37; slides and transferred shapes are the same."""
-TURNED = np.where(STIFFNESSES > 1.0, 15.0 * np.sqrt(STIFFNESSES / STIFFNESSES[0]), 0.0)
-"""[mm] What a unit of difference between normals counts in a match: at first it is shape that tells points apart."""
-STEPS = np.where(TURNED > 0, 10, 4)
-EARLY = 0.5
-"""Weight of a match while normals count: it may lie beside its point."""
-SEEN = 0.15
-"""What sees less of the sky (nostrils, folds of ears) has no counterpart on another head, or in a scan."""
-LATE = 8  # From this stage on matches are taken from lips and lids that cross.
-REPAIRS = 8
-LANDMARK, FADES = 5.0, 20.0
-"""Weight of a landmark beside a match's 1, and the stiffness below which it fades: points picked by hand are not
-exact."""
-LIP_ZONE, LIP_GAP, FLAP, NEAR = 4.0, 2.0, 12.0, 12.0
-
-
 def lay_onto(
     start: Surface, parts: Ints, places: Landmarks, target: Target, marks: Pairs | None, progress: OnProgress
 ) -> tuple[Floats, int]:
-    """The vertices (n, 3) [mm] of a template that stands at `start`, laid onto a skin; how many pairs cross anew.
+    """Lay a template that stands at `start` onto a skin: its vertices (n, 3) [mm], and how many pairs cross anew.
 
     `places`: the template's rims of mouth and eyes; `marks`: points that its vertices are drawn to, fading.
     Visible vertices are drawn to their matches; those in hidden `parts`, those that see no sky but at the lips, and
@@ -112,8 +109,8 @@ def lay_onto(
         for _ in range(STEPS[which]):
             normals, turned = start.with_vertices(x).vertex_normals, TURNED[which]
             goals, weights, limit = x.copy(), np.zeros(len(x)), LIMITS[which]
-            goals[drawn], distance, found = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
-            weights[drawn] = found * tukey_weights(distance, limit) * (EARLY if turned else 1.0)
+            goals[drawn], distance, matched = target.match(x[drawn], normals[drawn], turned=turned, reach=limit)
+            weights[drawn] = matched * tukey_weights(distance, limit) * (EARLY if turned else 1.0)
             x = _step(model, goals, weights, marks, STIFFNESSES[which])
         progress("registering the skin", (stage + 1) / (len(STIFFNESSES) + REPAIRS))
         pairs = TriangleTree(x, triangles).self_crossings().tolist()
@@ -163,8 +160,7 @@ def _opposite(skin: Surface, points: Ints, triangles: Ints, reach: float, side: 
     It lies within `reach` [mm], before the vertex (side 1) or behind it (side -1).
     """
     x, normals = skin.vertices, skin.vertex_normals[points]
-    faces = Surface(x, triangles).face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(Surface(x, triangles).face_normals)
     triangle, weights, distance = TriangleTree(x, triangles).closest_facing(x[points], -normals, faces, FACING)
     corners = triangles[triangle]
     gap = np.einsum("kc,kcd->kd", weights, x[corners]) - x[points]

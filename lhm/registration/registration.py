@@ -14,7 +14,7 @@ from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..identities.space import CAP, EYES, MOUTH
 from ..skin import check_registrable
-from ..wraps.columns import neighbours
+from ..wraps.columns import neighbours, unit
 from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions
 from .alignment import FACING, Target, find_start, fit_similarity, open_edges
 from .landmarks import Pairs, check_pairs, check_placed
@@ -22,6 +22,9 @@ from .nonrigid import lay_onto
 
 LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
 WORST_FACE = 3.0
+MATCHED = 4.0
+"""[mm] Farther from the skin a vertex of the template lies on nothing: its displacement is that of those around it."""
+LEAST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def register(
 def register_by_mapping(
     template_skin: Surface, parts: Ints, mapping: csr_matrix | tuple[Ints, Floats], skin: Surface
 ) -> Registration:
-    """A registration from a known correspondence: where on the skin each template vertex lies.
+    """Make a registration from a known correspondence: where on the skin each template vertex lies.
 
     `mapping`: weights (n, skin vertices), or per template vertex three skin vertices and their weights, both (n, 3).
     Raises InputError for another shape, vertices out of range, and rows that do not sum to one.
@@ -134,7 +137,7 @@ def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
 
 
 def find_face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
-    """A template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
+    """Find a template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
     if np.shape(parts) != (len(template_skin.vertices),):
         raise InputError(f"parts: expected shape ({len(template_skin.vertices)},), got {np.shape(parts)}")
     if not (parts == MOUTH).any() or not (parts == EYES).any():
@@ -148,12 +151,6 @@ def _registration(surface: Surface, parts: Ints, face: Mask, skin: Surface, cros
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
     ties = skin_ties(surface, skin), template_ties(surface, skin, parts == CAP)
     return Registration(surface, residual, *ties, crossings)
-
-
-# DOC """What ties a registered template and the skin it lies on: displacements of the one as those of the other."""
-MATCHED = 4.0
-"""[mm] Farther from the skin a vertex of the template lies on nothing: its displacement is that of those around it."""
-LEAST = 1e-4
 
 
 def skin_ties(template: Surface, skin: Surface) -> csr_matrix:
@@ -195,7 +192,7 @@ def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
 
 
 def replace_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
-    """The matrix with `rows` (k, columns) in place of its own `ids` (k,)."""
+    """Put `rows` (k, columns) in place of the `ids` (k,) of a matrix."""
     n, k = matrix.shape[0], len(ids)
     kept = np.setdiff1d(np.arange(n), ids)
     places = csr_matrix((np.ones(k), (ids, np.arange(k))), shape=(n, k))
@@ -205,8 +202,7 @@ def replace_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
 
 def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.ndarray]:
     """Weights (points, n) of the closest point on `surface`, its distance [mm], whether it faces the same way."""
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(surface.face_normals)
     tree = TriangleTree(surface.vertices, surface.triangles)
     triangle, weights, distance = tree.closest_facing(points.vertices, points.vertex_normals, faces, FACING)
     lost = triangle < 0
@@ -216,5 +212,5 @@ def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.
 
 
 def barycentric_matrix(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
-    """A matrix whose rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
+    """Make a matrix whose rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
     return csr_matrix((weights.ravel(), (np.repeat(np.arange(len(ids)), 3), ids.ravel())), shape=shape)

@@ -1,4 +1,4 @@
-"""A linear map from the shape of a skin wrap to the logarithm of its depths."""
+"""A linear map from the shape of a skin wrap to the logarithm of its depths, and how far off its predictions are."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ from ..base.limits import PAIRS
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 
+SKULL_PLACES = (
+    ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people, each left out"),
+    ("multilinear model (Achenbach et al. 2018)", 1.98, "SKULLS, as SoftDECA quotes it"),
+)
+"""Model, mean error [mm] of the fitted skull wrap's places over the whole head, data (SoftDECA, section 4.1)."""
 FORMAT = "softdeca depth regressor 1"
 MODES = 15
 """Principal components of skin wraps and of depths, at most: with 43 pairs more cannot be told from chance."""
@@ -25,6 +30,8 @@ RIDGES = np.logspace(-4, 4, 33)
 
 FARTHEST = 3.0
 """Standard deviations of the pairs' scores beyond which a skin counts as that far: logs turn a line into e^x."""
+LARGEST, LEAST_DEVIATION = 1e6, 1e-9
+"""[mm] of a regressor's numbers: far beyond a head's."""
 
 SKULL_PLACES = (
     ("SoftDECA, section 4.1", 3.83, "SKULLS: CT skulls and skin scans of 43 people, each left out"),
@@ -60,7 +67,7 @@ class DepthPairs:
                 raise InputError(f"pair {name}: wraps must be finite and depths positive [mm]")
 
     def without(self, index: int) -> DepthPairs:
-        """The pairs but for one."""
+        """Leave out one of the pairs."""
         kept = np.arange(len(self.names)) != index
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return replace(self, names=names, wraps=self.wraps[kept], depths=self.depths[kept])
@@ -88,7 +95,7 @@ class DepthRegressor:
 
     @classmethod
     def fit(cls, pairs: DepthPairs, template_wrap: Surface) -> DepthRegressor:
-        """Ridge regression of the depths' principal scores on the wraps', the ridge chosen by leave-one-out.
+        """Fit the depths' principal scores to the wraps' by ridge regression, the ridge chosen by leave-one-out.
 
         On principal scores the ridge's hat matrix is diagonal, so that each pair's error without it has a closed
         form, e_i / (1 - h_i) (Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, section 7.10).
@@ -127,7 +134,7 @@ class DepthRegressor:
         )
 
     def predict(self, skin_wrap: Floats) -> Floats:
-        """Depths (n,) [mm], all positive, from a skin wrap's vertices (n, 3) [mm] to its skull wrap's.
+        """Predict depths (n,) [mm], all positive, from a skin wrap's vertices (n, 3) [mm] to its skull wrap's.
 
         Only rigid motion is taken out of it; InputError for another shape or values that are not finite.
         """
@@ -168,12 +175,12 @@ class DepthRegressor:
         return regressor
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All fields by name, for a file."""
+        """Name all fields, for a file."""
         return {"format": np.array(FORMAT)} | {name: np.array(value) for name, value in vars(self).items()}
 
     @classmethod
     def from_arrays(cls, arrays) -> DepthRegressor:
-        """The inverse of `arrays`; InputError where shapes do not fit together or values are not finite."""
+        """Make the regressor of `arrays`; InputError where shapes do not fit together or values are not finite."""
         reference = finite("reference", arrays["reference"], (None, 3), most=LARGEST)
         deviations = in_range("deviations", arrays["deviations"], LEAST_DEVIATION, LARGEST, (None,))
         n, k = len(reference), len(deviations)
@@ -196,13 +203,11 @@ class DepthRegressor:
         )
 
 
-LARGEST, LEAST_DEVIATION = 1e6, 1e-9
-"""[mm] of a regressor's numbers: far beyond a head's."""
 _ARRAYS = ("format", *DepthRegressor.__dataclass_fields__)
 
 
 def wrap_digest(template_wrap: Surface) -> str:
-    """A name for a template's skin wrap, 12 hexadecimal digits.
+    """Hash a template's skin wrap to 12 hexadecimal digits.
 
     Of places and triangles: templates of other heads have the same triangles, but not at the same places of the face.
     """
@@ -239,7 +244,6 @@ def _left_out(unit: Floats, shrink: Floats, wanted: Floats) -> float:
     return float(((left / (1 - hat)[:, None]) ** 2).sum())
 
 
-# DOC """How far predicted depths are from measured ones: for one head, and with each pair left out."""
 @dataclass(frozen=True)
 class DepthErrors:
     """Predicted minus measured depths of one head [mm]: mean, median and 95 % of the size, and the signed mean."""

@@ -1,4 +1,4 @@
-"""Depths measured on a head whose skull is known: from the skin wrap inward to the bone."""
+"""Pairs of skin and skull: read from a folder, their depths measured along rays inward."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
@@ -20,12 +20,11 @@ from ..base.geometry.rays import first_hits
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..identities.space import LinearSpace
+from ..registration import register
 from ..skin import check_skin
+from ..template import Template
 from ..wraps.landmarks import Mask
 from .depths import DepthPairs
-
-if TYPE_CHECKING:
-    from ..template import Template
 
 PLAUSIBLE = (1.0, 40.0)
 """Least and greatest depth [mm] of soft tissue over bone: over the nasal bones about 1, in a heavy cheek 30."""
@@ -35,6 +34,10 @@ SLIPPED = 2.0
 
 SMOOTH = 4.0
 """Implicit smoothing of the rays' directions, as of the layers' connectors."""
+LEAST_PAIRS = 3
+SKULL_EXTENT = (60.0, 300.0)
+OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
+"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,7 @@ class MeasuredDepths:
 
 
 def move_wrap(template: Template, skin: Floats) -> Floats:
-    """The template's skin wrap (n, 3) [mm] moved with a skin (skin vertices, 3) of its topology."""
+    """Move the template's skin wrap (n, 3) [mm] with a skin (skin vertices, 3) of its topology."""
     return template.skin_wrap.vertices + template.wrap_from_skin @ (skin - template.skin.vertices)
 
 
@@ -67,7 +70,7 @@ def inward_normals(skin_wrap: Surface) -> Floats:
 
 
 def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) -> MeasuredDepths:
-    """Distances from a skin wrap's vertices (n, 3) [mm] along `inward` (n, 3) to the first bone that a ray meets.
+    """Measure from a skin wrap's vertices (n, 3) [mm] along `inward` (n, 3) to the first bone that a ray meets.
 
     Where none is met within the plausible range (eye sockets, the nose's tip, the neck), or only one far behind the
     closest (through a hole of thin bone, between the teeth, under the zygomatic arch), the closest point of the bones
@@ -79,16 +82,6 @@ def measure_depths(skin_wrap: Floats, inward: Floats, bones: Sequence[Surface]) 
     along, closest = first_hits(tree, skin_wrap, inward, PLAUSIBLE[1])[1], tree.closest(skin_wrap)[2]
     met = along <= np.maximum(SLIPPED * closest, PLAUSIBLE[0])
     return MeasuredDepths(np.clip(np.where(met, along, closest), *PLAUSIBLE), met)
-
-
-# DOC """Pairs of skin and skull from a folder."""
-if TYPE_CHECKING:
-    from ..template import Template
-
-LEAST_PAIRS = 3
-SKULL_EXTENT = (60.0, 300.0)
-OUTSIDE, OUTSIDE_SHARE = 3.0, 0.1
-"""Of a skull's vertices this share may lie this far [mm] outside the skin wrap."""
 
 
 class PairReport(NamedTuple):
@@ -111,7 +104,7 @@ def read_pairs(
     unit: str = "mm",
     progress: OnProgress = silent,
 ) -> tuple[DepthPairs, tuple[PairReport, ...]]:
-    """The pairs NAME_skin.* and NAME_skull.* (OBJ, PLY, STL, NPZ) of a folder, their depths measured.
+    """Read the pairs NAME_skin.* and NAME_skull.* (OBJ, PLY, STL, NPZ) of a folder, and measure their depths.
 
     Skins of the identity space's topology are taken as they are, others are registered (half a minute each; they look
     along +z with +y up). Raises InputError, naming the pair or file, for a missing partner, fewer than three pairs, a
@@ -138,28 +131,28 @@ def read_pairs(
 def _files(folder: Path) -> dict[str, tuple[Path, Path]]:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder")
-    found: dict[str, dict[str, Path]] = {}
+    pairs: dict[str, dict[str, Path]] = {}
     for path in sorted(folder.iterdir()):
         name, _, kind = path.stem.rpartition("_")
         if path.suffix.lower() in SUFFIXES and kind in ("skin", "skull") and name:
-            if kind in found.setdefault(name, {}):
+            if kind in pairs.setdefault(name, {}):
                 raise InputError(f"{folder}: pair {name} has two files of its {kind}: {path.name} is the second")
-            found[name][kind] = path
-    for name, pair in found.items():
+            pairs[name][kind] = path
+    for name, pair in pairs.items():
         for kind in ("skin", "skull"):
             if kind not in pair:
                 raise InputError(f"{folder}: pair {name} has no {name}_{kind} ({', '.join(SUFFIXES)})")
-    if len(found) < LEAST_PAIRS:
+    if len(pairs) < LEAST_PAIRS:
         raise InputError(
-            f"{folder}: {len(found)} pairs of files NAME_skin and NAME_skull; a regressor needs {LEAST_PAIRS} or more"
+            f"{folder}: {len(pairs)} pairs of files NAME_skin and NAME_skull; a regressor needs {LEAST_PAIRS} or more"
         )
-    return {name: (pair["skin"], pair["skull"]) for name, pair in found.items()}
+    return {name: (pair["skin"], pair["skull"]) for name, pair in pairs.items()}
 
 
 def read_skin(
     path: str | os.PathLike[str], space: LinearSpace, *, unit: str = "mm", progress: OnProgress = silent
 ) -> tuple[Surface, float]:
-    """A skin [mm] in the identity space's topology, and how far off the skin the registered face is on average [mm].
+    """Read a skin [mm] in the space's topology, and how far off it the registered face is on average [mm].
 
     0 for a skin of that topology. InputError names the file that cannot be read, registered, or is of another unit.
     """
@@ -168,8 +161,6 @@ def read_skin(
         if skin.vertices.shape == space.mean.vertices.shape and np.array_equal(skin.triangles, space.triangles):
             check_skin(skin)
             return skin, 0.0
-        from ..registration import register  # loaded where a skin needs it: every import of `lhm` comes by here
-
         registered = register(space.mean, space.parts, skin, progress=progress)
     except SoftdecaError as error:
         raise InputError(f"{path}: {error}") from None
@@ -177,7 +168,7 @@ def read_skin(
 
 
 def read_skull(paths: Sequence[str | os.PathLike[str]], *, unit: str = "mm") -> Surface:
-    """A skull [mm], all its bones in one surface; InputError names files that cannot be read or are of another unit."""
+    """Read a skull [mm], all bones in one surface; InputError names files that are bad or of another unit."""
     bones = [read_surface(path, unit=unit) for path in paths]
     starts = np.cumsum([0, *(len(bone.vertices) for bone in bones)])
     triangles = np.vstack([bone.triangles + start for bone, start in zip(bones, starts[:-1], strict=True)])

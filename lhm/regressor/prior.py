@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -12,13 +11,11 @@ from ..base.files.cache import load_or_make
 from ..base.geometry.warp import farthest_points
 from ..base.mesh import Floats
 from ..identities.space import LinearSpace
+from ..template import Template
 from ..wraps import depth
 from ..wraps.landmarks import find_landmarks
 from .depths import DepthPairs, DepthRegressor
 from .pairs import move_wrap
-
-if TYPE_CHECKING:
-    from ..template import Template
 
 LABEL = "synthetic prior (published depths and spread), not anatomy"
 PAIRS, SEED = 60, 0
@@ -32,7 +29,7 @@ CENTRES, REACH = 100, 25.0
 
 
 def prior_pairs(template: Template, space: LinearSpace, rng: np.random.Generator, count: int) -> DepthPairs:
-    """Skin wraps of `count` random identities, with depths drawn about the published means.
+    """Draw skin wraps of `count` random identities, and depths about the published means.
 
     A depth is its mean at that place of this face (`lhm.wraps.depth`) times a log-normal factor of mean one and the
     place's spread. Half of the factor's variance is common to the head, the other half varies smoothly over it, left
@@ -58,7 +55,7 @@ def prior_pairs(template: Template, space: LinearSpace, rng: np.random.Generator
 
 
 def default_regressor(template: Template, space: LinearSpace) -> DepthRegressor:
-    """The regressor trained on 60 pairs of the prior, the same each time; made once (a second or two) and cached."""
+    """Train the regressor on 60 pairs of the prior, the same each time; made once (a second or two) and cached."""
     content = hashlib.sha256(np.ascontiguousarray(space.identity).tobytes())
     content.update(repr((FORMAT, PAIRS, SEED, depth.LANDMARKS)).encode())
     name = f"depths-{template.name}-{template.digest}-{content.hexdigest()[:12]}"

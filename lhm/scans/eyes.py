@@ -1,4 +1,4 @@
-"""Whether the eyes of a skin are open, solid (lids and eyeball are one surface), closed, or not to be made out."""
+"""The eyes of a skin, open, solid, closed or unclear; lids that are one surface stay still."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import OUTSIDE, LinearSpace
 from ..registration.alignment import Target, fit_similarity
 from ..rig import Rig
-from ..wraps.columns import neighbours
+from ..wraps.columns import edge_graph, neighbours, unit
 from ..wraps.landmarks import Mask, distance_to
 
 State = Literal["open", "solid", "closed", "unclear"]
@@ -38,6 +38,15 @@ EDGE, LAID = 3.0, 82.0
 STILL: tuple[State, ...] = ("closed", "unclear")
 LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
 """What moves lids only; lids that are closed, or not to be made out, do not."""
+_WORDS = {
+    "closed": "closed; eyeBlink, eyeWide and eyeLook do nothing to the lids",
+    "solid": "solid, one surface with the lids; eyeBlink draws the lids over it",
+    "unclear": "one surface on which the template's lids are not made out; eyeBlink, eyeWide and eyeLook do nothing",
+}
+REACH = 8.0
+"""[mm] From the template's lid rims: its lids part or meet there, where this skin is one piece."""
+LEAST = 0.1
+"""[mm] Shorter edges count as this long."""
 
 
 @dataclass(frozen=True)
@@ -58,29 +67,22 @@ class Eyes:
         }
 
     def still_rims(self, template: Surface, parts: Ints, lids: Ints) -> Ints:
-        """Those of the template's `lids` vertices that are of eyes that stay still."""
+        """Find those of the template's `lids` vertices that are of eyes that stay still."""
         sides = zip(_by_side(template, parts, lids), (self.left, self.right), strict=True)
         return np.concatenate([rim if state in STILL else rim[:0] for rim, state in sides])
 
     def told(self) -> str:
-        """What is said of them; empty for open eyes."""
+        """Describe them in a line; empty for open eyes."""
         if self.left == self.right:
             return "" if self.left == "open" else f"eyes: {_WORDS[self.left]}"
         both = (("left", self.left), ("right", self.right))
         return "; ".join(f"{side} eye: {_WORDS[state]}" for side, state in both if state != "open")
 
 
-_WORDS = {
-    "closed": "closed; eyeBlink, eyeWide and eyeLook do nothing to the lids",
-    "solid": "solid, one surface with the lids; eyeBlink draws the lids over it",
-    "unclear": "one surface on which the template's lids are not made out; eyeBlink, eyeWide and eyeLook do nothing",
-}
-
-
 def classify_eyes(
     space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface
 ) -> Eyes:
-    """The states of a skin's eyes, which the registered template (n vertices) [mm] lies on.
+    """Tell the states of a skin's eyes, on which the registered template (n vertices) [mm] lies.
 
     `space`: whose expressions the template has; `lids`: the vertices of its lids' rims.
     """
@@ -129,8 +131,7 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
 def _turned(registered: Surface, edge: Mask, target: Target) -> float:
     """The mean angle [degrees] between the registered lids at their edge and the skin there."""
     triangle, shares, _ = target.tree.closest(registered.vertices[edge])
-    there = np.einsum("kc,kcd->kd", shares, target.normals[target.skin.triangles[triangle]])
-    there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-12)
+    there = unit(np.einsum("kc,kcd->kd", shares, target.normals[target.skin.triangles[triangle]]))
     cosine = np.einsum("kd,kd->k", there, registered.vertex_normals[edge])
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))).mean())
 
@@ -150,25 +151,14 @@ def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> fl
     if not len(triangles):
         return np.inf
     used = np.unique(triangles)
-    number = np.full(len(near), -1)
-    number[used] = np.arange(len(used))
-    edges = number[np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)]
-    points = skin.vertices[used]
-    graph = csr_matrix((np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1), edges.T), (len(used),) * 2)
-    start, end = (np.linalg.norm(points - place, axis=1).argmin() for place in places)
-    straight = np.linalg.norm(points[start] - points[end])
-    return float(dijkstra(graph, directed=False, indices=start)[end] / max(straight, 1e-9))
-
-
-# DOC """Lids that are one surface, and stay shut or as they are while the face around them moves."""
-REACH = 8.0
-"""[mm] From the template's lid rims: its lids part or meet there, where this skin is one piece."""
-LEAST = 0.1
-"""[mm] Shorter edges count as this long."""
+    start, end = (used[np.linalg.norm(skin.vertices[used] - place, axis=1).argmin()] for place in places)
+    straight = np.linalg.norm(skin.vertices[start] - skin.vertices[end])
+    ways = dijkstra(edge_graph(skin.vertices, triangles), directed=False, indices=start)
+    return float(ways[end] / max(straight, 1e-9))
 
 
 def calm_lids(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:
-    """The rig in which a skin near the registered rims (k, 3) [mm] of lids that stay still goes with what is around it.
+    """Let the skin near the registered rims (k, 3) [mm] of lids that stay still go with what is around it.
 
     Displacements there are those of least squared Laplacian, so that no expression draws one lid over the other; the
     expressions in `own` stay as they are.

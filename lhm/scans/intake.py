@@ -1,4 +1,4 @@
-"""From a file to a skin that a head can be fitted to: read, repaired, upright, in millimetres; it says what it did."""
+"""Scans: read from a file, repaired, put upright in millimetres, and fitted; notes say what was done."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ..skin import check_skin
 from ..template import Template
 from .placing import Placement, find_placement, millimetres
 from .repair import Repaired, repair_scan
-from .seals import leave_sealed, mark_rig
+from .seals import keep_seals, mark_rig, open_seals
 
 ENOUGH = 5
 """So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
@@ -52,7 +52,7 @@ class HeadScan:
 
 @dataclass(frozen=True)
 class Hints:
-    """What is said of a scan's place rather than found: `unit`, `up` and `front` as in `placed`.
+    """A scan's place as far as the user gives it, rather than found: `unit`, `up`, `front` as in `find_placement`.
 
     `landmarks`: points by the names of `landmark_ids`, in the file's coordinates, or in millimetres along its axes.
     """
@@ -66,20 +66,20 @@ class Hints:
 def read_head_scan(
     path: str | os.PathLike[str],
     template: Template,
-    said: Hints = Hints(),  # noqa: B008 (frozen)
+    hints: Hints = Hints(),  # noqa: B008 (frozen)
     *,
     repair: bool = True,
     progress: OnProgress = silent,
 ) -> HeadScan:
     """Read a scan (OBJ, PLY, STL, glTF, NPZ) of a head in any unit and orientation.
 
-    What is not `said` is found; without `repair` the mesh is taken as it is. Raises InputError that names the file for
-    what cannot be read, is no head, or needs to be said.
+    What the `hints` leave open is found; without `repair` the mesh is taken as it is. Raises InputError that names the
+    file for what cannot be read, is no head, or needs a hint.
     """
     scan = read_scan(path)
     try:
         done = repair_scan(scan) if repair else Repaired.of(scan)
-        return _upright(done, template, said, progress)
+        return _upright(done, template, hints, progress)
     except SoftdecaError as error:
         raise InputError(str(error) if str(path) in str(error) else f"{Path(path)}: {error}") from None
 
@@ -87,9 +87,9 @@ def read_head_scan(
 def read_same_topology(
     path: str | os.PathLike[str],
     template: Template,
-    said: Hints = Hints(),  # noqa: B008 (frozen)
+    hints: Hints = Hints(),  # noqa: B008 (frozen)
 ) -> tuple[Surface, tuple[str, ...]] | None:
-    """The skin [mm] in a file whose triangles are the template's, and what was found; None if they are others.
+    """Read the skin [mm] of a file whose triangles are the template's, and notes; None if they are others.
 
     It is taken as it stands where it has a head's size and looks along +z, else put upright in millimetres. Raises
     InputError that names the file for a skin that is no head in any unit.
@@ -101,10 +101,10 @@ def read_same_topology(
         skin, notes = scan.surface, tuple[str, ...]()
         if not np.ptp(skin.vertices, axis=0).max() > 0:
             raise MeshError("skin: all its vertices are in one place")
-        if (said.unit, said.up, said.front) != (None, None, None) or not is_upright(template.skin, skin):
+        if (hints.unit, hints.up, hints.front) != (None, None, None) or not is_upright(template.skin, skin):
             rest = template.skin.vertices
             where = find_placement(
-                skin, (rest, rest), landmarks=(rest, skin.vertices), unit=said.unit, up=said.up, front=said.front
+                skin, (rest, rest), landmarks=(rest, skin.vertices), unit=hints.unit, up=hints.up, front=hints.front
             )
             skin, notes = Surface(where.motion(skin.vertices), skin.triangles), where.notes
         check_skin(skin)
@@ -116,27 +116,27 @@ def read_same_topology(
 def fit_scan(
     path: str | os.PathLike[str],
     template: Template,
-    said: Hints = Hints(),  # noqa: B008 (frozen)
+    hints: Hints = Hints(),  # noqa: B008 (frozen)
     *,
     repair: bool = True,
     unseal: bool = True,
     progress: OnProgress = silent,
 ) -> LayeredHead:
-    """The layered head of a scan with its own expressions: `read_head_scan`, then `fit_head_scan`."""
-    scan = read_head_scan(path, template, said, repair=repair, progress=progress)
+    """Fit the layered head of a scan with its own expressions: `read_head_scan`, then `fit_head_scan`."""
+    scan = read_head_scan(path, template, hints, repair=repair, progress=progress)
     return fit_head_scan(scan, template, unseal=unseal, progress=progress)
 
 
-def _upright(done: Repaired, template: Template, said: Hints, progress: OnProgress) -> HeadScan:
+def _upright(done: Repaired, template: Template, hints: Hints, progress: OnProgress) -> HeadScan:
     skin = done.scan.surface
     _, face = find_face(template.skin, template.parts)
     points, normals = template.skin.vertices[face], template.skin.vertex_normals[face]
     pairs = None
-    if said.landmarks is not None:
-        pairs = _in_file(pair_landmarks(template.skin, template.parts, said.landmarks), done.scan, said.unit)
+    if hints.landmarks is not None:
+        pairs = _in_file(pair_landmarks(template.skin, template.parts, hints.landmarks), done.scan, hints.unit)
     known = None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1])
     where = find_placement(
-        skin, (points, normals), landmarks=known, unit=said.unit, up=said.up, front=said.front, progress=progress
+        skin, (points, normals), landmarks=known, unit=hints.unit, up=hints.up, front=hints.front, progress=progress
     )
     notes = [*done.notes, *where.notes, _told_openings(skin)]
     own = {}
@@ -159,13 +159,13 @@ def fit_head_scan(
     unseal: bool = True,
     progress: OnProgress = silent,
 ) -> LayeredHead:
-    """The head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`.
+    """Fit the head of a scan that was read, with its notes; `regressor` and what is raised as in `fit_head`.
 
     With `unseal` a mouth that is sealed is opened; closed and solid eyes, and a mouth that stays sealed, are named in
     the notes with the expressions that will not work, which the head's rig names too.
     """
     laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
-    open_ = unseal if unseal else leave_sealed
+    open_ = open_seals if unseal else keep_seals
     done = open_(template, laid, scan.skin, scan.own)
     head = fit_registered(template, done.skin, done.laid, regressor=regressor, own=done.own)
     if head.rig is not None:
@@ -206,9 +206,8 @@ def _told_openings(skin: Surface) -> str:
     return f"openings: {len(loops)} ({large} of them large); they stay open"
 
 
-# DOC """The named landmarks of a scan, found by laying the template on it."""
 def suggest_landmarks(scan: HeadScan, template: Template, *, progress: OnProgress = silent) -> dict[str, Floats]:
-    """Points [mm] on the upright skin by the names of `landmark_ids` (half a minute); raises what `register` raises.
+    """Find the landmarks [mm] of an upright skin, by the names of `landmark_ids` (half a minute).
 
     They are where the registered template's are: on Lee Perry-Smith's scan .7 to 6 mm from those picked by hand. For a
     person to look at, correct and give back to `fit`; given back as they are they say nothing new.

@@ -17,7 +17,7 @@ from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import CAP, MOUTH, OUTSIDE
 from ..registration.alignment import FACING
 from ..registration.registration import Registration, barycentric_matrix, replace_rows, skin_ties, template_ties
-from ..wraps.columns import neighbours
+from ..wraps.columns import edge_graph, neighbours, unit
 from ..wraps.landmarks import Mask
 from .slit import Slit
 
@@ -84,13 +84,13 @@ def find_lip_line(template: Surface, parts: Ints, registered: Surface, skin: Sur
     """
     upper, lower = split_rim(template.triangles, template.vertices, parts)
     right, left = registered.vertices[upper[0]], registered.vertices[upper[-1]]
-    s = _unit(left - right)
+    s = unit(left - right)
     normals = registered.vertex_normals[np.concatenate([upper, lower])].mean(axis=0)
     # The rims' own normals point into the mouth as well as out of it: forward is away from the lining.
     lining = registered.vertices[parts == MOUTH].mean(axis=0)
     middle = 0.5 * (right + left)
-    forward = middle - lining if normals @ (middle - lining) < 0 else normals + _unit(middle - lining)
-    f = _unit(forward - (forward @ s) * s)
+    forward = middle - lining if normals @ (middle - lining) < 0 else normals + unit(middle - lining)
+    f = unit(forward - (forward @ s) * s)
     axes = np.stack([s, np.cross(f, s), f])
     line = LipLine(middle, axes, np.zeros(1), np.zeros(1), upper, lower)
     rims = [line.local(registered.vertices[chain]) for chain in (upper, lower)]
@@ -135,7 +135,7 @@ def _furrow(skin: Surface, line: LipLine, along: Floats, height: Floats, ahead: 
 
 
 def chain_shares(along: Floats) -> Floats:
-    """Places along a chain from 0 to 1, ever rising."""
+    """Give places along a chain as shares from 0 to 1, ever rising."""
     rising = np.maximum.accumulate(along) + 1e-9 * np.arange(len(along))
     return (rising - rising[0]) / (rising[-1] - rising[0])
 
@@ -221,19 +221,13 @@ def _relax_corners(opened: Surface, cut: Slit, visible_end: int, weights: csr_ma
 
 def lips_of_vertices(template: Surface, parts: Ints, line: LipLine) -> Ints:
     """1 for the template's visible vertices nearer to the upper lip's rim along the skin, -1 to the lower's, else 0."""
-    outside = np.flatnonzero(parts == OUTSIDE)
-    number = np.full(len(parts), -1)
-    number[outside] = np.arange(len(outside))
-    triangles = template.triangles[(parts[template.triangles] == OUTSIDE).all(axis=1)]
-    edges = number[np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)]
-    x = template.vertices[outside]
-    graph = csr_matrix((np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1), edges.T), shape=(len(outside),) * 2)
+    graph = edge_graph(template.vertices, template.triangles[(parts[template.triangles] == OUTSIDE).all(axis=1)])
     up, down = (
-        dijkstra(graph, directed=False, indices=number[chain[1:-1]], min_only=True, limit=2 * ON_LIP)
+        dijkstra(graph, directed=False, indices=chain[1:-1], min_only=True, limit=2 * ON_LIP)
         for chain in (line.upper, line.lower)
     )
-    lips = np.zeros(len(parts), dtype=np.int64)
-    lips[outside] = np.where(np.minimum(up, down) < ON_LIP, np.where(up < down, 1, -1), 0)
+    lips = np.where(np.minimum(up, down) < ON_LIP, np.where(up < down, 1, -1), 0)
+    lips[parts != OUTSIDE] = 0
     lips[[line.upper[0], line.upper[-1]]] = 0
     return lips
 
@@ -241,8 +235,7 @@ def lips_of_vertices(template: Surface, parts: Ints, line: LipLine) -> Ints:
 def _closest(surface: Surface, kept: Mask, points: Floats, normals: Floats) -> csr_matrix:
     """Weights of the closest point that faces alike, else of the closest, in some of a surface's triangles."""
     triangles = surface.triangles[kept]
-    faces = surface.face_normals[kept]
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(surface.face_normals[kept])
     tree = TriangleTree(surface.vertices, triangles)
     triangle, weights, _ = tree.closest_facing(points, normals, faces, FACING)
     lost = triangle < 0
@@ -258,7 +251,3 @@ def _between_neighbours(points: Floats, chain: Floats, ids: Ints, size: int) -> 
     rows = np.tile(np.arange(len(points)), 2)
     values = np.append(1 - share, share)
     return csr_matrix((values, (rows, np.append(ids[after - 1], ids[after]))), shape=(len(points), size))
-
-
-def _unit(vector: Floats) -> Floats:
-    return vector / np.linalg.norm(vector)

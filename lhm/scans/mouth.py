@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from ..base.errors import MeshError
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
 from ..registration.registration import Registration
-from ..wraps.columns import fill_harmonically, neighbours
+from ..wraps.columns import edge_graph, fill_harmonically
 from ..wraps.landmarks import Mask
 from .lips import LipLine, chain_shares, find_lip_line, lips_of_vertices, tie_lips
 from .slit import Slit, cut_slit
@@ -47,7 +46,7 @@ class OpenedMouth:
     before: Registration = field(repr=False)
 
     def carried(self, own: Mapping[str, Floats]) -> dict[str, Floats]:
-        """Displacements [mm] of the given skin, for this one; the pocket follows what lies around it."""
+        """Carry displacements [mm] of the given skin to this one; the pocket follows what lies around it."""
         to_pocket = self.before.template_weights[self.pocket]
         return {name: np.vstack([self.slit.on(delta), to_pocket @ delta]) for name, delta in own.items()}
 
@@ -61,38 +60,34 @@ def is_sealed(line: LipLine, skin: Surface) -> bool:
 
 
 def ways_across(line: LipLine, skin: Surface) -> Floats:
-    """Shortest ways over the skin between the lips over their straight distance, at places off the corners; inf: none.
+    """Measure shortest ways over the skin between the lips, off the corners, over the straight distance; inf: none.
 
     Where the skin has no vertices on one of the lips there is no way.
     """
     local, above = line.local(skin.vertices), line.above(skin.vertices)
     near = _zone(line, local, above)
-    ids = np.flatnonzero(near)
-    number = np.full(len(near), -1)
-    number[ids] = np.arange(len(ids))
-    sides = number[skin.triangles[near[skin.triangles].all(axis=1)][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
-    if not len(sides):
+    triangles, x = skin.triangles[near[skin.triangles].all(axis=1)], skin.vertices
+    if not len(triangles):
         return np.array([np.inf])
-    edges = np.unique(np.sort(sides, axis=1), axis=0)
-    x = skin.vertices[ids]
-    graph = csr_matrix((np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1), edges.T), shape=(len(ids),) * 2)
+    graph = edge_graph(x, triangles)
+    reach = max(2.0, 2 * float(np.median(np.linalg.norm(x[triangles[:, 0]] - x[triangles[:, 1]], axis=1))))
     # Of the lips themselves, not of the lining behind them: what is seen from the front.
-    front = (skin.vertex_normals[ids] @ line.axes[2]) > 0
-    found = []
+    front = near & ((skin.vertex_normals @ line.axes[2]) > 0)
+    ratios = []
     for place in line.along[-1] * np.linspace(-0.4, 0.4, 5):
-        beside = front & (np.abs(local[ids, 0] - place) < max(2.0, 2 * _edge(skin, near)))
-        upper = np.flatnonzero(beside & (above[ids] > BAND[0]) & (above[ids] < BAND[1]))
-        lower = np.flatnonzero(beside & (above[ids] < -BAND[0]) & (above[ids] > -BAND[1]))
+        beside = front & (np.abs(local[:, 0] - place) < reach)
+        upper = np.flatnonzero(beside & (above > BAND[0]) & (above < BAND[1]))
+        lower = np.flatnonzero(beside & (above < -BAND[0]) & (above > -BAND[1]))
         if not len(upper) or not len(lower):
             continue
         ways = dijkstra(graph, directed=False, indices=upper)[:, lower]
         straight = np.linalg.norm(x[upper][:, None] - x[lower][None], axis=2)
-        found.append(float((ways / np.maximum(straight, 1e-9)).min()))
-    return np.array(found or [np.inf])
+        ratios.append(float((ways / np.maximum(straight, 1e-9)).min()))
+    return np.array(ratios or [np.inf])
 
 
 def open_mouth(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth:
-    """The skin with its sealed mouth opened, and the registration on it; MeshError, saying why, if it cannot be cut."""
+    """Open a sealed mouth: the skin, and the registration on it; MeshError, saying why, if it cannot be cut."""
     furrow = find_lip_line(template, parts, laid.surface, skin)
     if not is_sealed(furrow, skin):
         line = find_lip_line(template, parts, laid.surface, skin, share=0.0)
@@ -121,7 +116,7 @@ def _over_membrane(template: Surface, parts: Ints, laid: Registration, skin: Sur
 def cut_mouth(
     template: Surface, parts: Ints, laid: Registration, skin: Surface, line: LipLine, above: Floats
 ) -> OpenedMouth:
-    """The skin cut where `above` (n,) changes its sign, with the template's lining sewn in behind.
+    """Cut the skin where `above` (n,) changes its sign, and sew the template's lining in behind.
 
     MeshError where it cannot be cut.
     """
@@ -154,12 +149,6 @@ def _zone(line: LipLine, local: Floats, above: Floats) -> Mask:
     return beside & (np.abs(above) < HIGH) & (local[:, 2] > -BEHIND) & (local[:, 2] < BEFORE)
 
 
-def _edge(skin: Surface, near: Mask) -> float:
-    """The median length [mm] of the edges in a zone."""
-    triangles = skin.triangles[near[skin.triangles].all(axis=1)]
-    return float(np.median(np.linalg.norm(skin.vertices[triangles[:, 0]] - skin.vertices[triangles[:, 1]], axis=1)))
-
-
 def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: Slit) -> Floats:
     """The registered template (n, 3) with the rims of its lips at the cut, half a gap apart; harmonic around them."""
     shift = np.zeros_like(x)
@@ -170,10 +159,7 @@ def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: 
         goal += 0.5 * sign * GAP * inner[:, None] * line.axes[1]
         shift[chain] = goal - x[chain]
     rim = np.union1d(line.upper, line.lower)
-    edges = neighbours(template.triangles, len(x))
-    pairs = edges.tocoo()
-    gaps = np.linalg.norm(template.vertices[pairs.row] - template.vertices[pairs.col], axis=1)
-    graph = csr_matrix((gaps, (pairs.row, pairs.col)), shape=edges.shape)
+    graph = edge_graph(template.vertices, template.triangles)
     free = dijkstra(graph, directed=False, indices=rim, min_only=True) < FADES
     free[rim] = False
     return x + fill_harmonically(template.triangles, shift, ~free)
@@ -183,14 +169,14 @@ def _strip(outer: Ints, inner: Ints, local: Floats, triangles: Ints) -> Ints:
     """Triangles between two chains of vertices that run side by side, oriented against the outer one's own."""
     a, b = chain_shares(local[outer, 0]), chain_shares(local[inner, 0])
     i = j = 0
-    found = []
+    strip = []
     while i < len(outer) - 1 or j < len(inner) - 1:
         if j == len(inner) - 1 or (i < len(outer) - 1 and a[i + 1] <= b[j + 1]):
-            found.append([outer[i], outer[i + 1], inner[j]])
+            strip.append([outer[i], outer[i + 1], inner[j]])
             i += 1
         else:
-            found.append([outer[i], inner[j + 1], inner[j]])
+            strip.append([outer[i], inner[j + 1], inner[j]])
             j += 1
     edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     same = (edges == outer[:2]).all(axis=1).any()
-    return np.array(found)[:, ::-1] if same else np.array(found)
+    return np.array(strip)[:, ::-1] if same else np.array(strip)

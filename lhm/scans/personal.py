@@ -1,4 +1,12 @@
-"""A head whose expressions are the person's: scans of them are laid upon the head, and its rig is fitted to these."""
+"""A head whose expressions are the person's: scans of them are laid upon the head, and its rig is fitted to these.
+
+`read_guesses` reads which expressions the scans show, by guess, as JSON or CSV; the scans lie beside that file.
+
+{"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 1}, "open.ply": {"jawOpen": 0.8}}
+
+scan,jawOpen,mouthSmileLeft,mouthSmileRight          what is not named, or empty, is 0
+smile.obj,,1,1
+"""
 
 from __future__ import annotations
 
@@ -57,7 +65,7 @@ def personalise_head(
     *,
     progress: OnProgress = silent,
 ) -> Personal:
-    """The head with a rig fitted to scans of its person, files as `read_scan` reads (half a minute each).
+    """Fit the head's rig to scans of its person, files as `read_scan` reads (half a minute each).
 
     `guesses`: by file the ARKit weights (52,) that the person may be making in it; expressions that none of them has
     stay as they are. A scan with the triangles of the head's skin is aligned to it where they move it least; upon any
@@ -84,12 +92,10 @@ def personalise_head(
         notes.append(f"{path.name}: {note}")
     progress("fitting the expressions", 1.0)
     fitted = personalise(head.skin, head.rig.deltas, examples, np.array(list(guesses.values())))
-    describe_rig = (
-        f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
-    )
+    source = f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
     missing = tuple(name for name in head.rig.missing if ARKIT.index(name) not in used)
-    rig = Rig(fitted.deltas.astype(np.float32), describe_rig, missing, head.rig.doubtful)
-    return Personal(replace(head, rig=rig, notes=(*head.notes, describe_rig)), fitted, tuple(notes))
+    rig = Rig(fitted.deltas.astype(np.float32), source, missing, head.rig.doubtful)
+    return Personal(replace(head, rig=rig, notes=(*head.notes, source)), fitted, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +118,7 @@ class _Start:
         return cls(head, laid, template, deltas, used)
 
     def example(self, path: Path, weights: Floats) -> tuple[Floats, str]:
-        """The head's skin [mm] in a scan's expression, and what is said of it."""
+        """Make the head's skin [mm] in a scan's expression, and what is said of it."""
         scan = read_scan(path)
         skin = self.head.skin
         for same in (scan, repair_scan(scan).scan):
@@ -127,9 +133,9 @@ class _Start:
         if self.head.rig is None:
             raise InputError("head: it has no expressions")
         calm = _calm(self.head.rig.deltas[self.used], face)
-        found = fit_similarity(points[calm], skin.vertices[calm])
-        scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / found.scale)))
-        scale = scale if abs(scale / found.scale - 1) < SAME_SIZE else found.scale
+        similarity = fit_similarity(points[calm], skin.vertices[calm])
+        scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / similarity.scale)))
+        scale = scale if abs(scale / similarity.scale - 1) < SAME_SIZE else similarity.scale
         rotation, shift = rigid_motion(scale * points[calm], skin.vertices[calm])
         aligned = scale * points @ rotation.T + shift
         off = float(np.linalg.norm(aligned[calm] - skin.vertices[calm], axis=1).mean())
@@ -196,7 +202,7 @@ def _settled(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Fl
 
 
 def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
-    """What was fitted, a line each: the expressions found in each scan, and how far the rig is from the scans."""
+    """Describe what was fitted, a line each: expressions found in each scan, and how far the rig is from the scans."""
     lines = []
     for name, weights in zip(names, rig.weights, strict=True):
         largest = sorted(np.flatnonzero(weights > 0.01), key=lambda k: -weights[k])
@@ -205,42 +211,35 @@ def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
     return lines
 
 
-# DOC """Which expressions the scans of a person show, by guess, as JSON or CSV; the scans lie beside that file.
-# DOC
-# DOC {"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 1}, "open.ply": {"jawOpen": 0.8}}
-# DOC
-# DOC scan,jawOpen,mouthSmileLeft,mouthSmileRight          what is not named, or empty, is 0
-# DOC smile.obj,,1,1
-# DOC """
 def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
-    """Weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
+    """Read weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
     path = Path(path)
     if path.suffix.lower() not in (".json", ".csv"):
         raise InputError(f"{path}: unknown kind of file; expected .json or .csv")
     content = read_bytes(path, JSON_BYTES)
     try:
         rows = _of_json(content) if path.suffix.lower() == ".json" else _of_csv(content)
-        found = _weights(rows, path.parent)
+        guesses = _weights(rows, path.parent)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return found
+    return guesses
 
 
 def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], folder: Path) -> dict[Path, Floats]:
-    found: dict[Path, Floats] = {}
+    by_scan: dict[Path, Floats] = {}
     for name, named in rows:
         scan = folder / name
-        if scan in found:
+        if scan in by_scan:
             raise InputError(f"{name}: it stands there twice")
         try:
-            found[scan] = weights_of(named)
+            by_scan[scan] = weights_of(named)
         except InputError as error:
             raise InputError(f"{name}: {error}") from None
         if not is_plain_file(scan):
             raise InputError(f"{name}: no such file beside it")
-    if not any(weights.any() for weights in found.values()):
+    if not any(weights.any() for weights in by_scan.values()):
         raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
-    return found
+    return by_scan
 
 
 def _of_json(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
@@ -260,12 +259,12 @@ def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
         raise InputError("no lines of scan and weights in it") from None
     if head[0].lower() != "scan":
         raise InputError(f"line 1: begins with {head[0][:40]!r}, expected: scan,jawOpen,...")
-    found: list[tuple[str, Mapping[str, Any]]] = []
+    weighted: list[tuple[str, Mapping[str, Any]]] = []
     for row in rows:
         if len(row) != len(head):
             raise InputError(f"{row[0]}: {len(row) - 1} weights, the first line names {len(head) - 1}")
-        found.append((row[0], {name: _number(cell) for name, cell in zip(head[1:], row[1:], strict=True) if cell}))
-    return found
+        weighted.append((row[0], {name: _number(cell) for name, cell in zip(head[1:], row[1:], strict=True) if cell}))
+    return weighted
 
 
 def _number(cell: str) -> Any:

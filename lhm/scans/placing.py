@@ -13,6 +13,7 @@ from ..base.errors import FitError, InputError
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..registration.alignment import Similarity, Target, fit_similarity, icp, score_start
+from ..wraps.columns import unit
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 """Millimetres in a unit."""
@@ -27,6 +28,10 @@ FOUND, TILTED = 3.2, 20.0
 SIEVES = ((50, 200, 3), (50, 60, 4), (120, 12, 6), (250, 4, 10))
 """Points of the face, how many starts are kept, and steps of each."""
 MORE = 400
+POINTS = 4000
+TURNED = 25.0
+"""[mm] What a unit of difference between normals counts as beside a distance."""
+FAR, LEAST, MOST = 30.0, 0.4, 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +46,7 @@ class Placement:
     notes: tuple[str, ...]
 
     def inverse(self, points: Floats) -> Floats:
-        """Points (n, 3) of the head [mm] in the file's own unit and axes."""
+        """Take points (n, 3) of the head [mm] back to the file's own unit and axes."""
         return (points - self.motion.shift) @ self.motion.rotation / self.motion.scale
 
 
@@ -67,22 +72,22 @@ def find_placement(
     rotations = _rotations(up, front)
     used = skin.vertices[np.unique(skin.triangles)]
     if landmarks is not None:
-        found = fit_similarity(*landmarks)
-        off = float(np.linalg.norm(found(landmarks[0]) - landmarks[1], axis=1).mean() / found.scale)
+        motion = fit_similarity(*landmarks)
+        off = float(np.linalg.norm(motion(landmarks[0]) - landmarks[1], axis=1).mean() / motion.scale)
     else:
-        found, off = _searched(skin, used, face, given, rotations, progress)
+        motion, off = _searched(skin, used, face, given, rotations, progress)
         if off > FOUND:
             raise FitError(
                 f"skin: no face found in it (the template's face fits it to {off:.1f} mm, at most {FOUND:g}); "
                 "is it a head, with its face? --up, --front and --unit, or --landmarks, say where it is"
             )
-    told, scale = _unit(given, 1.0 / found.scale, float(np.ptp(used, axis=0).max()))
-    rotation, way = _upright(found.rotation.T, known=up is not None and front is not None)
+    told, scale = _unit(given, 1.0 / motion.scale, float(np.ptp(used, axis=0).max()))
+    rotation, way = _upright(motion.rotation.T, known=up is not None and front is not None)
     return Placement(Similarity(scale, rotation, np.zeros(3)), off, (told, way))
 
 
 def millimetres(unit: str) -> float:
-    """Millimetres in a unit, by its name or as a number; InputError for others."""
+    """Read a unit, by its name or as a number, in millimetres; InputError for others."""
     if unit in UNITS:
         return UNITS[unit]
     try:
@@ -100,18 +105,18 @@ def _rotations(up: str | None, front: str | None) -> list[Floats]:
         if axis is not None and axis not in AXES:
             raise InputError(f"{name} {axis!r}: expected one of {', '.join(AXES)}")
     directions = {axis: (-1 if axis.startswith("-") else 1) * np.eye(3)["xyz".index(axis[-1])] for axis in AXES}
-    found = []
+    rotations = []
     for high, ahead in permutations(AXES, 2):
         if high[-1] != ahead[-1] and (up in (None, high)) and (front in (None, ahead)):
             y, z = directions[high], directions[ahead]
-            found.append(np.stack([np.cross(y, z), y, z], axis=1))
-    if not found:
+            rotations.append(np.stack([np.cross(y, z), y, z], axis=1))
+    if not rotations:
         raise InputError(f"up {up!r} and front {front!r}: expected two different axes")
     # The usual ones first: of equals the first counts.
     usual = (("y", "z"), ("z", "-y"), ("y", "-z"), ("z", "y"), ("z", "x"))
     rank = {pair: k for k, pair in enumerate(usual)}
-    keys = [(_axis(r[:, 1]), _axis(r[:, 2])) for r in found]
-    return [found[k] for k in sorted(range(len(found)), key=lambda k: rank.get(keys[k], len(usual)))]
+    keys = [(_axis(r[:, 1]), _axis(r[:, 2])) for r in rotations]
+    return [rotations[k] for k in sorted(range(len(rotations)), key=lambda k: rank.get(keys[k], len(usual)))]
 
 
 def _axis(direction: Floats) -> str:
@@ -137,9 +142,9 @@ def _searched(
         for number, size in enumerate(sizes):
             progress("finding the face", (attempt + number / len(sizes)) / 2)
             target = Target(Surface(skin.vertices * size, skin.triangles))
-            found, off = _best(target, used * size, face, turns)
+            motion, off = _best(target, used * size, face, turns)
             if off < best[0]:
-                best = off, Similarity(found.scale / size, found.rotation, found.shift / size)
+                best = off, Similarity(motion.scale / size, motion.rotation, motion.shift / size)
         if best[0] <= FOUND:
             break
         tilts = _tilts()
@@ -187,13 +192,13 @@ def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
     upright = used @ turn  # in the template's axes
     top, low = upright[:, 1].max(), upright[:, 1].min()
     tip = points[points[:, 2].argmax()]
-    found = []
+    starts = []
     for reach in (0.45, 0.7, 1.0):
         part = upright[upright[:, 1] >= top - reach * (top - low)]
         goal = part[part[:, 2].argmax()]
         for height in (-18.0, 12.0):
-            found.append(Similarity(1.0, turn, (goal + [0.0, height, 0.0]) @ turn.T - turn @ tip))
-    return found
+            starts.append(Similarity(1.0, turn, (goal + [0.0, height, 0.0]) @ turn.T - turn @ tip))
+    return starts
 
 
 def _unit(given: float | None, guess: float, extent: float) -> tuple[str, float]:
@@ -223,13 +228,6 @@ def _upright(rotation: Floats, *, known: bool) -> tuple[Floats, str]:
     return rotation, f"axes: turned upright ({angle:.0f}° from {up} up and {front} the front)"
 
 
-# DOC """Many rigid starts at once, laid upon a surface's points and normals and sorted by how well they fit."""
-POINTS = 4000
-TURNED = 25.0
-"""[mm] What a unit of difference between normals counts as beside a distance."""
-FAR, LEAST, MOST = 30.0, 0.4, 2.5
-
-
 @dataclass(frozen=True, eq=False)
 class Sieve:
     """Points (n, 3) [mm] of a surface and normals, evenly chosen by area, in a tree over both."""
@@ -239,19 +237,18 @@ class Sieve:
 
     @classmethod
     def of(cls, skin: Surface) -> Sieve:
-        """Up to POINTS of the surface's triangles, by their centres."""
+        """Choose up to POINTS of the surface's triangles, by their centres."""
         along = np.cumsum(skin.areas)
         chosen = np.unique(np.searchsorted(along, (np.arange(POINTS) + 0.5) / POINTS * along[-1]))
         chosen = np.minimum(chosen, len(along) - 1)
-        normals = skin.face_normals[chosen]
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        normals = unit(skin.face_normals[chosen])
         points = skin.vertices[skin.triangles[chosen]].mean(axis=1)
         return cls(points, cKDTree(np.hstack([points, TURNED * normals])))
 
     def best(
         self, starts: Sequence[Similarity], points: Floats, normals: Floats, kept: int, steps: int
     ) -> list[Similarity]:
-        """The `kept` best of `starts` after so many steps each; `points` (k, 3) [mm] and `normals` are laid."""
+        """Keep the `kept` best of `starts` after so many steps each; `points` (k, 3) [mm] and `normals` are laid."""
         scale = np.array([start.scale for start in starts])
         turn = np.array([start.rotation for start in starts])
         shift = np.array([start.shift for start in starts])

@@ -31,12 +31,12 @@ class Repaired:
 
     @classmethod
     def of(cls, scan: Scan) -> Repaired:
-        """The scan as it is."""
+        """Take the scan as it is."""
         return cls(scan, np.arange(len(scan.vertices)), ())
 
 
 def repair_scan(scan: Scan) -> Repaired:
-    """The main piece of a scan as an oriented manifold, open or closed.
+    """Make the main piece of a scan an oriented manifold, open or closed.
 
     In turns: vertices that lie upon one another on open edges (the seams of textures) become one; triangles without
     area and doubles go; at edges with more than two triangles and at vertices where fans touch the surface is cut;

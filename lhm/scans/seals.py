@@ -44,7 +44,7 @@ class Unsealed:
     notes: tuple[str, ...]
 
 
-def unseal(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
+def open_seals(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
     """Open a mouth that is sealed, and say in what state the eyes are.
 
     A skin with a jawOpen of its own is left as it is.
@@ -63,7 +63,7 @@ def unseal(template: Template, laid: Registration, skin: Surface, own: Mapping[s
     return Unsealed(mouth.skin, mouth.laid, mouth.carried(own), still, rims, False, (note, *told))
 
 
-def leave_sealed(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
+def keep_seals(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
     """Leave the skin as it is, and say what is sealed."""
     still, rims, told = _eyes(template, laid, skin, own)
     sealed = "jawOpen" not in own and _sealed(template, laid, skin)
@@ -71,7 +71,7 @@ def leave_sealed(template: Template, laid: Registration, skin: Surface, own: Map
 
 
 def mark_rig(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
-    """The rig in which lids that are not open stay still, and what tears a mouth that stayed sealed is named."""
+    """Keep lids still that are not open, and name what tears a mouth that stayed sealed."""
     rig = rig.without({name: reason for name, reason in done.still.items() if name not in done.own})
     if len(done.rims):
         rig = calm_lids(rig, head.skin, done.laid.vertices[done.rims], done.own)

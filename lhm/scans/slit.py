@@ -33,7 +33,7 @@ class Slit:
     shares: Floats
 
     def on(self, values: Floats) -> Floats:
-        """Values (n, ...) of the old vertices, for all of the new ones."""
+        """Interpolate values (n, ...) of the old vertices, for all of the new ones."""
         share = self.shares.reshape(-1, *([1] * (values.ndim - 1)))
         return np.concatenate([values, (1 - share) * values[self.ends[:, 0]] + share * values[self.ends[:, 1]]])
 

@@ -1,4 +1,4 @@
-"""What the stacked wraps' triangulation alone decides: edges, tets, and which tets are around each column."""
+"""The wraps' one triangulation: neighbours, tets, the tets around each column, and values spread over it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,16 @@ def neighbours(triangles: Ints, n: int) -> csr_matrix:
     return ((matrix + matrix.T) > 0).astype(np.float64).tocsr()
 
 
+def edge_graph(vertices: Floats, triangles: Ints) -> csr_matrix:
+    """Edges of a surface, open or closed, each once, with their lengths [mm]: a graph for shortest ways along it."""
+    edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    return csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices),) * 2)
+
+
 def unit(vectors: Floats) -> Floats:
-    """The directions of vectors (n, 3); those of no length stay so."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    """The directions of vectors (..., 3); those of no length stay so."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +80,17 @@ class Columns:
         return np.bincount(rows, length, self.n) / np.diff(self.edges.indptr)
 
 
-# DOC """Values spread over a mesh's vertices from those that are given, as evenly as edges allow."""
 def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Floats:
     """Values (n, ...) where `given` (n,) holds; elsewhere each the mean of its neighbours'.
 
     A piece of the mesh in which nothing is given stays as it is.
     """
-    found = np.array(values, dtype=np.float64)
-    edges = neighbours(triangles, len(found))
+    filled = np.array(values, dtype=np.float64)
+    edges = neighbours(triangles, len(filled))
     _, piece = connected_components(edges, directed=False)
     free = ~given & np.isin(piece, piece[given])
     if free.any():
         laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel()) - edges).tocsr()[free]
-        right = -(laplacian[:, ~free] @ found[~free].reshape(np.count_nonzero(~free), -1))
-        found[free] = factorise(laplacian[:, free].tocsc())(right).reshape(found[free].shape)
-    return found
+        right = -(laplacian[:, ~free] @ filled[~free].reshape(np.count_nonzero(~free), -1))
+        filled[free] = factorise(laplacian[:, free].tocsc())(right).reshape(filled[free].shape)
+    return filled

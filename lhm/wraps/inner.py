@@ -13,7 +13,7 @@ from ..base.errors import FitError
 from ..base.geometry.bvh import TriangleTree
 from ..base.mesh import Floats, Ints
 from . import climb
-from .columns import Columns
+from .columns import Columns, unit
 
 LEAST_SINE = 0.04  # of a dihedral angle, 2.3 degrees: a tet below it is a defect
 LEAST_LENGTH = 0.5  # [mm]
@@ -54,8 +54,7 @@ def cone_normals(columns: Columns, wrap: Floats, rounds: int = 60) -> tuple[Floa
     smallest cosine that is left, shape (n,): negative where no direction enters all triangles of a vertex.
     """
     surface = columns.surface(wrap)
-    faces = surface.face_normals
-    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    faces = unit(surface.face_normals)
     return _cones(surface.vertex_normals, faces, columns.owner, columns.first, rounds)
 
 
@@ -89,10 +88,10 @@ def smooth(columns: Columns, values: Floats, amount: float) -> Floats:
 @njit(cache=True, error_model="numpy")
 def sines(stack, tets):
     """The smallest signed sine of each tet's dihedral angles, shape (m,)."""
-    found = np.empty(len(tets))
+    smallest = np.empty(len(tets))
     for t in range(len(tets)):
-        found[t] = climb.smallest_sine(stack, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
-    return found
+        smallest[t] = climb.smallest_sine(stack, tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3])
+    return smallest
 
 
 @dataclass

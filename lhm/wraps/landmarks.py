@@ -1,4 +1,4 @@
-"""Places and regions of a skin that follow from its parts: the lips' rim, the lids, the eyes' centres, masks."""
+"""Places, regions and bones of a face, from the parts of its skin and how this follows the jaw."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ from ..identities.space import CAP, EYES, MOUTH, OUTSIDE
 from .depth import inscribed_radius
 
 Mask = NDArray[np.bool_]
+FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
+FROM_LIPS = 12.0
+SHEAR = 0.5
+"""Skin that departs from the rigid jaw by more than this share of the depth would invert the tissue under it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +104,6 @@ def find_regions(skin: Surface, parts: Ints, marks: Landmarks) -> dict[str, Mask
     }
 
 
-# DOC """Which vertices of the skull wrap belong to the cranium, which to the mandible, and which to neither."""
-FOLLOWS, STAYS, HELD = 0.85, 0.03, 0.08
-FROM_LIPS = 12.0
-SHEAR = 0.5
-"""Skin that departs from the rigid jaw by more than this share of the depth would invert the tissue under it."""
-
-
 def jaw_share(rest: Floats, opened: Floats, candidates: Mask) -> Floats:
     """How far each point follows the rigid motion of the jaw, phi = (moved . rigid) / rigid², shape (n,).
 
@@ -134,7 +131,7 @@ def label_bones(
     ring eroded, and departs from the jaw's rigid motion by little of the depth. Cranium: hardly moves; at
     the neck's cut a little more is allowed. Lids and what lines the eye sockets glide over the eyeball: FREE.
     """
-    inside = find_regions["mouth"] | find_regions["eyes"] | find_regions["neck"]
+    inside = regions["mouth"] | regions["eyes"] | regions["neck"]
     far = from_lips > FROM_LIPS
     share = jaw_share(rest, opened, far & ~inside)
     mandible = (share > FOLLOWS) & far & ~inside
@@ -142,10 +139,10 @@ def label_bones(
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = find_regions["neck"] & (size < HELD * size.max())
-    still = held | ((size < STAYS * size.max()) & ~find_regions["mouth"])
+    held = regions["neck"] & (size < HELD * size.max())
+    still = held | ((size < STAYS * size.max()) & ~regions["mouth"])
     bone = np.full(len(rest), FREE)
-    bone[still & far & ~(find_regions["lids"] | find_regions["eyes"])] = CRANIUM
+    bone[still & far & ~(regions["lids"] | regions["eyes"])] = CRANIUM
     bone[mandible] = MANDIBLE
     return bone
 
@@ -160,11 +157,11 @@ def limit_bones(
     The neck's cut, where no bone may be near, is held as CRANIUM.
     """
     far = from_lips > FROM_LIPS
-    mandible = (bone == MANDIBLE) & far & ~find_regions["mouth"]
+    mandible = (bone == MANDIBLE) & far & ~regions["mouth"]
     rotation, translation = rigid_motion(rest[mandible], opened[mandible])
     mandible &= np.linalg.norm(opened - rest @ rotation.T - translation, axis=1) < SHEAR * depths
     size = np.linalg.norm(opened - rest, axis=1)
-    held = find_regions["neck"] & (size < HELD * size.max())
-    gliding = find_regions["mouth"] | find_regions["lids"] | find_regions["eyes"]
+    held = regions["neck"] & (size < HELD * size.max())
+    gliding = regions["mouth"] | regions["lids"] | regions["eyes"]
     cranium = ((bone == CRANIUM) & far & ~gliding & (size < HELD * size.max())) | held
     return np.where(mandible, MANDIBLE, np.where(cranium, CRANIUM, FREE))

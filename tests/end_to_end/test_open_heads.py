@@ -50,5 +50,7 @@ def test_a_head_sealed_at_mouth_and_lids_is_opened_and_says_what_stays_still(dat
     head = scans.fit_scan(path, load_template(level=1))
     assert any("mouth: sealed; opened" in note for note in head.notes), head.notes
     assert any(note.startswith("eyes: closed") for note in head.notes), head.notes
-    assert check_head(head).problems == () and check_head(head).jaw_open_torn < 400
+    report = check_head(head)
+    # Each vertex with the motion of its closest point had 322 mm of folds at the mouth's corners.
+    assert report.problems == () and report.jaw_open_torn < 400 and report.jaw_open_folded < 95
     assert {"eyeBlinkLeft", "eyeWideRight"} <= set(head.rig.doubtful)

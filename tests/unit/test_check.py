@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from scipy.sparse import identity
 
-from softdeca.lhm import LayeredHead, MeshError, Surface, check_head, fit_head, load_template
+from softdeca.lhm import MeshError, Surface, check_head, fit_head
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.geometry.deformation import folded_length
 from softdeca.lhm.base.geometry.tets import aspect_ratios, smallest_dihedrals
@@ -207,13 +206,6 @@ def test_check_prints_every_gate_and_reports_a_crossed_file(tmp_path, sphere_hea
     assert len(as_json["problems"]) == sum(not passed for passed in states.values())
 
 
-def test_check_of_a_head_and_of_its_layers_agree(sphere_head):
-    weights = identity(len(sphere_head.bone), format="csr")
-    wraps = [sphere_head.skin_wrap, sphere_head.muscle_wrap, sphere_head.skull_wrap]
-    head = LayeredHead(sphere_head.skin, *wraps, sphere_head.bone, weights, weights)
-    assert check_head(head) == check_layers(sphere_head.skin, wraps, sphere_head.bone, {})
-
-
 def test_a_coarse_wrap_has_bounds_of_its_own():
     """0.6 mm off the skin is too far for 10,242 vertices, and not for 642."""
     outcome = []
@@ -238,9 +230,8 @@ def test_an_edge_that_folds_sharply_is_measured(before, after, length):
     assert folded_length(hinged(before), hinged(after), triangles) == pytest.approx(length)
 
 
-def test_a_mouth_whose_corners_tear_misses_its_gate_and_no_other():
+def test_a_mouth_whose_corners_tear_misses_its_gate_and_no_other(template):
     """Vertices of the lips that jump to and fro as the jaw opens: they are folded more than torn."""
-    template = load_template(level=1)
     head = fit_head(template, template.skin)
     assert check_head(head).jaw_open_folded == 0.0 and check_head(head).problems == ()
     lips = np.flatnonzero(head.skin_from_wrap @ head.regions["lips"] > 0.5)

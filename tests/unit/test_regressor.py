@@ -317,7 +317,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
         assert template_skin is space.mean and parts is space.parts
         return Registration(skin, Residual(0.25, 1.0, 2.0), csr_matrix((1, 1)), csr_matrix((1, 1)), 0)
 
-    monkeypatch.setattr("softdeca.lhm.registration.register", registered)
+    monkeypatch.setattr("softdeca.lhm.regressor.pairs.register", registered)
     pairs, reports = read_pairs(folder, template, space)
     np.testing.assert_allclose(pairs.wraps[1], move_wrap(template, skin.vertices))
     assert [r.off for r in reports] == [0, 0.25, 0, 0]
@@ -325,7 +325,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
     def failing(template_skin, parts, given, *, progress):
         raise FitError("skin: no face found in it")
 
-    monkeypatch.setattr("softdeca.lhm.registration.register", failing)
+    monkeypatch.setattr("softdeca.lhm.regressor.pairs.register", failing)
     with pytest.raises(InputError, match=r"p1_skin\.npz: skin: no face found"):
         read_pairs(folder, template, space)
 

@@ -7,8 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, load_template, scans
-from softdeca.lhm.arkit import ARKIT, arkit_name, find_arkit_morphs
+from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, scans
 from softdeca.lhm.base.files.surface_file import Scan, read_scan
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
@@ -246,43 +245,7 @@ def test_openings_are_closed_where_the_boundary_touches_itself_too():
     assert sum(map(len, find_openings(eight))) == 6
 
 
-# Names
-
-
-@pytest.mark.parametrize(
-    ("name", "meant"),
-    [
-        ("jawOpen", "jawOpen"),
-        ("eyeBlink_L", "eyeBlinkLeft"),
-        ("blendShape1.mouthSmile_R", "mouthSmileRight"),
-        ("EyeBlinkLeft", "eyeBlinkLeft"),
-        ("Face:mouth_smile_left", "mouthSmileLeft"),
-        ("browInnerUp_L", "browInnerUp"),
-        ("cheekPuff_R", "cheekPuff"),
-        ("mouthLeft", "mouthLeft"),
-        ("eyeBlink.R", "eyeBlinkRight"),
-        ("viseme_aa", None),
-        ("target 3", None),
-    ],
-)
-def test_names_are_known_however_they_are_written(name, meant):
-    assert arkit_name(name) == meant
-    assert all(arkit_name(known) == known for known in ARKIT)
-
-
-def test_halves_are_added():
-    found = find_arkit_morphs(
-        {"browInnerUp_L": np.ones((2, 3)), "browInnerUp_R": 2 * np.ones((2, 3)), "x": np.ones((2, 3))}
-    )
-    assert list(found) == ["browInnerUp"] and (found["browInnerUp"] == 3).all()
-
-
 # Where the face is
-
-
-@pytest.fixture(scope="module")
-def template():
-    return load_template(level=1)
 
 
 @pytest.fixture(scope="module")
@@ -345,8 +308,7 @@ def test_a_sphere_has_no_face(face):
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("cm", 0.1), ("in", 1 / 25.4)])
-def test_a_skin_of_the_templates_triangles_is_found_in_any_unit_and_orientation(tmp_path, unit, factor):
-    template = load_template(level=1)
+def test_a_skin_of_the_templates_triangles_is_found_in_any_unit_and_orientation(template, tmp_path, unit, factor):
     rest = template.skin
     turn = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])  # z up, x the front
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix, identity
 
-from softdeca.lhm import MeshError, Surface, check_head, load_template
+from softdeca.lhm import MeshError, Surface, check_head
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.deformation import greatest_stretches, torn_area
@@ -23,11 +23,6 @@ from softdeca.lhm.scans import lips, mouth, seals
 from softdeca.lhm.scans.eyes import REACH, Eyes, calm_lids, classify_eyes
 from softdeca.lhm.scans.slit import cut_slit
 from softdeca.lhm.wraps.landmarks import distance_to
-
-
-@pytest.fixture(scope="module")
-def template():
-    return load_template(level=1)
 
 
 def shape(template, *names):
@@ -148,7 +143,7 @@ def test_an_opened_mouth_moves_as_the_templates(template, sealed, opened):
 
 
 def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
-    left, up = (way(template, laid, sealed, {}) for way in (seals.leave_sealed, seals.unseal))
+    left, up = (way(template, laid, sealed, {}) for way in (seals.keep_seals, seals.open_seals))
     assert left.sealed and not up.sealed
     assert "mouth: sealed, and left so" in left.notes and "mouth: sealed; opened" in up.notes[0]
     heads = {}
@@ -166,7 +161,7 @@ def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
 
 
 def test_a_skin_with_its_own_jaw_is_left_as_it_is(template, sealed, laid):
-    done = seals.unseal(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
+    done = seals.open_seals(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
     assert done.skin is sealed and not done.sealed
 
 
@@ -275,7 +270,7 @@ def test_a_membrane_deep_between_overlapping_lips_is_cut_and_closed_lids_stay_st
     skin, laid = membrane
     # No way from lip to lip is straight there, but an open jaw would draw the membrane out.
     assert not mouth.is_sealed(lips.find_lip_line(template.skin, template.parts, laid.surface, skin), skin)
-    left, up = seals.leave_sealed(template, laid, skin, {}), seals.unseal(template, laid, skin, {})
+    left, up = seals.keep_seals(template, laid, skin, {}), seals.open_seals(template, laid, skin, {})
     assert left.sealed and not up.sealed
     assert any("mouth: sealed; opened" in note for note in up.notes)
     assert any("eyes: closed" in note for note in up.notes), up.notes

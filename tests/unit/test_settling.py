@@ -39,7 +39,7 @@ def test_a_law_settles_at_the_minimum_of_its_own_energy(sphere_head, by_law):
 def test_targets_of_a_face_settled_by_pd_hide_what_a_law_changes(sphere_head, monkeypatch):
     """No target holds the flesh that settles; each then holds the skin where PD's flesh came to rest."""
     pytest.importorskip("dolfinx")
-    monkeypatch.setattr("softdeca.reference.face.settle.fleshy", lambda head: np.ones(len(head.bone)))
+    monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     everywhere = np.ones(len(sphere_head.bone), dtype=bool)
     head = replace(sphere_head, regions=dict.fromkeys((*LEAN_REGIONS, "face", "neck"), everywhere))
     by_pd, by_law = (settle(head, GROWN, law=law, bones="prescribed", **FEM) for law in ("PD", "neo-Hookean"))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import InputError, Surface, expressions
+from softdeca.lhm.arkit import ARKIT, arkit_name, find_arkit_morphs
 from softdeca.lhm.identities import LinearSpace, from_text
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -72,3 +73,31 @@ def test_names_of_spaces_are_checked(tmp_path):
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(InputError, match="other.npz.*vertices"):
         from_text(f"ict:{tmp_path}/other.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("jawOpen", "jawOpen"),
+        ("eyeBlink_L", "eyeBlinkLeft"),
+        ("blendShape1.mouthSmile_R", "mouthSmileRight"),
+        ("EyeBlinkLeft", "eyeBlinkLeft"),
+        ("Face:mouth_smile_left", "mouthSmileLeft"),
+        ("browInnerUp_L", "browInnerUp"),
+        ("cheekPuff_R", "cheekPuff"),
+        ("mouthLeft", "mouthLeft"),
+        ("eyeBlink.R", "eyeBlinkRight"),
+        ("viseme_aa", None),
+        ("target 3", None),
+    ],
+)
+def test_names_are_known_however_they_are_written(name, meant):
+    assert arkit_name(name) == meant
+    assert all(arkit_name(known) == known for known in ARKIT)
+
+
+def test_halves_are_added():
+    found = find_arkit_morphs(
+        {"browInnerUp_L": np.ones((2, 3)), "browInnerUp_R": 2 * np.ones((2, 3)), "x": np.ones((2, 3))}
+    )
+    assert list(found) == ["browInnerUp"] and (found["browInnerUp"] == 3).all()
