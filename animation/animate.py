@@ -20,7 +20,7 @@ from ..lhm.expressions import Take, rotations
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.base import turns_before
-from ..surrogate import BoundSurrogate, Surrogate, linearised_rig
+from ..surrogate import BoundSurrogate, Surrogate, derivatives_rig
 from ..surrogate.codes import nearest_code
 from ..surrogate.runtime import Beyond
 from .play import Output, PlayedTake
@@ -85,7 +85,7 @@ def bind_head(
         )
         method = "network + simulator" if exact else "network"
     else:
-        rig = linearised_rig(head, deltas, parameters)
+        rig = derivatives_rig(head, deltas, parameters)
     return BoundHead(rig, method, time.perf_counter() - begin, deltas)
 
 

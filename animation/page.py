@@ -25,7 +25,7 @@ from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..surrogate import BoundSurrogate
 from ..surrogate.linear import linearised_face
-from ..surrogate.modal.rig import Remainder
+from ..surrogate.rig import Remainder
 from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 

@@ -15,7 +15,7 @@ from ..surrogate import Surrogate
 from ..surrogate.corpus.reading import Faces
 from ..surrogate.evaluate import evaluate
 from ..surrogate.heads import Heads
-from ..surrogate.rivals.modal import ModalMethod
+from ..surrogate.methods import NetworkMethod
 from .harness.study import Table
 
 SEEN = 24
@@ -53,8 +53,8 @@ def errors_over_size(
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
     found = []
     for number, one in enumerate(networks):
-        of_unseen = evaluate([ModalMethod(one)], test, heads)
-        of_seen = evaluate([ModalMethod(one)], training, heads, chosen=chosen)
+        of_unseen = evaluate([NetworkMethod(one)], test, heads)
+        of_seen = evaluate([NetworkMethod(one)], training, heads, chosen=chosen)
         note = one.note
         found.append(Grown(note.people, note.faces, note.steps, of_unseen[0].share, of_seen[0].share))
         progress(f"curve: {note.people} people", (number + 1) / len(networks))

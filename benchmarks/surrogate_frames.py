@@ -18,9 +18,8 @@ from ..surrogate.corpus.reading import Faces
 from ..surrogate.corpus.references import FEM_LAWS
 from ..surrogate.evaluate_references import referenced
 from ..surrogate.heads import Heads
-from ..surrogate.modal.weights import ModalWeights
-from ..surrogate.rivals.linearised import Linearised
-from ..surrogate.rivals.modal import ModalMethod
+from ..surrogate.methods import Derivatives, NetworkMethod
+from ..surrogate.networks.weights import Weights
 from ..surrogate.ruler import kind_of_coefficients, measure
 
 SHOWN = 6
@@ -39,7 +38,7 @@ class Worst:
 
 def frames_png(
     corpus: Path,
-    weights: ModalWeights,
+    weights: Weights,
     heads: Heads,
     *,
     split: Split | None = "test",
@@ -51,7 +50,7 @@ def frames_png(
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
     faces = Faces(corpus, split, partial=partial)
-    network, settled = ModalMethod(weights), Linearised(responses=False)
+    network, settled = NetworkMethod(weights), Derivatives(responses=False)
     solved = _solved(corpus, split, faces, partial)
     rows = []
     for number, worst in enumerate(worst_frames(faces, network, heads)):
@@ -83,7 +82,7 @@ def frames_png(
     return tile_pictures(rows, 1)
 
 
-def worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
+def worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
     """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
     found = []
     for index in range(len(faces)):

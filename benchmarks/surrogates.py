@@ -27,15 +27,10 @@ from ..surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ..surrogate.evaluate_references import evaluate_references
 from ..surrogate.generalisation import evaluate_generalisation
 from ..surrogate.heads import BindCosts, Heads, measure_binds
-from ..surrogate.modal.weights import ModalWeights
-from ..surrogate.rivals import Method
-from ..surrogate.rivals.blendshapes import Blendshapes
-from ..surrogate.rivals.carried import BonesCarried
-from ..surrogate.rivals.linearised import Linearised
-from ..surrogate.rivals.modal import ModalMethod
-from ..surrogate.rivals.responses import LearnedResponses
-from ..surrogate.rivals.ridge import Ridge
-from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
+from ..surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
+from ..surrogate.networks.responses import LearnedResponses
+from ..surrogate.networks.ridge import Ridge
+from ..surrogate.networks.weights import Weights
 from ..surrogate.ruler import MOVES
 from ..surrogate.runtime import SHIPPED
 from ..surrogate.schedule import schedule
@@ -50,11 +45,11 @@ from .surrogate_gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, 
 
 ITERATIONS = (1, 5, 20)
 """Of projective dynamics stopped early."""
-READY: Mapping[str, Callable[[ModalWeights, Heads], Method]] = {
-    NETWORK: lambda weights, heads: ModalMethod(weights),
-    HYBRID: lambda weights, heads: ModalMethod(weights, exact=True),
-    LINEARISED: lambda weights, heads: Linearised(),
-    SETTLED: lambda weights, heads: Linearised(responses=False),
+READY: Mapping[str, Callable[[Weights, Heads], Method]] = {
+    NETWORK: lambda weights, heads: NetworkMethod(weights),
+    HYBRID: lambda weights, heads: NetworkMethod(weights, exact=True),
+    LINEARISED: lambda weights, heads: Derivatives(),
+    SETTLED: lambda weights, heads: Derivatives(responses=False),
     CARRIED: lambda weights, heads: BonesCarried(heads),
     BLENDSHAPES: lambda weights, heads: Blendshapes(),
 }
@@ -109,7 +104,7 @@ def compare(
         fitted = [make() for make in learning().values()]
         scores += evaluate(fitted, test, heads, training, on_progress=progress)
         if counts.sequences:
-            from ..surrogate.rivals.snp import SubspacePhysics
+            from ..surrogate.networks.snp import SubspacePhysics
 
             scores.append(evaluate_sequences(SubspacePhysics(), corpus, heads, partial=partial, on_progress=progress))
     known = network.weights.looseness
@@ -161,7 +156,7 @@ def split_of(people: str) -> Split | None:
     return None if people == "all" else "test"
 
 
-def ready_methods(weights: ModalWeights, heads: Heads) -> list[Method]:
+def ready_methods(weights: Weights, heads: Heads) -> list[Method]:
     """Make each of READY."""
     return [make(weights, heads) for make in READY.values()]
 
@@ -176,7 +171,7 @@ def bind_costs(heads: Heads, test: Faces, progress: OnProgress, count: int = COS
     return measure_binds(heads, [test.face(int(k)) for k in chosen], progress)
 
 
-def provenance(corpus: Path, weights: ModalWeights, test: Faces) -> dict:
+def provenance(corpus: Path, weights: Weights, test: Faces) -> dict:
     """Tell machine, commit and versions, the corpus with its seed, and what the network learned from."""
     manifest = read_manifest(corpus)
     return {
@@ -251,9 +246,9 @@ def _by_what_is_unseen(
 
 def learning() -> Mapping[str, Callable[[], Method]]:
     """What is fitted to a corpus' training people, by name; most need torch, which is an extra."""
-    from ..surrogate.rivals.face_wise import FaceWise
-    from ..surrogate.rivals.softsmpl import SoftSMPL
-    from ..surrogate.rivals.vertices_only import VerticesOnly
+    from ..surrogate.networks.face_wise import FaceWise
+    from ..surrogate.networks.softsmpl import SoftSMPL
+    from ..surrogate.networks.vertices_only import VerticesOnly
 
     made: list[Callable[[], Method]] = [LearnedResponses, lambda: Ridge("dimensionless"), lambda: Ridge("raw")]
     made += [lambda: SoftSMPL("small"), lambda: SoftSMPL("large"), VerticesOnly, FaceWise]

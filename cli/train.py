@@ -83,15 +83,15 @@ def train(
 def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_of
     from ..surrogate.corpus.reading import Faces
-    from ..surrogate.modal.looseness import Looseness
-    from ..surrogate.modal.training import ModalTraining, train_modal
-    from ..surrogate.modal.weights import ModalWeights
+    from ..surrogate.dynamics import Looseness
+    from ..surrogate.networks.modal_training import ModalTraining, train_modal
+    from ..surrogate.networks.weights import Weights
 
     config = ModalTraining(**{name: value for name, value in options.items() if value is not None})
     faces = Faces(corpus, "train", **read)
     more = None if neutrals is None else Faces(neutrals, "train", table="groups", **read)
     out.mkdir(parents=True, exist_ok=True)
-    begun = None if start is None else ModalWeights.load(start)
+    begun = None if start is None else Weights.load(start)
     weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)
     if faces.space == "anny" and weights.looseness is None:
         weights = replace(weights, looseness=Looseness.of(people_of("anny"), on_progress=progress))

@@ -20,7 +20,7 @@ from softdeca.reference import (
     settled,
     solve,
 )
-from softdeca.surrogate import Surrogate, linearised_rig
+from softdeca.surrogate import Surrogate, derivatives_rig
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ print(
 # beyond the blendshape that it belongs to.
 
 # %%
-linear = linearised_rig(head, deltas, Parameters())
+linear = derivatives_rig(head, deltas, Parameters())
 print(
     f"mean distance to T: blendshapes {mean(S, T):.3f} mm, with responses {mean(linear.frame(weights), T):.3f} mm"
 )

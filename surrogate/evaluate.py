@@ -15,7 +15,7 @@ from ..lhm.base.progress import OnProgress, silent
 from .corpus.face import Face, Frames
 from .corpus.reading import Faces
 from .heads import BindCosts, Heads
-from .rivals import Bound, Method, Takes
+from .methods import Bound, Method, Takes
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 
 ALL, VARYING = "all", "p varying over the face"

@@ -17,7 +17,7 @@ from .corpus.reading import Faces, Table
 from .corpus.references import FEM_LAWS
 from .evaluate import Named, Score, score_of
 from .heads import Heads
-from .rivals import Bound, Method
+from .methods import Bound, Method
 
 KINDS = {law: f"against FEniCSx, {law}" for law in FEM_LAWS}
 

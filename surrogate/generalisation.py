@@ -26,8 +26,8 @@ from .corpus.shard import ACCEPTED
 from .corpus.simulator import FaceSimulator
 from .evaluate import ALL, Score, evaluate
 from .heads import BindCosts, Heads
-from .modal.weights import ModalWeights
-from .rivals import Method
+from .methods import Method
+from .networks.weights import Weights
 from .schedule import Schedule, results_of
 
 COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, SPLITS, SPLITS))
@@ -55,7 +55,7 @@ class Pair:
     group: int
 
 
-def pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
+def pairs(plan: CorpusPlan, weights: Weights, count: int) -> list[Pair]:
     """The first `count` pairs; the k-th takes the (k mod groups)-th parameter set of both.
 
     InputError where training or test has fewer people.
@@ -74,7 +74,7 @@ def pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
     return made
 
 
-def check_learned(plan: CorpusPlan, people: People, weights: ModalWeights) -> None:
+def check_learned(plan: CorpusPlan, people: People, weights: Weights) -> None:
     """Raise InputError for weights that have not learned from the plan's first people, as their mean code tells."""
     first = weights.note.people + len(weights.note.held)
     if first <= plan.trained:
@@ -88,7 +88,7 @@ def check_learned(plan: CorpusPlan, people: People, weights: ModalWeights) -> No
 
 def evaluate_generalisation(
     methods: Sequence[Method],
-    weights: ModalWeights,
+    weights: Weights,
     plan: CorpusPlan,
     people: People,
     folder: Path,

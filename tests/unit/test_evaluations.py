@@ -15,16 +15,13 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
+from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import evaluate, score_of
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.modal.looseness import Looseness
-from softdeca.surrogate.modal.weights import TrainingNote
-from softdeca.surrogate.rivals.blendshapes import Blendshapes
-from softdeca.surrogate.rivals.carried import BonesCarried
-from softdeca.surrogate.rivals.linearised import Linearised
-from softdeca.surrogate.rivals.simulated import BakedShapes, CoarsePD
+from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives
+from softdeca.surrogate.networks.weights import TrainingNote
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -34,7 +31,7 @@ PLAN = CorpusPlan(
     kinds={"effects": 0.5, "both": 0.5}, sources={"conversation": 1.0}, conversations=4, random=0, seconds=4.0,
 )  # fmt: skip
 HEADS = Heads(PEOPLE)
-METHODS = [Linearised(), BonesCarried(HEADS), Blendshapes()]
+METHODS = [Derivatives(), BonesCarried(HEADS), Blendshapes()]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +55,7 @@ def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
 
 def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     pytest.importorskip("torch")
-    from softdeca.surrogate.rivals.snp import SubspacePhysics
+    from softdeca.surrogate.networks.snp import SubspacePhysics
 
     score = evaluate_sequences(SubspacePhysics(steps=5), corpus, HEADS)
     assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
@@ -85,7 +82,7 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
-    score = evaluate([Linearised()], Faces(corpus, "test"), HEADS)[0]
+    score = evaluate([Derivatives()], Faces(corpus, "test"), HEADS)[0]
     found = breakeven(corpus, note, score)
     assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0
     assert found.frames == pytest.approx(
@@ -98,7 +95,7 @@ def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
 
 def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
     test = Faces(corpus, "train")
-    methods = [CoarsePD(HEADS, 1), CoarsePD(HEADS, 200), BakedShapes(HEADS), Linearised()]
+    methods = [CoarsePD(HEADS, 1), CoarsePD(HEADS, 200), BakedShapes(HEADS), Derivatives()]
     scores = evaluate(methods, test, HEADS, chosen=[0, 2])
     errors = [score.mean for score in scores if score.kind == "all"]
     assert {score.frames for score in scores if score.kind == "all"} == {6}

@@ -23,23 +23,20 @@ from softdeca.surrogate.corpus.mixture import STATIC, WAVES
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
+from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.modal.features import Features
-from softdeca.surrogate.modal.looseness import Looseness
-from softdeca.surrogate.modal.network import ModalConfig
-from softdeca.surrogate.modal.rig import Modal
-from softdeca.surrogate.modal.training import ModalTraining, _Loop, train_modal
-from softdeca.surrogate.modal.weights import ModalWeights
-from softdeca.surrogate.rigs import add_combination
-from softdeca.surrogate.rivals.blendshapes import Blendshapes
-from softdeca.surrogate.rivals.face_wise import FaceWise
-from softdeca.surrogate.rivals.linearised import Linearised
-from softdeca.surrogate.rivals.modal import ModalMethod
-from softdeca.surrogate.rivals.responses import LearnedResponses
-from softdeca.surrogate.rivals.ridge import Ridge
-from softdeca.surrogate.rivals.softsmpl import SoftSMPL
-from softdeca.surrogate.rivals.vertices_only import VerticesOnly
+from softdeca.surrogate.methods import Blendshapes, Derivatives, NetworkMethod
+from softdeca.surrogate.networks.face_wise import FaceWise
+from softdeca.surrogate.networks.features import Features
+from softdeca.surrogate.networks.modal import ModalConfig
+from softdeca.surrogate.networks.modal_training import ModalTraining, _Loop, train_modal
+from softdeca.surrogate.networks.responses import LearnedResponses
+from softdeca.surrogate.networks.ridge import Ridge
+from softdeca.surrogate.networks.softsmpl import SoftSMPL
+from softdeca.surrogate.networks.vertices_only import VerticesOnly
+from softdeca.surrogate.networks.weights import Weights
+from softdeca.surrogate.rig import Modal, add_combination
 from softdeca.surrogate.ruler import KINDS, STRENGTHS
 from softdeca.surrogate.sphere import Spheres
 
@@ -68,7 +65,7 @@ def weights(faces):
 
 def test_people_with_shapes_of_their_own_are_bound(faces, weights):
     """A corpus keeps such shapes as it keeps what it simulates: in half precision."""
-    face, method = faces["test"].face(0), ModalMethod(weights)
+    face, method = faces["test"].face(0), NetworkMethod(weights)
     own = replace(face, person=replace(face.person, shapes=face.shapes.astype(np.float16)))
     expressions = np.linspace(0.0, 1.0, 104).reshape(2, 52)
     np.testing.assert_allclose(method.bind(own)(expressions), method.bind(face)(expressions), atol=0.02)
@@ -96,7 +93,7 @@ def bound(surrogate, **changes):
 
 
 def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weights, faces):
-    methods = [ModalMethod(weights), ModalMethod(weights, exact=True), Linearised(), Blendshapes()]
+    methods = [NetworkMethod(weights), NetworkMethod(weights, exact=True), Derivatives(), Blendshapes()]
     scores = {score.method: score for score in evaluate(methods, faces["test"], HEADS) if score.kind == "all"}
     assert scores["network"].everywhere < 0.5 * scores["blendshapes (T = S)"].everywhere
     # Small spheres answer all but linearly: what is left is float16's rounding.
@@ -150,7 +147,7 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
 PARALLEL = """
 import os, pickle, sys
 from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.modal.training import train_modal
+from softdeca.surrogate.networks.modal_training import train_modal
 folder, out = sys.argv[1:]
 config = pickle.load(open(out + "/config", "rb"))
 weights = train_modal(Faces(folder, "train"), config, state=out + "/state.pt")
@@ -169,7 +166,7 @@ def test_processes_of_torchrun_end_with_one_network(faces, tmp_path):
         [sys.executable, *words, folder, tmp_path], capture_output=True, text=True, env=environment, timeout=300
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
-    one, two = (ModalWeights.load(tmp_path / f"{rank}.safetensors") for rank in (0, 1))
+    one, two = (Weights.load(tmp_path / f"{rank}.safetensors") for rank in (0, 1))
     for name, value in one.network.items():
         np.testing.assert_array_equal(value, two.network[name])
     # Two batches a step teach something else than one.
@@ -188,7 +185,7 @@ def test_bfloat16_learns_alike(faces):
 
 def test_training_goes_on_from_weights(faces, weights, tmp_path):
     weights.save(tmp_path / "weights.safetensors")
-    start = ModalWeights.load(tmp_path / "weights.safetensors")
+    start = Weights.load(tmp_path / "weights.safetensors")
     more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
     begun = _Loop(faces["train"], CONFIG, start=start).weights()
     assert all(np.array_equal(value, start.network[name]) for name, value in begun.network.items())
@@ -200,7 +197,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
         train_modal(faces["train"], CONFIG, start=start, neutrals=object())
     assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
     more.save(tmp_path / "more.safetensors")
-    assert ModalWeights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
+    assert Weights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
     with pytest.raises(InputError, match="other sizes"):
         train_modal(faces["train"], replace(CONFIG, network=replace(NETWORK, local=8)), start=start)
     other = replace(start, mean=Surface(start.mean.vertices * 2.0, start.mean.triangles))
@@ -425,17 +422,17 @@ def test_bad_frames_are_named(surrogate, given, options, message):
 def test_files_that_are_no_weights_are_named(weights, tmp_path):
     path = tmp_path / "modal.safetensors"
     with pytest.raises(InputError, match="no such file"):
-        ModalWeights.load(path)
+        Weights.load(path)
     path.write_text("v 0 0 0\n")
     with pytest.raises(InputError, match="no weights of softdeca"):
-        ModalWeights.load(path)
+        Weights.load(path)
     path.write_bytes(b"")
     with pytest.raises(InputError, match="no weights of softdeca"):
-        ModalWeights.load(path)
+        Weights.load(path)
     weights.save(path)
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(InputError, match="no weights of softdeca"):
-        ModalWeights.load(path)
+        Weights.load(path)
 
 
 def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
@@ -499,7 +496,7 @@ def test_a_network_of_other_shapes_or_numbers_is_named(weights, tmp_path, name, 
     path = tmp_path / "modal.safetensors"
     replace(weights, network={**weights.network, name: change(weights.network[name])}).save(path)
     with pytest.raises(InputError, match=f"modal.safetensors: damaged.*{words}"):
-        ModalWeights.load(path)
+        Weights.load(path)
 
 
 def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
@@ -509,4 +506,4 @@ def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
     content[-1000] ^= 1
     path.write_bytes(content)
     with pytest.raises(InputError, match="their numbers do not match their checksum"):
-        ModalWeights.load(path)
+        Weights.load(path)

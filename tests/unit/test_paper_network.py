@@ -12,12 +12,14 @@ from softdeca.reference import Parameters
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.networks.hypernetwork import HypernetworkConfig
+from softdeca.surrogate.networks.hypernetwork_training import smooth_positions, transfer_delta
 from softdeca.surrogate.paper import HypernetworkSurrogate
 from softdeca.surrogate.paper.anchors import still_vertices
 from softdeca.surrogate.paper.baselines import Ridge
-from softdeca.surrogate.paper.checkpoint import Checkpoint, HypernetworkConfig
+from softdeca.surrogate.paper.checkpoint import Checkpoint
 from softdeca.surrogate.paper.evaluate import evaluate
-from softdeca.surrogate.paper.hypernetwork import Hypernetwork, smooth_positions, transfer_delta
+from softdeca.surrogate.paper.hypernetwork import Hypernetwork
 from softdeca.surrogate.paper.principal import least_gradients, principal_gradients
 from softdeca.surrogate.paper.samples import samples_of
 from softdeca.surrogate.paper.train import TrainConfig, split_identities, train

@@ -9,10 +9,9 @@ import pytest
 
 from softdeca.lhm import InputError, expressions
 from softdeca.reference import Parameters, Sequence, settled
-from softdeca.surrogate import linearised_rig
+from softdeca.surrogate import derivatives_rig
 from softdeca.surrogate.corpus.people import OfSpace
-from softdeca.surrogate.dynamics import DynamicRig, Swing
-from softdeca.surrogate.modal.looseness import Looseness
+from softdeca.surrogate.dynamics import DynamicRig, Looseness, Swing
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -31,7 +30,7 @@ def head():
 
 @pytest.fixture(scope="module")
 def rig(head):
-    return linearised_rig(head, shapes(), P)
+    return derivatives_rig(head, shapes(), P)
 
 
 def test_frames_follow_the_simulators(head, rig):
