@@ -19,7 +19,7 @@ from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from ..reference.face.base import turns_before
+from ..reference.face.dynamics import extrapolate_turns
 from ..surrogate import BoundSurrogate, Surrogate, derivatives_rig
 from ..surrogate.codes import nearest_code
 from ..surrogate.runtime import Beyond
@@ -128,7 +128,7 @@ def _frames(rig: BoundSurrogate, take: Take, dynamic: bool, spent: list[float]) 
     bases = None if take.head is None else rotations(take.head)
     moving = rig.dynamic(1.0 / take.rate) if dynamic else None
     if moving is not None and bases is not None:
-        moving.begin(take.weights[0], base=turns_before(bases))
+        moving.begin(take.weights[0], base=extrapolate_turns(bases))
     for number, weights in enumerate(take.weights):
         begin = time.perf_counter()
         if moving is None:

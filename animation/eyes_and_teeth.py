@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..lhm.arkit import ARKIT
 from ..lhm.base.files.npz import read_arrays
 from ..lhm.base.mesh import Floats, Ints, Surface
-from ..lhm.identities import anny
+from ..lhm.identities import ANNY_WITHIN, Anny
 
 TURN = {"Up": -25.0, "Down": 30.0, "In": 35.0, "Out": 35.0}
 """Degrees of a gaze at full weight: up and down about x, to the nose and away from it about y."""
@@ -91,13 +91,13 @@ def turn_eye(side: str, weights: Floats | None) -> Floats:
 
 @cache
 def _mean() -> Surface:
-    return anny.load().mean
+    return Anny().mean
 
 
 @cache
 def _default() -> EyesAndTeeth:
     data = read_arrays(
-        anny.WITHIN, "eyes", "radius", "teeth", "carriers", "counts", of="the default head's eyes and teeth"
+        ANNY_WITHIN, "eyes", "radius", "teeth", "carriers", "counts", of="the default head's eyes and teeth"
     )
     skin, (ball, faces, colours) = _mean().vertices, _ball()
     groups = np.split(data["carriers"], np.cumsum(data["counts"])[:-1])

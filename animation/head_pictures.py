@@ -12,7 +12,7 @@ from ..lhm.base.geometry.bvh import TriangleTree
 from ..lhm.base.geometry.tets import smallest_dihedrals
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.head import LayeredHead
-from ..lhm.regressor import MeasuredDepths
+from ..lhm.regressor.pairs import MeasuredDepths
 from ..reference import Parameters, facial_scene, solve
 from .pictures import MUSCLE, SIDE, SOFT, VIEW, Panel, draw_cut_away, draw_strip, draw_values, draw_views
 from .plots import subplots, to_png
@@ -43,7 +43,7 @@ def pose_head(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Float
 
     The default parameters' projective dynamics.
     """
-    used = np.flatnonzero(expressions.checked_weights(weights))
+    used = np.flatnonzero(expressions.check_weights(weights))
     shape = head.skin.vertices + np.tensordot(weights[used], deltas[used], axes=1)
     solution = solve(facial_scene(head, Parameters(), shape), solver="projective")
     return solution.positions, head.skin.with_vertices(head.skin_after(shape, solution.positions[: len(head.bone)]))

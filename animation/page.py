@@ -23,8 +23,8 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
+from ..reference.face.derivatives import differentiate_head
 from ..surrogate import BoundSurrogate
-from ..surrogate.linear import linearised_face
 from ..surrogate.rig import Remainder
 from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
@@ -232,9 +232,9 @@ def render_face_page(
     Beside these blendshapes it has the linearised simulator (some seconds), and `rigs`. `poses` replace the usual ones.
     Raises InputError for a face that does not settle, and what the simulator raises.
     """
-    linear, n = linearised_face(head, parameters), len(head.bone)
-    moved = linear.first_order(np.asarray(shapes, dtype=np.float64))
-    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_moved(moved, shapes))
+    linear, n = differentiate_head(head, parameters), len(head.bone)
+    moved = linear.vertices_by_shapes(np.asarray(shapes, dtype=np.float64))
+    simulated = Rig(LINEARISED, linear.face.skin + linear.offset, linear.skin_by_shapes(shapes, moved))
     below = (slice(n * k, n * (k + 1)) for k in (1, 2))
     return render_page(
         title,

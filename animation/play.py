@@ -15,7 +15,7 @@ from ..lhm.base.files.moving_surface import write_gltf, write_vtkhdf
 from ..lhm.base.mesh import Floats, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
-from ..reference.face.base import turned_about
+from ..reference.face.dynamics import turn_about
 from .preview import Preview, choose_frames, render_frames, write_preview
 
 Format = Literal["vtkhdf", "gltf"]
@@ -97,7 +97,7 @@ class PlayedTake:
         """A skin [mm], shape (n, 3), of the head's own frame as it is shown."""
         if not wanted.turned or self.take.head is None:
             return skin
-        return turned_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
+        return turn_about(self.pivot, skin, rotations(self.take.head[[number]])[0])
 
     def _blended(self, number: int) -> Floats:
         return blend_linearly(self.neutral, self.deltas, self.take.weights[number])

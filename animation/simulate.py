@@ -16,8 +16,8 @@ from ..lhm.base.mesh import Floats
 from ..lhm.base.progress import OnProgress
 from ..lhm.expressions import Take, rotations
 from ..lhm.head import LayeredHead
-from ..reference import Parameters, Reason, Sequence, Settled, Solution, settled
-from ..reference.face.base import pivot, turns_before
+from ..reference import Parameters, Reason, Sequence, SettledFace, Solution, settle
+from ..reference.face.dynamics import extrapolate_turns, find_pivot
 from ..reference.face.sequence import TOLERANCE
 from .play import Output, PlayedTake, blend_linearly
 from .preview import check_preview
@@ -73,7 +73,9 @@ def run_take(
         log = store.log()
         # The wrap ends below the neck: of a bust it is the head.
         framed = head.skin_wrap.vertices
-        played = PlayedTake(head.skin, deltas, pivot(head), framed, take, lambda numbers: map(store.moved, numbers))
+        played = PlayedTake(
+            head.skin, deltas, find_pivot(head), framed, take, lambda numbers: map(store.moved, numbers)
+        )
         files = [played.export(config, progress)]
         if config.preview != "none":
             files.append(played.show(config, "simulated", progress))
@@ -105,12 +107,12 @@ def _manifest(
 
 def _neutral(
     config: TakeConfig, head: LayeredHead, parameters: Parameters, store: TakeStore, progress: OnProgress
-) -> tuple[Settled, str]:
+) -> tuple[SettledFace, str]:
     """The neutral face settled under p, from the folder where it is there, and why settling stopped."""
     kept = store.neutral()
     if kept is None:
         progress("settling: neutral face", 0.0)
-        found = settled(head, parameters, **config.choices)
+        found = settle(head, parameters, **config.choices)
         kept = {
             "positions": found.positions,
             "displacement": found.displacement,
@@ -119,12 +121,12 @@ def _neutral(
         store.keep_neutral(kept)
         progress("settling: neutral face", 1.0)
     choices = dict(config.choices)
-    return Settled(head, parameters, kept["positions"], kept["displacement"], choices=choices), str(kept["reason"])
+    return SettledFace(head, parameters, kept["positions"], kept["displacement"], choices=choices), str(kept["reason"])
 
 
 def _simulate(
     config: TakeConfig,
-    neutral: Settled,
+    neutral: SettledFace,
     deltas: Floats,
     take: Take,
     store: TakeStore,
@@ -132,7 +134,7 @@ def _simulate(
 ) -> None:
     step = 1.0 / take.rate
     head = neutral.head
-    sequence = Sequence.of(neutral, time_step=step, dynamic=config.dynamic, tolerance=config.tolerance)
+    sequence = Sequence.from_face(neutral, time_step=step, dynamic=config.dynamic, tolerance=config.tolerance)
     done, sequence.state = store.done()
     count = len(take.times)
     bases = rotations(take.head) if config.dynamic and take.head is not None else np.array([np.eye(3)] * count)
@@ -148,11 +150,11 @@ def _simulate(
         progress(f"simulation: frame {number + 1} of {count}", (number + 1) / count)
 
 
-def _frame(sequence: Sequence, neutral: Settled, targets: Floats, bases: Floats) -> tuple[Floats, dict[str, Any]]:
+def _frame(sequence: Sequence, neutral: SettledFace, targets: Floats, bases: Floats) -> tuple[Floats, dict[str, Any]]:
     """The next frame's skin [mm], and its line of the log; bases: how the head is turned in it and in those to come."""
     try:
         if sequence.recurrence is not None and sequence.state is None:
-            sequence.begin(targets, base=turns_before(bases))
+            sequence.begin(targets, base=extrapolate_turns(bases))
         solution = sequence.frame(targets, base=bases[0])
     except SoftdecaError as error:
         return neutral.targets(targets), _record(str(error))

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..animation.pictures import Panel, draw_strip
 from ..lhm.base.mesh import Floats
-from ..reference import Parameters, Scene, Settled, Solution, prepare, settled, solve
-from ..reference.face.facial import scene_under
+from ..reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
+from ..reference.face.facial import apply_law
 from ..surrogate import Surrogate
 from .differences import difference, distances
 from .insides import compare_insides, load_on_mandible
@@ -46,7 +46,7 @@ class SceneFace:
     @property
     def law_scene(self) -> Scene:
         """The scene under the law."""
-        return scene_under(self.scene, LAW)
+        return apply_law(self.scene, LAW)
 
     @property
     def law_rest(self) -> Floats | None:
@@ -160,14 +160,14 @@ class Face(SceneFace):
     def __init__(self, of: Person, weights: Floats, parameters: Parameters, network: Surrogate | None):
         self.weights, self.parameters, self._network = weights, parameters, network
         self.shape = of.blend(weights[None])[0]
-        self.neutral = settled(of.head, parameters)
+        self.neutral = settle(of.head, parameters)
         self.targets = self.neutral.targets(self.shape)
         super().__init__(of, self.neutral.scene(self.shape))
 
     @cached_property
-    def neutral_by_law(self) -> Settled:
+    def neutral_by_law(self) -> SettledFace:
         """The neutral face as the law settles it."""
-        return settled(self.of.head, self.parameters, law=LAW, tolerance=WARM)
+        return settle(self.of.head, self.parameters, law=LAW, tolerance=WARM)
 
     @property
     def law_scene(self) -> Scene:

@@ -11,9 +11,9 @@ from ..lhm import expressions, fit_head, identities, load_template
 from ..lhm.base.mesh import Floats
 from ..lhm.base.progress import OnProgress
 from ..lhm.template import DEFAULT_LEVEL
-from ..reference import Parameters, settled
-from ..reference.face.linearised import DIRECT, linearised
-from ..reference.face.settling import FOR_TARGETS, carry_skin
+from ..reference import Parameters, settle
+from ..reference.face.derivatives import QUICK_ACCURACY, differentiate
+from ..reference.face.settle import TARGET_OPTIONS, carry_skin
 from ..surrogate import Surrogate
 from ..surrogate.evaluate import Score, score_of
 from .surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
@@ -45,8 +45,8 @@ def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_L
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             rig = surrogate.bind(skin, code, parameters, beyond="clamp")
-        face = settled(head, parameters, **FOR_TARGETS)
-        linear = linearised(face, accuracy=DIRECT)
+        face = settle(head, parameters, **TARGET_OPTIONS)
+        linear = differentiate(face, accuracy=QUICK_ACCURACY)
         for weights in rows:
             drawn = skin.vertices + np.tensordot(weights, space.expressions, axes=1)
             truth = face.skin_after(drawn, linear.solve(drawn).positions)

@@ -20,8 +20,8 @@ from ..lhm.base.mesh import Floats, Ints, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.base.provenance import describe_machine
 from ..lhm.expressions import Take
-from ..lhm.wraps.landmarks import landmarks
-from ..reference import Parameters, settled
+from ..lhm.wraps.landmarks import find_landmarks
+from ..reference import Parameters, settle
 from ..reference import Sequence as Simulation
 from ..surrogate import Surrogate
 
@@ -59,7 +59,7 @@ class Closure:
 
 def gaps(skin: Surface, parts: Ints, shapes: Floats) -> list[Gap]:
     """Both eyes' lids and the lips of a neutral skin whose parts are known; shapes (52, n, 3) [mm]."""
-    marks = landmarks(skin, parts)
+    marks = find_landmarks(skin, parts)
     x = skin.vertices[:, 0]
     middle = 0.5 * (x.min() + x.max())
     lids = {"left lids": marks.lids[x[marks.lids] > middle], "right lids": marks.lids[x[marks.lids] <= middle]}
@@ -89,7 +89,7 @@ def closures(
     openings = gaps(skin, space.parts, space.expressions)
     network = surrogate.bind(skin, code, parameters)
     exact = surrogate.bind(skin, code, parameters, exact=True, head=head)
-    neutral = settled(head, parameters)
+    neutral = settle(head, parameters)
     simulation = Simulation.of(neutral, time_step=1.0 / take.rate, dynamic=dynamic)
     rigs = {"network": network, "network + simulator at bind": exact}
     playing = {name: rig.dynamic(1.0 / take.rate) if dynamic else rig for name, rig in rigs.items()}

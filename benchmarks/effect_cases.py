@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from ..lhm.base.errors import InputError
-from ..lhm.flesh import cheeks, fleshy, on_triangles
+from ..lhm.flesh import cheek_share, flesh_share, mean_on_triangles
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
 
@@ -33,20 +33,20 @@ class Effect:
 
 
 def _grown(share: float) -> Callable[[LayeredHead], Parameters]:
-    return lambda head: Parameters(soft_volume=1.0 + share * on_triangles(head, fleshy(head)))
+    return lambda head: Parameters(soft_volume=1.0 + share * mean_on_triangles(head, flesh_share(head)))
 
 
 def _zombie(head: LayeredHead) -> Parameters:
-    growth = 1.0 + 0.4 * on_triangles(head, fleshy(head))
+    growth = 1.0 + 0.4 * mean_on_triangles(head, flesh_share(head))
     return Parameters(skin_growth=growth, skin_stiffness=100.0, skin_bending=20.0)
 
 
 def _loose_cheeks(head: LayeredHead) -> Parameters:
-    return Parameters(target_stiffness=10.0 ** (1.0 - on_triangles(head, cheeks(head))))
+    return Parameters(target_stiffness=10.0 ** (1.0 - mean_on_triangles(head, cheek_share(head))))
 
 
 def _stiff_cheeks(head: LayeredHead) -> Parameters:
-    share = on_triangles(head, cheeks(head))
+    share = mean_on_triangles(head, cheek_share(head))
     return replace(_loose_cheeks(head), skin_stiffness=20.0 * 15.0**share, skin_bending=3.0 * share)
 
 

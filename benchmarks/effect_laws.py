@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 
 from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..reference import Settled, Solution, prepare, settled
-from ..reference.face.settling import carry_skin
+from ..reference import SettledFace, Solution, prepare, settle
+from ..reference.face.settle import carry_skin
 from ..surrogate.ruler import Ruler, measure
 from .differences import distances
 from .effect_cases import Effect
@@ -32,7 +32,7 @@ class LawAnswer:
     minimum; the answer is then the one next to PD's.
     """
 
-    neutral: Settled
+    neutral: SettledFace
     solution: Solution
     skin: Floats
     another_minimum: float | None = None
@@ -46,7 +46,7 @@ def answer_by(
     The same energy starts at its own settled face, another law at PD's answer, or at its own settled face where PD's
     answer has inverted tets.
     """
-    neutral = settled(head, effect.with_it(head), law=law, solver=solver, tolerance=TOLERANCE)
+    neutral = settle(head, effect.with_it(head), law=law, solver=solver, tolerance=TOLERANCE)
     prepared = prepare(neutral.scene(expression), solver=solver)
     by_pd = result.solution
     same = law == PD
@@ -57,7 +57,7 @@ def answer_by(
     return LawAnswer(neutral, solution, neutral.skin_after(expression, solution.positions), another)
 
 
-def rule_skins(head: LayeredHead, expression: Floats, neutral: Settled) -> dict[str, Floats]:
+def rule_skins(head: LayeredHead, expression: Floats, neutral: SettledFace) -> dict[str, Floats]:
     """Return the skins [mm] of two rules that solve no expression: a method that loses to one of them is no use."""
     carried = expression + carry_skin(head, neutral.parameters)
     return {CARRIED: carried, BLENDED: expression + neutral.displacement}
@@ -88,7 +88,7 @@ def compare_laws(
     answers = (same.neutral, law.neutral, same, law)
     return {
         "solver": solver,
-        "done": all(a.converged if isinstance(a, Settled) else a.solution.converged for a in answers),
+        "done": all(a.converged if isinstance(a, SettledFace) else a.solution.converged for a in answers),
         "same_mm": float(distances(same.solution.positions, result.solution.positions).max()),
         "another_minimum_mm": same.another_minimum,
         "to_pd": distances_by_method(by_solver, result.with_it, carried),

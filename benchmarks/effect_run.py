@@ -9,7 +9,7 @@ import numpy as np
 
 from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
-from ..reference import Scene, Settled, Solution, facial_scene, prepare, settled
+from ..reference import Scene, SettledFace, Solution, facial_scene, prepare, settle
 from .differences import distances
 from .effect_cases import Effect
 
@@ -27,7 +27,7 @@ class EffectResult:
     """
 
     record: dict
-    at_rest: Settled
+    at_rest: SettledFace
     scene: Scene
     solution: Solution
     neutral: Floats
@@ -56,12 +56,12 @@ def solved(scene: Scene, targets: Floats, start: Floats, *, tolerance: float = T
     return Solved(scene, targets, start, solution, time.perf_counter() - begin)
 
 
-def with_effect(head: LayeredHead, effect: Effect, expression: Floats) -> tuple[Settled, Solved]:
+def with_effect(head: LayeredHead, effect: Effect, expression: Floats) -> tuple[SettledFace, Solved]:
     """The neutral face at rest under an effect, and the expression that starts from it.
 
     expression [mm], shape (skin vertices, 3), is that of the head without the effect.
     """
-    at_rest = settled(head, effect.with_it(head))
+    at_rest = settle(head, effect.with_it(head))
     return at_rest, solved(at_rest.scene(expression), at_rest.targets(expression), at_rest.positions)
 
 

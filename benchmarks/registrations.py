@@ -20,11 +20,11 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress
 from ..lhm.base.provenance import describe_machine
 from ..lhm.expressions.transfer import transfer_expressions
-from ..lhm.fit import transferred_rig
+from ..lhm.fit import transfer_rig
 from ..lhm.identities import LinearSpace
 from ..lhm.identities.space import OUTSIDE
-from ..lhm.registration.matching import Target
-from ..lhm.registration.registration import Registration, face_of, register
+from ..lhm.registration.alignment import Target
+from ..lhm.registration.registration import Registration, find_face, register
 from ..lhm.wraps.landmarks import Mask
 
 SEEN = 0.2
@@ -46,7 +46,7 @@ def run_registrations(spaces: Sequence[LinearSpace], seed: int, progress: OnProg
             {"from": space.name, "upon": upon.name, "mean_mm": float(away.mean()), "median_mm": float(np.median(away))}
             | {"p95_mm": float(np.quantile(away, 0.95)), "points": len(away), "crossings": forth.crossings}
         )
-        rig = transferred_rig(space, forth).deltas
+        rig = transfer_rig(space, forth).deltas
         rows = {"another rig": agreement(rig, upon.expressions, upon.parts == OUTSIDE)}
         progress(f"a person of {space.name}", 0.5 + 0.25 * number)
         results["shapes"].append({"from": space.name, "upon": upon.name, "rows": rows | _of_a_person(space, seed)})
@@ -64,7 +64,7 @@ def slide(space: LinearSpace, forth: Registration, upon: LinearSpace, home: Regi
 
 def visible_face(space: LinearSpace) -> Mask:
     """The vertices (n,) of a mean head's face that see the sky."""
-    return face_of(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
+    return find_face(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
 
 
 def agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
@@ -87,7 +87,7 @@ def _of_a_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, Any]
     # Other numbers for its vertices, so that nothing can be known of the points.
     order = np.random.default_rng(seed).permutation(len(skin.vertices))
     other = Surface(skin.vertices[order], np.argsort(order)[skin.triangles])
-    found = transferred_rig(space, register(space.mean, space.parts, other)).deltas
+    found = transfer_rig(space, register(space.mean, space.parts, other)).deltas
     return {
         "a person, exact points": agreement(exact, space.expressions, visible),
         "a person, registered": agreement(found, space.expressions[:, order], visible[order]),

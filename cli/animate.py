@@ -9,7 +9,7 @@ import click
 from ..lhm.base.limits import BAKED_TARGETS
 from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
 from .take_options import HeadChoice, load_take, take_options

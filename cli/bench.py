@@ -8,7 +8,7 @@ import click
 
 from ..lhm.base.limits import SEED
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
 from .progress import shown
 from .study_command import Studies, changes, listed, report

@@ -15,7 +15,7 @@ from ..lhm.check import Figure
 from ..lhm.head_file import export_vtk, load_head, naming, read_parts, save_head
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
-from ..lhm.regressor import DepthRegressor
+from ..lhm.regressor.depths import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
 from ..lhm.template_file import read_template, save_template
 from .imports import import_bodyparts3d, import_ict
@@ -101,7 +101,7 @@ def fit(
     if template_file is not None and level is not None:
         raise click.UsageError("--template has a level; --level is of the space's own", click.get_current_context())
     points = None if landmarks is None else read_landmarks(landmarks)
-    where = scans.Said(unit=unit, up=up, front=front, landmarks=points)
+    where = scans.Hints(unit=unit, up=up, front=front, landmarks=points)
     with shown() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
@@ -115,7 +115,7 @@ def fit(
         if skin is None:
             surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
             fitted = fit_head(template, surface, regressor=regressor, progress=progress)
-        elif (own := scans.topology_of(skin, template, where)) is not None:
+        elif (own := scans.read_same_topology(skin, template, where)) is not None:
             surface, notes = own
             for note in notes:
                 click.echo(f"softdeca: {skin}: {note}", err=True)
@@ -185,7 +185,7 @@ def show(file: Path, out: Path, expression: str | None, space_name: str | None, 
     from ..animation.head_pictures import draw_head, expression_deltas, pose_head
     from ..lhm import expressions
 
-    weights = None if expression is None else expressions.parsed(expression)
+    weights = None if expression is None else expressions.parse_weights(expression)
     shown_head = load_head(file)
     for note in shown_head.notes:
         click.echo(f"softdeca: {file}: {note}", err=True)
@@ -219,14 +219,14 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
     from ..lhm.base.files import tet_file
     from ..lhm.base.geometry.tets import tet_quality
     from ..lhm.head_file import of_head
-    from ..lhm.remesh import remeshed
+    from ..lhm.remesh import remesh
 
     counts = _counts(layers)
     if size is not None and counts != (1, 1):
         raise click.UsageError("--layers and --size both say which tets; give one", click.get_current_context())
     meshed = load_head(file)
     if size is not None:
-        meshed = remeshed(meshed, size)
+        meshed = remesh(meshed, size)
     tagged = of_head(meshed, counts)
     tet_file.write_tets(out, tagged)
     vertices, tets = tagged.mesh.vertices, tagged.mesh.tets

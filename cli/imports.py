@@ -20,11 +20,11 @@ def import_ict(folder: Path, out: Path) -> int:
     DIR is FaceXModel, or a clone of the repository ICT-FaceKit by ICT-VGL (the vision and graphics lab of USC's
     Institute for Creative Technologies) on GitHub. Its licence is MIT, and is kept in the file.
     """
-    from ..lhm.identities import ict, ict_folder
+    from ..lhm.identities import ict
 
     with shown() as progress:
-        arrays = ict_folder.read_folder(folder, progress=progress)
-        space = ict.space_of(arrays, folder)
+        arrays = ict.read_folder(folder, progress=progress)
+        space = ict.space_from_arrays(arrays, folder)
         write_arrays(out, arrays)
     n, names = len(arrays["vertices"]), len(arrays["expression_names"])
     click.echo(f"{n} vertices, {space.code_size} identity shapes, {names} expression shapes")
@@ -46,14 +46,14 @@ def import_bodyparts3d(folder: Path, out: Path) -> int:
     Japan: BodyParts3D_3.0_obj_99.zip, or isa_BP3D_4.0_obj_99.zip of release 4.0. Credit "BodyParts3D, (c) The
     Database Center for Life Science" under the licence stated there, and so what is made of it.
     """
-    from ..lhm.anatomy import bodyparts, bodyparts_folder
+    from ..lhm.anatomy import bodyparts
 
     with shown() as progress:
-        arrays = bodyparts_folder.read_folder(folder, progress=progress)
-        bodyparts.anatomy_of(arrays, folder)
+        arrays = bodyparts.read_folder(folder, progress=progress)
+        bodyparts.anatomy_from_arrays(arrays, folder)
         write_arrays(out, arrays)
     click.echo(f"{len(arrays['part_name'])} parts of {len(arrays['faces'])} triangles")
-    if missing := bodyparts_folder.left_out(arrays):
+    if missing := bodyparts.missing_parts(arrays):
         click.echo(f"without {', '.join(missing)}")
     click.echo(f"wrote {out}")
     return 0

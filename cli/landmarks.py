@@ -48,8 +48,8 @@ def landmarks_command(
         ids = landmark_ids(template.skin, template.parts)
         surface, points = template.skin, {name: template.skin.vertices[vertex] for name, vertex in ids.items()}
         if skin is not None:
-            scan = scans.read_head_scan(skin, template, scans.Said(unit, up, front), progress=progress)
-            surface, points = scan.skin, scans.found_landmarks(scan, template, progress=progress)
+            scan = scans.read_head_scan(skin, template, scans.Hints(unit, up, front), progress=progress)
+            surface, points = scan.skin, scans.suggest_landmarks(scan, template, progress=progress)
             there = scan.placement.inverse(np.array(list(points.values())))
             text = {name: [float(f"{c:.6g}") for c in point] for name, point in zip(points, there, strict=True)}
             write_whole(out, json.dumps(text, indent=1).encode())

@@ -35,7 +35,7 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
     with shown() as progress:
         progress("head: template", 0.0)
         template = load_template(identities.from_text(space_name), progress=progress)
-        done = scans.personalised_head(given, template, guesses, progress=progress)
+        done = scans.personalise_head(given, template, guesses, progress=progress)
         progress("head", 1.0)
     save_head(out, done.head)
     before = {figure.name for figure in (*check_head(given).gates, *check_posed_head(given)) if figure.missed}
@@ -49,7 +49,7 @@ def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_j
         result = {"weights": fitted, "rms_mm": done.rig.history.tolist(), "notes": done.notes}
         click.echo(json.dumps(result | {"problems": [str(figure) for figure in after], "files": [str(out)]}, indent=1))
     else:
-        for line in (*done.notes, *scans.told(done.rig, names)):
+        for line in (*done.notes, *scans.describe_rig(done.rig, names)):
             click.echo(line)
         click.echo(f"wrote {out}")
     new = [str(figure) for figure in after if figure.name not in before]

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from ..reference import Parameters
-from ..reference.face.parameter_file import read_parameters
+from ..reference.face.parameters import read_parameters
 from .progress import shown
 from .take_options import HeadChoice, load_take, take_options
 from .written_file import FOLDER

@@ -100,7 +100,7 @@ def load_take(text: str, fps: float | None, chosen: str | None, turned: bool) ->
     from ..animation.takes import cut_take, take_from_text
 
     take = take_from_text(text)
-    take = expressions.resampled(take, take.rate if fps is None else fps)
+    take = expressions.resample(take, take.rate if fps is None else fps)
     take = take if chosen is None else cut_take(take, chosen)
     if turned and take.head is None:
         raise InputError(f"--turned: {text} has no head rotation")

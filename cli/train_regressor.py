@@ -6,10 +6,12 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..lhm import identities, load_template, regressor
+from ..lhm import identities, load_template
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.surface_file import MILLIMETRES
-from ..lhm.regressor.evaluation import SKULL_PLACES
+from ..lhm.regressor.depths import SKULL_PLACES, DepthRegressor, LeaveOneOut, leave_one_out
+from ..lhm.regressor.pairs import PairReport, read_pairs
+from ..lhm.regressor.prior import PAIRS, SEED, prior_pairs
 from .progress import shown
 from .written_file import NPZ, PNG
 
@@ -44,14 +46,14 @@ def train_regressor(
         progress("depth regressor: identity space", 0.0)
         space = identities.from_text(space_name)
         template = load_template(space, progress=progress)
-        measured: tuple[regressor.PairReport, ...] = ()
+        measured: tuple[PairReport, ...] = ()
         if folder is None:
-            rng = np.random.default_rng(regressor.prior.SEED)
-            pairs = regressor.prior_pairs(template, space, rng, prior or regressor.prior.PAIRS)
+            rng = np.random.default_rng(SEED)
+            pairs = prior_pairs(template, space, rng, prior or PAIRS)
         else:
-            pairs, measured = regressor.read_pairs(folder, template, space, unit=unit, progress=progress)
-        tested = regressor.leave_one_out(pairs, template.skin_wrap, progress=progress)
-        trained = regressor.DepthRegressor.fit(pairs, template.skin_wrap)
+            pairs, measured = read_pairs(folder, template, space, unit=unit, progress=progress)
+        tested = leave_one_out(pairs, template.skin_wrap, progress=progress)
+        trained = DepthRegressor.fit(pairs, template.skin_wrap)
     trained.save(out)
     if picture is not None:
         from ..animation.head_pictures import draw_depth_error
@@ -76,7 +78,7 @@ def train_regressor(
     return 0
 
 
-def _lines(report: dict, tested: regressor.LeaveOneOut, measured: tuple[regressor.PairReport, ...]) -> str:
+def _lines(report: dict, tested: LeaveOneOut, measured: tuple[PairReport, ...]) -> str:
     rows = [
         ("this regressor", report["leave_one_out_mm"], f"depth, each pair left out; {report['trained_on']}"),
         ("predicting the mean depth", report["predicting_the_mean_mm"], "the same pairs"),
@@ -89,6 +91,6 @@ def _lines(report: dict, tested: regressor.LeaveOneOut, measured: tuple[regresso
     return "\n".join([*lines, *(f"wrote {path}" for path in report["files"])])
 
 
-def _measured(pair: regressor.PairReport) -> str:
+def _measured(pair: PairReport) -> str:
     registered = f"; registered {pair.off:.2f} mm off the skin" if pair.off else ""
     return f"pair {pair.name}: at {pair.missed} vertices no ray met bone, whose closest point was taken{registered}"

@@ -13,13 +13,7 @@ import numpy as np
 from softdeca.animation.head_pictures import draw_sections
 from softdeca.animation.pictures import Panel, draw_cut_away, draw_strip
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
-from softdeca.reference import (
-    Parameters,
-    facial_scene,
-    neo_hookean_scene,
-    settled,
-    solve,
-)
+from softdeca.reference import Parameters, apply_law, facial_scene, settle, solve
 from softdeca.surrogate import Surrogate, derivatives_rig
 
 
@@ -119,7 +113,7 @@ Picture(draw_strip(panels, rest=head.skin))
 
 # %%
 parameters = Parameters(soft_volume=1.4)
-face = settled(head, parameters)
+face = settle(head, parameters)
 print(f"the skin moves by {mean(face.skin, head.skin.vertices):.2f} mm on average")
 
 # %% [markdown]
@@ -139,7 +133,10 @@ print(f"the skin moves by {mean(face.skin, head.skin.vertices):.2f} mm on averag
 # %%
 exact = solve(scene, solver="fenicsx", tolerance=1e-9)
 real = solve(
-    neo_hookean_scene(scene), solver="fenicsx", start=solution.positions, tolerance=1e-9
+    apply_law(scene, "neo-Hookean"),
+    solver="fenicsx",
+    start=solution.positions,
+    tolerance=1e-9,
 )
 assert exact.converged and real.converged
 for name, other in (("same energy", exact), ("neo-Hookean law", real)):
@@ -149,7 +146,7 @@ for name, other in (("same energy", exact), ("neo-Hookean law", real)):
     )
 for name, one in (("PD", solution), ("FEniCSx", exact)):
     print(f"{name:<8} {one.times.solve:.2f} s, {one.iterations} iterations")
-by_law = settled(head, parameters, law="neo-Hookean")
+by_law = settle(head, parameters, law="neo-Hookean")
 print(
     f"40 % more soft tissue: the law moves the skin by {mean(by_law.skin, face.skin):.3f} mm"
 )
@@ -163,7 +160,7 @@ print(
 # ## Responses
 #
 # How T follows w is nearly linear. The derivatives of the settled face by the 52 weights, its *responses*, come out
-# of one factorisation of the exact tangent; `linearised_rig` makes them a rig. Colours: how far a response goes
+# of one factorisation of the exact tangent; `derivatives_rig` makes them a rig. Colours: how far a response goes
 # beyond the blendshape that it belongs to.
 
 # %%

@@ -9,26 +9,25 @@ from typing import TypedDict
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .anatomy.connectors import connectors_to
 from .arkit import ARKIT
 from .base.checks import check_arguments
 from .base.errors import FitError, InputError
 from .base.files.cache import load_or_make
 from .base.geometry.bvh import TriangleTree
 from .base.geometry.distance import SignedDistance
+from .base.geometry.rays import first_hits
 from .base.geometry.topology import is_closed
 from .base.mesh import Floats, Ints, Surface
 from .base.progress import OnProgress, silent
 from .head import CRANIUM
 from .identities import Anny
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
-from .regressor import default_regressor
+from .regressor.prior import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
 from .template_file import arrays_of, template_from
 from .wraps import depth, inner
 from .wraps.columns import Columns, unit
-from .wraps.labels import bone_labels, held_labels
-from .wraps.landmarks import Landmarks, Mask, distance_to, landmarks, regions
+from .wraps.landmarks import Landmarks, Mask, distance_to, find_landmarks, find_regions, label_bones, limit_bones
 from .wraps.shrinkwrap import shrink
 
 FORMAT = 17
@@ -46,7 +45,7 @@ MUSCLE_BOUNDS = (0.35, 0.7)
 """Bounds of that share where they are: skin keeps its thickness, and so does muscle."""
 
 
-class InSpace(TypedDict):
+class SpaceOptions(TypedDict):
     """What an identity space knows of its mean head; see `build_template`."""
 
     parts: Ints
@@ -54,7 +53,7 @@ class InSpace(TypedDict):
     lids: Floats
 
 
-def in_space(space: LinearSpace) -> InSpace:
+def space_options(space: LinearSpace) -> SpaceOptions:
     """The mean head's parts, and the expressions that open its mouth and lids."""
     wide = space.expressions[ARKIT.index("eyeWideLeft")] + space.expressions[ARKIT.index("eyeWideRight")]
     return {"parts": space.parts, "jaw": space.expressions[ARKIT.index("jawOpen")], "lids": wide}
@@ -74,7 +73,7 @@ def load_template(
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
 
     def make():
-        return arrays_of(build_template(of.mean, **in_space(of), level=level, name=of.name, progress=progress))
+        return arrays_of(build_template(of.mean, **space_options(of), level=level, name=of.name, progress=progress))
 
     name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
     template = load_or_make(name, make, template_from)
@@ -112,7 +111,7 @@ def build_template(
     for inside, what in ((muscles, "muscles"), (skull, "skull")):
         if inside is not None:
             _check_inside(inside, skin, what)
-    marks = landmarks(skin, parts)
+    marks = find_landmarks(skin, parts)
     if jaw.any() and not marks.known:
         raise InputError("parts: a jaw that opens needs vertices of the mouth's lining and of the eye sockets")
     opened = skin.with_vertices(x + jaw + lids)
@@ -126,17 +125,17 @@ def build_template(
     skin_from_wrap = _barycentric(wrap.triangles[triangle], skin_weights, shape[::-1])
     columns = Columns(wrap.triangles, len(wrap.vertices))
     nearest = wrap_ids[np.arange(len(wrap_ids)), wrap_weights.argmax(axis=1)]
-    masks = {region: mask[nearest] for region, mask in regions(skin, parts, marks).items()}
+    masks = {region: mask[nearest] for region, mask in find_regions(skin, parts, marks).items()}
 
     progress("layers", 0.7)
     try:
-        rest = inner.uncreased(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
+        rest = inner.smooth_creases(columns, wrap.vertices - wrap_from_skin @ ((1 - REST_OPENING) * jaw + lids))
         wanted = _wanted(columns, rest, parts[nearest], marks, muscles, skull)
-        stack = inner.valid_layers(columns, wanted.stack(rest, rest + wanted.connectors))
+        stack = inner.make_valid(columns, wanted.stack(rest, rest + wanted.connectors))
         for _ in range(PULLS):
             if skull is None:
                 break
-            stack = inner.valid_layers(columns, _pulled(columns, stack, wanted, skull))
+            stack = inner.make_valid(columns, _pulled(columns, stack, wanted, skull))
     except FitError as error:
         raise FitError(f"template {name!r}: {error}") from None
     rest, depths = stack[: columns.n], np.linalg.norm(stack[2 * columns.n :] - stack[: columns.n], axis=1)
@@ -147,9 +146,9 @@ def build_template(
     if not marks.known:
         bone = np.full(columns.n, CRANIUM) if bone_of is None else bone_of(skull_wrap)
     elif bone_of is None:
-        bone = bone_labels(rest, opened_wrap, depths, masks, from_lips, columns.edges)
+        bone = label_bones(rest, opened_wrap, depths, masks, from_lips, columns.edges)
     else:
-        bone = held_labels(bone_of(skull_wrap), rest, opened_wrap, depths, masks, from_lips)
+        bone = limit_bones(bone_of(skull_wrap), rest, opened_wrap, depths, masks, from_lips)
     progress("layers", 1.0)
     ties = (wrap_from_skin, skin_from_wrap)
     skull_bone = None if bone_of is None or skull is None else bone_of(skull.vertices)
@@ -219,15 +218,15 @@ def _wanted(
     """Published depths where there is room, smoothed; where a ray from the wrap meets the skull, its distance."""
     normals = inner.cone_normals(columns, wrap)[0]
     if marks.known:
-        length = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
+        length = depth.mean_depth(wrap, marks.eyes, marks.mouth)
     else:
         length = np.full(columns.n, depth.SCALP)
     length[parts == MOUTH], length[parts == EYES] = depth.LINING, depth.SOCKET
     room = depth.ROOM * depth.inscribed_radius(wrap, normals, 40.0)
     met, on_skull, smoothing = np.zeros_like(wrap), np.zeros(columns.n, bool), 1.0
     if skull is not None:
-        directions = unit(inner.smoothed(columns, -normals, 4.0))
-        met, on_skull = connectors_to(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
+        directions = unit(inner.smooth(columns, -normals, 4.0))
+        met, on_skull = find_connectors(columns.surface(wrap), normals, directions, skull, longest=LONGEST)
         reach = np.linalg.norm(met, axis=1)
         on_skull = on_skull & ~(reach > OUTLIER * _middle_around(columns, np.where(on_skull, reach, length)))
         # A ray that meets bone shows that there is room up to it.
@@ -235,15 +234,15 @@ def _wanted(
         smoothing = 0.2
     wanted = length
     length = np.maximum(np.minimum(length, room), depth.LEAST)
-    connectors = inner.smoothed(columns, np.where(on_skull[:, None], met, -length[:, None] * normals), smoothing)
+    connectors = inner.smooth(columns, np.where(on_skull[:, None], met, -length[:, None] * normals), smoothing)
     size = np.linalg.norm(connectors, axis=1)
     connectors *= (np.minimum(length, size) / size)[:, None]
     share = np.full(columns.n, MUSCLE)
     if muscles is not None:
-        met, found = connectors_to(columns.surface(wrap), normals, unit(connectors), muscles)
+        met, found = find_connectors(columns.surface(wrap), normals, unit(connectors), muscles)
         reach = np.linalg.norm(met[found], axis=1) / np.linalg.norm(connectors[found], axis=1)
         share[found] = np.clip(reach, *MUSCLE_BOUNDS)
-        share = inner.smoothed(columns, share[:, None], 0.5)[:, 0]
+        share = inner.smooth(columns, share[:, None], 0.5)[:, 0]
     return _Wanted(connectors, share, wanted, room, on_skull)
 
 
@@ -259,3 +258,37 @@ def _middle_around(columns: Columns, values: Floats) -> Floats:
     """The median of each vertex's own value and its neighbours', shape (n,)."""
     starts, others = columns.edges.indptr, columns.edges.indices
     return np.array([np.median([values[v], *values[others[starts[v] : starts[v + 1]]]]) for v in range(columns.n)])
+
+
+# DOC """The way from a skin wrap inward to a surface of the anatomy."""
+LONGEST_RAY = 45.0  # [mm]
+OFF_SKIN = 1e-3
+"""[mm] by which a ray starts inside the wrap, so that it does not meet the triangles that it starts from."""
+GRAZING = 0.2
+"""A ray that meets skin or bone at an angle whose sine is less says nothing about the depth there."""
+
+
+def find_connectors(
+    skin_wrap: Surface, normals: Floats, directions: Floats, surface: Surface, *, longest: float = LONGEST_RAY
+) -> tuple[Floats, Mask]:
+    """Connectors (n, 3) [mm] from the vertices of a closed skin wrap to a closed surface inside it, and where found.
+
+    A ray goes along the unit `directions` (n, 3), and where that fails against the outward unit `normals` (n, 3). Found
+    is what enters `surface` from outside within `longest` [mm], neither grazing it nor the wrap, and before the ray
+    leaves the wrap: not so over the mouth's bag, in eye sockets, ears, or over a neck without bone. NaN elsewhere.
+    """
+    bone = TriangleTree(surface.vertices, surface.triangles)
+    skin = TriangleTree(skin_wrap.vertices, skin_wrap.triangles)
+    faces = surface.face_normals
+    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    connectors = np.full_like(skin_wrap.vertices, np.nan)
+    for way in (directions, -normals):
+        missing = np.flatnonzero(np.isnan(connectors[:, 0]))
+        ray, start = way[missing], skin_wrap.vertices[missing] + OFF_SKIN * way[missing]
+        triangle, distance = first_hits(bone, start, ray, longest)
+        leaves = first_hits(skin, start, ray, longest)[1]
+        enters = -np.einsum("kd,kd->k", faces[triangle], ray) > GRAZING
+        inward = -np.einsum("kd,kd->k", normals[missing], ray) > GRAZING
+        good = (triangle >= 0) & enters & inward & (distance < leaves)
+        connectors[missing[good]] = (distance[good] + OFF_SKIN)[:, None] * ray[good]
+    return connectors, ~np.isnan(connectors[:, 0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from .arkit import weights_of
 from .base.checks import check_arguments
 from .base.errors import MeshError
 from .base.geometry.bvh import TriangleTree
@@ -20,8 +21,7 @@ from .base.geometry.triangles import fan_crossings
 from .base.mesh import Floats, Ints, Surface, tet_volumes
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .layers import prism_tets
-from .membranes import BLINK, EYES, MOUTH, OPEN, at, folded, torn
-from .openings import lid_path, lip_path
+from .openings import BLINK, EYES, MOUTH, OPEN, lid_path, lip_path, measure_folded, measure_torn, triangles_at
 from .rig import Rig
 
 Direction = Literal["at least", "at most", "above", "below"]
@@ -136,8 +136,8 @@ class HeadReport:
     jaw_open_torn: float | None = _figure("mm²", "at most", 900.0)
     # A closed eye's lids drawn down: 490 and more; over a solid or open eye: 0 to 320, a marble head's wide lids 412.
     blink_torn: float | None = _figure("mm²", "at most", 450.0)
-    # Open mouths 0 to 5; corners that tear 140, but a sealed mouth that was opened and passes the other gates 320.
-    jaw_open_folded: float | None = _figure("mm")
+    # Open mouths 0 to 5, a sealed one that was opened 78; corners that tear, or crumple, 100 and more.
+    jaw_open_folded: float | None = _figure("mm", "at most", 95.0)
     # Random identities 14 to 61; jagged lids 240.
     blink_folded: float | None = _figure("mm")
     cranium_vertices: int = _figure("", "at least", 3)
@@ -215,15 +215,19 @@ def check_layers(
     if not is_closed(triangles):
         raise MeshError("wraps: the triangulation is not one closed surface, consistently oriented")
     inside = [SignedDistance(wrap) for wrap in wraps]
+    lids, detour = lid_path(wraps[0].vertices, triangles, regions)
     return HeadReport(
         wrap_vertices=n,
         **_tets(wraps, triangles),
         **_crossings([distance.tree for distance in inside]),
-        **_order(wraps, inside),
+        muscle_outside_skin_wrap=float(inside[0](wraps[1].vertices)[0].max()),
+        skull_outside_muscle_wrap=float(inside[1](wraps[2].vertices)[0].max()),
         **_thickness(*(wrap.vertices for wrap in wraps)),
         **_fit(skin, wraps, inside[0], regions),
-        **_openings(wraps[0], regions),
-        **_torn(skin, rigged, regions),
+        lip_path=lip_path(wraps[0].vertices, triangles, regions),
+        lid_path=lids,
+        lid_detour=detour,
+        **_parted(skin, rigged, regions),
         **{f"{name}_vertices": int(np.count_nonzero(bone == label)) for name, label in _BONES},
     )
 
@@ -255,13 +259,6 @@ def _crossings(trees: Sequence[TriangleTree]) -> dict[str, int]:
     for i, j in ((0, 1), (0, 2), (1, 2)):
         counts[f"crossings_{_WRAPS[i]}_{_WRAPS[j]}"] = len(trees[i].crossings(trees[j], most=CROSSINGS))
     return counts
-
-
-def _order(wraps: Sequence[Surface], inside: Sequence[SignedDistance]) -> dict[str, Any]:
-    return {
-        "muscle_outside_skin_wrap": float(inside[0](wraps[1].vertices)[0].max()),
-        "skull_outside_muscle_wrap": float(inside[1](wraps[2].vertices)[0].max()),
-    }
 
 
 def _thickness(skin: Floats, muscle: Floats, skull: Floats) -> dict[str, Any]:
@@ -307,23 +304,41 @@ def _spread(distance: Floats) -> dict[str, Any]:
     return {"mean": float(distance.mean()), "95": float(np.quantile(distance, 0.95)), "max": float(distance.max())}
 
 
-def _openings(wrap: Surface, regions: Mapping[str, NDArray[np.bool_]]) -> dict[str, Any]:
-    way, detour = lid_path(wrap.vertices, wrap.triangles, regions)
-    lips = lip_path(wrap.vertices, wrap.triangles, regions)
-    return {"lip_path": lips, "lid_path": way, "lid_detour": detour}
-
-
-def _torn(
+def _parted(
     skin: Surface, rigged: tuple[Rig, csr_matrix] | None, regions: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, Any]:
-    motions = {"jaw_open": (OPEN, MOUTH), "blink": (BLINK, EYES)}
-    found: dict[str, Any] = {f"{name}_{what}": None for name in motions for what in ("torn", "folded")}
-    if rigged is None:
-        return found
-    rig, weights = rigged
-    for name, (expressions, where) in motions.items():
-        if any(region in regions for region in where) and not set(expressions) & set(rig.missing):
-            triangles = at(skin, weights, regions, where)
-            found[f"{name}_torn"] = torn(skin, rig, triangles, expressions)
-            found[f"{name}_folded"] = folded(skin, rig, triangles, expressions)
-    return found
+) -> dict[str, float | None]:
+    """Skin torn and folded where lips and lids part; None where the head has no rig, or not these shapes or regions."""
+    values: dict[str, float | None] = {}
+    for name, (shapes, places) in {"jaw_open": (OPEN, MOUTH), "blink": (BLINK, EYES)}.items():
+        torn = folded = None
+        if rigged is not None and any(place in regions for place in places):
+            rig, weights = rigged
+            if not set(shapes) & set(rig.missing):
+                triangles = triangles_at(skin, weights, regions, places)
+                torn = measure_torn(skin, rig, triangles, shapes)
+                folded = measure_folded(skin, rig, triangles, shapes)
+        values |= {f"{name}_torn": torn, f"{name}_folded": folded}
+    return values
+
+
+INVERTED = 100
+"""Tets that may invert in a pose. Random identities and scans of levels 1 and 2 have 0 to 68. Sealed lips alone may stay
+below it: `jaw_open_torn` tells those."""
+
+
+def check_posed(head: LayeredHead, volume_ratios: Callable[[Floats], Floats]) -> tuple[Figure, ...]:
+    """Count the tets inverted in jawOpen and in both blinks, each at full weight by the head's own rig.
+
+    `volume_ratios` simulates a skin [mm] and returns each tet's volume over its rest volume; no solver is known here.
+    A head without a rig has no figures, and an expression that its rig lacks no value.
+    """
+    if head.rig is None:
+        return ()
+    figures = []
+    for name, shapes in (("jaw_open_inverted_tets", OPEN), ("blink_inverted_tets", BLINK)):
+        value = None
+        if not set(shapes) & set(head.rig.missing):
+            skin = head.expression(weights_of(dict.fromkeys(shapes, 1.0)))
+            value = int(np.count_nonzero(~(volume_ratios(skin) > 0.0)))
+        figures.append(Figure(name, value, "", "at most", INVERTED))
+    return tuple(figures)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from .arkit import ARKIT
 from .base.checks import check_arguments
@@ -16,15 +17,14 @@ from .base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
 from .base.mesh import Floats, Ints, Surface
 from .base.progress import OnProgress, silent
 from .expressions.transfer import transfer_expressions
-from .head import LayeredHead
+from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .identities.space import LinearSpace
-from .registration import Registration, register, registered_by
+from .registration import Registration, register, register_by_mapping
 from .registration.landmarks import Pairs
-from .regressor import DepthRegressor
+from .regressor.depths import DepthRegressor
 from .rig import Rig
 from .template import Template
 from .wraps import inner
-from .wraps.carried import Carrier, SkullCarrier
 from .wraps.skull import SkullFit
 
 CENTRES = 1000
@@ -80,7 +80,7 @@ def fit_head(
     that cross or hold a flat tet are shortened (`wraps.inner`); muscles and skull follow their wraps.
 
     A skin with the template's triangles needs nothing else. On another topology the template's skin is laid first,
-    by `mapping` (as in `registered_by`), or found (`register`, half a minute) from `landmarks` if given; the head's
+    by `mapping` (as in `register_by_mapping`), or found (`register`, half a minute) from `landmarks` if given; the head's
     skin is then the given one, tied to the wraps through the other.
 
     The head's rig has the expressions of the template's space, transferred to the registered skin (Sumner and Popović
@@ -88,19 +88,19 @@ def fit_head(
 
     Raises FitError naming the gate that failed: no face found, a wrap that crosses itself, or defects that are left;
     InputError for a skin of the template's triangles that is not of its size or does not look its way; and what
-    `register` and `registered_by` raise.
+    `register` and `register_by_mapping` raise.
     """
     same = skin.vertices.shape == template.skin.vertices.shape and np.array_equal(
         skin.triangles, template.skin.triangles
     )
     if same and mapping is None:
         _check_place(template.skin.vertices, skin.vertices)
-        rig = None if template.space is None else own_first(space_rig(template.space), own)
+        rig = None if template.space is None else add_own_expressions(rig_from_space(template.space), own)
         return replace(_fitted(template, skin, regressor), rig=rig)
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
     else:
-        laid = registered_by(template.skin, template.parts, mapping, skin)
+        laid = register_by_mapping(template.skin, template.parts, mapping, skin)
     return fit_registered(template, skin, laid, regressor=regressor, own=own)
 
 
@@ -114,7 +114,7 @@ def fit_registered(
 ) -> LayeredHead:
     """The layered head of a skin [mm] that the template was laid onto; the rest as in `fit_head`."""
     head = _fitted(template, laid.surface, regressor)
-    rig = None if template.space is None else own_first(transferred_rig(template.space, laid), own)
+    rig = None if template.space is None else add_own_expressions(transfer_rig(template.space, laid), own)
     return replace(
         head,
         skin=skin,
@@ -125,19 +125,19 @@ def fit_registered(
     )
 
 
-def space_rig(space: LinearSpace) -> Rig:
+def rig_from_space(space: LinearSpace) -> Rig:
     """The expressions of a space's own topology."""
     return Rig(space.expressions.astype(np.float32), space.name, space.missing)
 
 
-def transferred_rig(space: LinearSpace, laid: Registration) -> Rig:
+def transfer_rig(space: LinearSpace, laid: Registration) -> Rig:
     """A space's expressions transferred to its registered mean skin, and from there to the skin that it lies on."""
     deltas = transfer_expressions(space.mean, space.expressions, laid.surface)
     carried = np.stack([laid.skin_weights @ delta for delta in deltas])
     return Rig(carried.astype(np.float32), f"transferred from {space.name}", space.missing)
 
 
-def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
+def add_own_expressions(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
     """The rig with the expressions in `own` in place of its own, by ARKit names."""
     if not own:
         return rig
@@ -148,7 +148,7 @@ def own_first(rig: Rig, own: Mapping[str, Floats] | None) -> Rig:
     return Rig(deltas, source, tuple(name for name in rig.missing if name not in own), rig.doubtful)
 
 
-def stands(template: Surface, skin: Surface) -> bool:
+def is_upright(template: Surface, skin: Surface) -> bool:
     """Whether a skin of the template's triangles has a head's size in millimetres and looks where the template does."""
     size, turned = _place(template.vertices, skin.vertices)
     return LEAST_SIZE <= size <= MOST_SIZE and turned <= MOST_TURNED
@@ -178,7 +178,7 @@ def _fitted(template: Template, skin: Surface, regressor: DepthRegressor | None)
     depths = _depths(template, prepared, wrap, regressor or template.regressor)
     skull, _ = prepared.skull_fit.fitted(wrap, depths, start)
     stack = np.vstack([wrap, _muscle(template, wrap, skull), skull])
-    stack = inner.valid_layers(template.columns, stack)
+    stack = inner.make_valid(template.columns, stack)
     _, muscle, skull = stack.reshape(3, -1, 3)
     return template.layered(
         skin,
@@ -222,3 +222,67 @@ def _muscle(template: Template, wrap: Floats, skull: Floats) -> Floats:
     most = MOST_MUSCLE * depth
     thickness = np.clip(thickness, np.minimum(LEAST_MUSCLE, most), most)
     return skull + (thickness / np.maximum(depth, 1e-12))[:, None] * (wrap - skull)
+
+
+# DOC """Muscles and skull carried by their wraps (SoftDECA 3.1.1, last step: B = RBF of the skull wrap's motion at B_T)."""
+LEADERS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Carrier:
+    """Moves a surface with the vertices of a wrap; factorised once per template.
+
+    `surface` [mm] and `wrap` (n, 3) [mm] as in the template; `chosen` (k,): the wrap's vertices that lead.
+    """
+
+    surface: Surface
+    wrap: Floats = field(repr=False)
+    chosen: Ints = field(repr=False)
+    _warp: TriharmonicWarp = field(init=False, repr=False)
+    _basis: Floats = field(init=False, repr=False)
+
+    def __post_init__(self):
+        warp = TriharmonicWarp(self.wrap[self.chosen])
+        object.__setattr__(self, "_warp", warp)
+        object.__setattr__(self, "_basis", warp.basis(self.surface.vertices))
+
+    @classmethod
+    def of(cls, surface: Surface, wrap: Floats, among: Ints) -> Carrier:
+        """Led by up to CENTRES of the wrap's vertices `among` (k,), the farthest from one another."""
+        first = np.zeros(1, dtype=np.int64)
+        count = min(LEADERS, len(among))
+        return cls(surface, wrap, among[farthest_points(wrap[among], count, first)])
+
+    def moved(self, wrap: Floats) -> Surface:
+        """The surface [mm] when the wrap is at `wrap` (n, 3) [mm]."""
+        coefficients = self._warp.coefficients(wrap[self.chosen] - self.wrap[self.chosen])
+        return self.surface.with_vertices(self.surface.vertices + self._basis @ coefficients)
+
+
+class SkullCarrier:
+    """Cranium and mandible carried apart, each led by the wrap over it, and blended between them by distance."""
+
+    def __init__(self, skull: Surface, skull_bone: Ints | None, wrap: Floats, bone: Ints):
+        self.skull = skull
+        self.cranium = Carrier.of(skull, wrap, np.flatnonzero(bone != MANDIBLE))
+        self.mandible: Carrier | None = None
+        if skull_bone is not None and (skull_bone == MANDIBLE).any() and np.count_nonzero(bone == MANDIBLE) >= 8:
+            self.mandible = Carrier.of(skull, wrap, np.flatnonzero(bone == MANDIBLE))
+            self.share = _mandibular(skull.vertices, skull_bone)[:, None]
+
+    def moved(self, wrap: Floats) -> Surface:
+        """The skull [mm] when the skull wrap is at `wrap` (n, 3) [mm]."""
+        moved = self.cranium.moved(wrap)
+        if self.mandible is None:
+            return moved
+        x = (1 - self.share) * moved.vertices + self.share * self.mandible.moved(wrap).vertices
+        return self.skull.with_vertices(x)
+
+
+def _mandibular(points: Floats, bone: Ints) -> Floats:
+    """1 on the mandible, 0 on the cranium, between them by the distances to both, shape (k,)."""
+    share = (bone == MANDIBLE).astype(np.float64)
+    free = np.flatnonzero(bone == FREE)
+    to = [cKDTree(points[bone == label]).query(points[free])[0] for label in (CRANIUM, MANDIBLE)]
+    share[free] = to[0] / np.maximum(to[0] + to[1], 1e-12)
+    return share

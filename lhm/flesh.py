@@ -21,7 +21,7 @@ CHEEK = 15.0
 LEAN_REGIONS = ("lips", "lids", "mouth", "eyes", "teeth", "ears")
 
 
-def fleshy(head: LayeredHead, *, fade: float = FADE) -> Floats:
+def flesh_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
     """Where a face has fat, shape (n,), 0 to 1: neck and face below the brow, less lips, lids, mouth, eyes and ears.
 
     The share rises over `fade` [mm] along the skin. Raises InputError for a head that lacks one of these regions.
@@ -33,17 +33,17 @@ def fleshy(head: LayeredHead, *, fade: float = FADE) -> Floats:
     return _smooth_step(_path_from(head, ~inside) / fade)
 
 
-def cheeks(head: LayeredHead) -> Floats:
+def cheek_share(head: LayeredHead) -> Floats:
     """The cheeks, shape (n,), 0 to 1: half-way from mouth to lids, and a quarter beyond the mouth's corners."""
     x = head.skin_wrap.vertices
     lips, lids = x[_region(head, "lips")], x[_region(head, "lids")]
     middle, half = 0.5 * (lips[:, 0].max() + lips[:, 0].min()), 0.5 * np.ptp(lips[:, 0])
     up = x[:, 1] - 0.5 * (lips[:, 1].max() + lids[:, 1].min())
     off = np.hypot(np.abs(x[:, 0] - middle) - 1.25 * half, up)
-    return fleshy(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
+    return flesh_share(head) * _smooth_step((2.0 * CHEEK - off) / CHEEK)
 
 
-def expressive(head: LayeredHead, *, fade: float = FADE) -> Floats:
+def expressive_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
     """Where facial muscles move skin, shape (n,), 0 to 1: the face with its mouth and eyes; elsewhere skin is tied.
 
     The share rises over `fade` [mm] along the skin, and falls again far within the mouth, whose lining goes with the
@@ -59,12 +59,12 @@ def expressive(head: LayeredHead, *, fade: float = FADE) -> Floats:
     return np.minimum(share, 1.0 - _within(head, "mouth", "lips", THROAT))
 
 
-def eye_sockets(head: LayeredHead, *, fade: float = FADE) -> Floats:
+def socket_share(head: LayeredHead, *, fade: float = FADE) -> Floats:
     """What lines the eyes, shape (n,), 0 at the lids' edge and 1 from `fade` [mm] within."""
     return _within(head, "eyes", "lids", (0.0, fade))
 
 
-def on_triangles(head: LayeredHead, share: Floats) -> Floats:
+def mean_on_triangles(head: LayeredHead, share: Floats) -> Floats:
     """A share per vertex (n,) as the mean per triangle of the wraps, shape (m,)."""
     return share[head.skin_wrap.triangles].mean(axis=1)
 

@@ -41,7 +41,7 @@ def prism_tets(triangles: Ints, outer_first: int, inner_first: int) -> Ints:
     return tets.reshape(-1, 4)
 
 
-def stacked(wraps: Sequence[Floats], counts: Sequence[int]) -> Floats:
+def stack_wraps(wraps: Sequence[Floats], counts: Sequence[int]) -> Floats:
     """Wraps (n, 3) and the evenly spaced vertices between them, from outside to inside; see `sub_layers`."""
     stack = [wraps[0]]
     for outer, inner, count in zip(wraps[:-1], wraps[1:], counts, strict=True):
@@ -61,7 +61,7 @@ def sub_layers(wraps: Sequence[Floats], triangles: Ints, counts: Sequence[int]) 
     whole = len(counts) == len(wraps) - 1 and all(isinstance(count, (int, np.integer)) for count in counts)
     if not whole or not all(1 <= count <= MOST for count in counts):
         raise InputError(f"sub-layers {tuple(counts)}: expected {len(wraps) - 1} counts from 1 to {MOST}")
-    n, vertices = len(wraps[0]), stacked(wraps, counts)
+    n, vertices = len(wraps[0]), stack_wraps(wraps, counts)
     firsts = np.concatenate([[0], np.cumsum(counts)])
     if max(counts) > 1:
         vertices = _upright(sub_layers(wraps, triangles, [1] * len(counts)), vertices, triangles, counts)

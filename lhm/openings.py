@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from .base.mesh import Floats, Ints
+from .arkit import ARKIT
+from .base.geometry.deformation import folded_length, torn_area
+from .base.mesh import Floats, Ints, Surface
+from .rig import Rig
 
 LIP_MIDDLE = 6.0
 
@@ -27,7 +30,7 @@ def lip_path(vertices: Floats, triangles: Ints, regions: Mapping[str, NDArray[np
     ring = _ring(triangles, regions["mouth"])
     if not ring.size:
         return 0.0
-    vertices = upright(vertices, regions)
+    vertices = turn_upright(vertices, regions)
     x = vertices[ring, 0]
     middle = ring[np.abs(x - 0.5 * (x.min() + x.max())) < LIP_MIDDLE]
     return float(_ways(vertices, triangles, middle[:1])[middle].max(initial=0.0)) if middle.size else 0.0
@@ -48,14 +51,14 @@ def lid_path(
     eyes = np.asarray(regions["eyes"], dtype=bool)
     if not eyes.any():
         return 0.0, 0.0
-    vertices = upright(vertices, regions)
+    vertices = turn_upright(vertices, regions)
     x = vertices[:, 0]
     middle = 0.5 * (x[eyes].min() + x[eyes].max())
     found = [_lids(vertices, triangles, eyes & side) for side in (x > middle, x <= middle)]
     return min(found, key=lambda pair: pair[1])
 
 
-def upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
+def turn_upright(vertices: Floats, regions: Mapping[str, NDArray[np.bool_]]) -> Floats:
     """Points (n, 3) [mm] in the face's own axes, by its regions "mouth" and "eyes": across, up from mouth to eyes, out.
 
     Across is the way between the eyes, to either side. As they are where a region is missing.
@@ -103,3 +106,36 @@ def _ways(vertices: Floats, triangles: Ints, start: Ints) -> Floats:
     # The two triangles at an edge name it in opposite directions, so no entry is there twice to be summed.
     graph = csr_matrix((np.maximum(length, 1e-9), edges.T), shape=(len(vertices), len(vertices)))
     return dijkstra(graph, directed=False, indices=start, min_only=True)
+
+
+# DOC """Skin that is drawn out between lips or lids when they part: stretched fivefold and more."""
+MOUTH, EYES = ("lips", "mouth"), ("lids", "eyes")
+"""Regions of a wrap."""
+OPEN, BLINK = ("jawOpen",), ("eyeBlinkLeft", "eyeBlinkRight")
+
+
+def triangles_at(
+    skin: Surface, skin_from_wrap: csr_matrix, regions: Mapping[str, NDArray[np.bool_]], names: Sequence[str]
+) -> Ints:
+    """The skin's triangles (k, 3) with a corner at some of a wrap's regions; none where the wrap lacks them."""
+    masks = [regions[name] for name in names if name in regions]
+    if not masks:
+        return skin.triangles[:0]
+    there = skin_from_wrap @ np.any(masks, axis=0).astype(np.float64) > 0.5
+    return skin.triangles[there[skin.triangles].any(axis=1)]
+
+
+def measure_torn(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
+    """The area [mm²] of triangles that expressions, at full weight together, stretch more than five times."""
+    return torn_area(skin.vertices, _moved(skin, rig, names), triangles)
+
+
+def measure_folded(skin: Surface, rig: Rig, triangles: Ints, names: Sequence[str]) -> float:
+    """The length [mm] of the triangles' edges that expressions, at full weight together, fold sharply."""
+    return folded_length(skin.vertices, _moved(skin, rig, names), triangles)
+
+
+def _moved(skin: Surface, rig: Rig, names: Sequence[str]) -> Floats:
+    weights = np.zeros(len(ARKIT))
+    weights[[ARKIT.index(name) for name in names]] = 1.0
+    return skin.vertices + rig.moved(weights)

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .arkit import ARKIT
+from .arkit import ARKIT, check_weights
+from .base.checks import check_arguments
 from .base.errors import InputError, MeshError
 from .base.mesh import Floats
+from .identities.space import LinearSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +57,17 @@ class Rig:
     def doubting(self, doubtful: Mapping[str, str]) -> Rig:
         """The rig with more expressions named that will not look right, each with its reason."""
         return replace(self, doubtful={**self.doubtful, **doubtful})
+
+
+@check_arguments
+def blend(space: LinearSpace, code, weights) -> Floats:
+    """Skins [mm] of an identity under ARKit weights, S = skin + sum_k w_k delta_k.
+
+    `code` as in `space.skin`, `weights` (frames, 52) or (52,) in [0, 1] (clipped with a warning that counts them);
+    returns (frames, n, 3). Raises InputError for another shape and for weights that are not finite.
+    """
+    values = np.atleast_2d(check_weights(weights))
+    deltas = space.expression_deltas(code)
+    used = np.flatnonzero(values.any(axis=0))
+    moved = np.tensordot(values[:, used], deltas[used], axes=1)
+    return space.skin(code).vertices + moved

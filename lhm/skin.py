@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from .base.errors import MeshError
+from .base.geometry.topology import connected_parts
 from .base.mesh import Ints, Surface
 
 LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
+# [mm] A head's extent lies within these; a thousandth or a tenth of them is one in metres or centimetres.
+_UNITS = {"metres: use unit='m'": 1e-3, "centimetres: use unit='cm'": 0.1}
 
 
 def check_skin(surface: Surface, *, openings: int = 0) -> None:
@@ -48,3 +53,47 @@ def _pieces(edges: Ints) -> int:
     ends = number.reshape(edges.shape)
     graph = csr_matrix((np.ones(len(ends)), ends.T), shape=(len(used), len(used)))
     return int(connected_components(graph, directed=False)[0])
+
+
+def check_registrable(skin: Surface) -> Surface:
+    """The skin's largest connected piece over the same vertices; a warning says how many others are left out.
+
+    It may be open. Raises MeshError if it is empty, has edges with more than two triangles or neighbours oriented
+    against one another, faces inwards (which is what mirroring leaves), or is not of a head's size.
+    """
+    if not len(skin.triangles):
+        raise MeshError("skin: it has no triangles")
+    count, piece = connected_parts(skin.triangles, len(skin.vertices))
+    of_triangle = piece[skin.triangles[:, 0]]
+    kept = of_triangle == np.bincount(of_triangle, weights=skin.areas, minlength=count).argmax()
+    pieces = len(np.unique(of_triangle))
+    if pieces > 1:
+        warnings.warn(
+            f"skin: {pieces} separate pieces; the largest is registered, the others are carried along", stacklevel=3
+        )
+    whole = Surface(skin.vertices, skin.triangles[kept])
+    edges = whole.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    unique, times = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    if (times > 2).any():
+        first = unique[times > 2][0].tolist()
+        raise MeshError(f"skin: {(times > 2).sum()} edges have more than two triangles, the first is {first}")
+    if len(np.unique(edges, axis=0)) != len(edges):
+        raise MeshError("skin: neighbouring triangles are oriented against one another")
+    _check_size(whole)
+    used = skin.vertices[np.unique(whole.triangles)]
+    centres = skin.vertices[whole.triangles].mean(axis=1) - used.mean(axis=0)
+    if np.einsum("md,md->", centres, whole.face_normals) <= 0:
+        raise MeshError("skin: its triangles face inwards: is it mirrored, or turned inside out?")
+    return whole
+
+
+def _check_size(skin: Surface) -> None:
+    extent = float(np.ptp(skin.vertices[np.unique(skin.triangles)], axis=0).max())
+    if LEAST_EXTENT <= extent <= GREATEST_EXTENT:
+        return
+    for unit, factor in _UNITS.items():
+        if LEAST_EXTENT * factor <= extent <= GREATEST_EXTENT * factor:
+            raise MeshError(f"skin: its extent is {extent:.3g} mm; this looks like {unit}")
+    raise MeshError(
+        f"skin: its extent is {extent:.4g} mm, a head's lies within {LEAST_EXTENT:g}..{GREATEST_EXTENT:g}: units off?"
+    )

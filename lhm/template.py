@@ -15,10 +15,10 @@ from .base.mesh import Floats, Ints, Surface
 from .head import LayeredHead
 from .identities.space import LinearSpace
 from .wraps.columns import Columns
-from .wraps.landmarks import Landmarks, Mask, landmarks
+from .wraps.landmarks import Landmarks, Mask, find_landmarks
 
 if TYPE_CHECKING:
-    from .regressor import DepthRegressor
+    from .regressor.depths import DepthRegressor
 
 DEFAULT_LEVEL = 2
 LEVELS = {1: 1212, 2: 4842, 3: 19362}
@@ -67,7 +67,7 @@ class Template:
     @cached_property
     def marks(self) -> Landmarks:
         """The landmarks of the skin."""
-        return landmarks(self.skin, self.parts)
+        return find_landmarks(self.skin, self.parts)
 
     @property
     def digest(self) -> str:

@@ -1,4 +1,7 @@
-"""march: a scene through time, by finite elements; the solver's package is imported when it is asked for."""
+"""Time marching: a scene through time by an implicit scheme, by finite elements, and what comes of it.
+
+The solver's package is imported when it is asked for.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +17,104 @@ from ..lhm.base.errors import InputError, SceneError
 from ..lhm.base.limits import MARCH_STEPS, MARCH_VALUES
 from ..lhm.base.mesh import Floats, Ints
 from .scene import Scene
-from .schemes import Scheme, scheme
+from .solution import Reason
 from .terms import Inertia
-from .trajectory import OnStep, Trajectory
 
 SOLVERS = ("fenicsx",)
 MASSES = ("lumped", "consistent")
+SCHEMES = ("implicit Euler", "Newmark", "generalised-alpha")
 
 LONGEST = 1e6
 """A time step [s]: eleven days."""
 Course: TypeAlias = Callable[[float], Floats] | Floats
 """A function of time [s], or its values at the steps' ends, first axis (steps,)."""
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """How displacement, velocity and acceleration at two times hang together, and where forces balance.
+
+    u₁ = u₀ + h v₀ + h² (β₀ a₀ + β₁ a₁) and v₁ = v₀ + h (γ₀ a₀ + γ₁ a₁), with
+    M (α_m a₀ + (1 - α_m) a₁) + α_f (C v₀ + f₀) + (1 - α_f) (C v₁ + f₁) = 0. `name` is for reports.
+    """
+
+    name: str
+    by_acceleration: tuple[float, float]  # β₀, β₁
+    to_velocity: tuple[float, float]  # γ₀, γ₁
+    alpha_m: float = 0.0
+    alpha_f: float = 0.0
+
+    @classmethod
+    def from_name(cls, name: str, *, spectral_radius: float = 0.8) -> Scheme:
+        """Make a scheme by name; spectral_radius in [0, 1] is that of "generalised-alpha" at infinite frequency.
+
+        "implicit Euler" is of order 1 and damps what it does not resolve; "Newmark" (β = 1/4, γ = 1/2) and
+        "generalised-alpha" (Chung and Hulbert 1993) are of order 2, the former without loss at any frequency, the
+        latter with loss at high ones only. Raises SceneError for another name or radius.
+        """
+        if name not in SCHEMES:
+            raise SceneError(f"unknown scheme {name!r}; there are {', '.join(SCHEMES)}")
+        radius = float(spectral_radius)
+        if not 0.0 <= radius <= 1.0:
+            raise SceneError(f"spectral_radius: must lie in [0, 1], got {spectral_radius!r}")
+        if name == "implicit Euler":
+            return cls(name, (0.0, 1.0), (0.0, 1.0))
+        alpha_m = alpha_f = 0.0
+        if name == "generalised-alpha":
+            alpha_m, alpha_f = (2.0 * radius - 1.0) / (radius + 1.0), radius / (radius + 1.0)
+        gamma = 0.5 - alpha_m + alpha_f
+        beta = 0.25 * float(np.square(1.0 - alpha_m + alpha_f))
+        return cls(name, (0.5 - beta, beta), (1.0 - gamma, gamma), alpha_m, alpha_f)
+
+
+@dataclass(frozen=True, eq=False)
+class Energies:
+    """Energies at each time [µJ], shape (k + 1,); the first two are states, the others sums since the start.
+
+    `dissipated` is the work of viscous damping, `input` that of moving targets, held vertices and an accelerated frame;
+    that of loads and sought volumes which change with time is not counted.
+    kinetic + potential + dissipated - input stays as it is but for what the scheme loses (or gains).
+    """
+
+    kinetic: Floats
+    potential: Floats
+    dissipated: Floats
+    input: Floats
+
+    @property
+    def balance(self) -> Floats:
+        """What the scheme adds: kinetic + potential + dissipated - input, less its first value [µJ], shape (k + 1,)."""
+        total = self.kinetic + self.potential + self.dissipated - self.input
+        return total - total[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The steps made, and why the march ended: CONVERGED if all were made, else what ended the last one.
+
+    time_step [s]; times [s], shape (k + 1,), from the start; positions [mm] and velocities [mm/s] of the kept
+    vertices, shape (k + 1, kept, 3); `vertices` (kept,) are their numbers; iterations (k,) and factorisations (k,) per
+    step. A step that failed is not among them.
+    """
+
+    time_step: float
+    times: Floats
+    positions: Floats
+    velocities: Floats
+    vertices: Ints
+    energies: Energies
+    iterations: Ints
+    factorisations: Ints
+    reason: Reason
+
+    @property
+    def converged(self) -> bool:
+        """Whether every step reached its tolerance."""
+        return self.reason is Reason.CONVERGED
+
+
+OnStep = Callable[[int, float, Floats], "bool | None"]
+"""Called with step, time [s] and positions [mm], shape (scene's vertices, 3); returning True ends the march."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +193,7 @@ def march(
 ) -> Trajectory:
     """March a scene through `steps` of `time_step` [s]: M a + C v + f(u) = 0 by an implicit scheme.
 
-    scheme is a name of `schemes.SCHEMES` or a Scheme. Mass is `density` [kg/mm³] of the tets, one or one per tet, and
+    scheme is a name of SCHEMES or a Scheme. Mass is `density` [kg/mm³] of the tets, one or one per tet, and
     `skin_density` [kg/mm²] of triangles `skin` (k, 3), one or one per triangle; "lumped" on nodes or "consistent" with
     the shape functions. damping (a [1/s], b [s]) is Rayleigh's C = a M + b K, K the tangent at rest, springs included.
     `targets` and `fixed` [mm] move the one Target and the one Fixed term, `acceleration` [mm/s²] is that of the frame
@@ -119,8 +209,9 @@ def march(
     """
     if solver not in SOLVERS:
         raise SceneError(f"march: unknown solver {solver!r}; there are {', '.join(SOLVERS)}")
+    rule = scheme if isinstance(scheme, Scheme) else Scheme.from_name(scheme, spectral_radius=spectral_radius)
     motion = _checked(
-        scene, time_step, steps, _scheme(scheme, spectral_radius), density, skin, skin_density, mass, damping,
+        scene, time_step, steps, rule, density, skin, skin_density, mass, damping,
         targets, fixed, scenes, acceleration, positions, velocities, keep, tolerance, on_step,
     )  # fmt: skip
     if prepared is not None:
@@ -131,10 +222,6 @@ def march(
         if option != "element":
             raise SceneError(f"march: solver {solver!r} has no option {option!r}; it has element")
     return import_module(f".{solver}.prepared", __package__).carry_out(motion, **options)
-
-
-def _scheme(given: str | Scheme, spectral_radius: float) -> Scheme:
-    return given if isinstance(given, Scheme) else scheme(given, spectral_radius=spectral_radius)
 
 
 def _checked(

@@ -37,7 +37,7 @@ def check_restrained(scene: Scene, *, loads: Floats | None):
             )
 
 
-def drifts(scene: Scene) -> bool:
+def has_free_motion(scene: Scene) -> bool:
     """Whether a rigid motion of any part is free."""
     return any(free.shape[1] for _, _, free in _free_motions(scene))
 

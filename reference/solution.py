@@ -1,18 +1,29 @@
-"""What a solver returns: positions, why it stopped, and how it got there."""
+"""What a solver returns: positions, why it stopped, and how it got there.
+
+Stresses and reactions of an answer: what each solver works out anew from where its nodes ended, when asked.
+
+A solution on its scene's tets, as a file for ParaView and other viewers.
+"""
 
 from __future__ import annotations
 
+import io
+import os
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
+from pathlib import Path
 
+import meshio
 import numpy as np
 
-from ..lhm.base.errors import SceneError
+from ..lhm.base.checks import check_arguments
+from ..lhm.base.errors import InputError, SceneError
+from ..lhm.base.files.atomic import replaced
 from ..lhm.base.mesh import Floats, tet_volumes
-from .compiling import Clock, Spent
-from .recovered import Recovered, von_mises
+from .clock import Clock, Seconds
 from .scene import Scene
 
 
@@ -83,7 +94,7 @@ class Solution:
     volume_ratio: Floats
     detail: dict[str, float] = field(default_factory=dict)
     memory: object = field(default=None, repr=False)
-    recovery: Callable[[], Recovered] | None = field(default=None, repr=False)
+    recovery: Callable[[], Stresses] | None = field(default=None, repr=False)
     times: Times | None = None
 
     @property
@@ -116,7 +127,7 @@ class Solution:
         return self._recovered.reactions
 
     @cached_property
-    def _recovered(self) -> Recovered:
+    def _recovered(self) -> Stresses:
         if self.recovery is None:
             raise SceneError("stress: this solution was not made by a solver")
         return self.recovery()
@@ -136,12 +147,12 @@ class Recorder:
 
     def record(self, positions: Floats, energy: float, gradient_norm: float) -> bool:
         """Add an iteration; return whether the callback asks to stop."""
-        self._rows.append((self._clock.spent().work, energy, gradient_norm))
+        self._rows.append((self._clock.read().work, energy, gradient_norm))
         if self._callback is None:
             return False
         away = Clock()
         stop = bool(self._callback(len(self._rows) - 1, positions, energy, gradient_norm))
-        self._clock.pause(away.spent().work)
+        self._clock.pause(away.read().work)
         return stop
 
     def history(self) -> History:
@@ -149,9 +160,9 @@ class Recorder:
         rows = np.array(self._rows, dtype=np.float64).reshape(-1, 3)
         return History(rows[:, 0], rows[:, 1], rows[:, 2])
 
-    def times(self, preparation: Spent) -> Times:
+    def times(self, preparation: Seconds) -> Times:
         """What the solve has taken so far, and its preparation."""
-        solve = self._clock.spent()
+        solve = self._clock.read()
         return Times(preparation.work, solve.work, preparation.compilation + solve.compilation)
 
 
@@ -195,3 +206,63 @@ def first_positions(scene: Scene, start: Floats | None, warm: Solution | None) -
     if bad.size:
         raise SceneError(f"start: {bad.size} rows are not finite, the first is {bad[0]}")
     return positions
+
+
+@dataclass(frozen=True, eq=False)
+class Stresses:
+    """Stresses [kPa] of the tets, shape (m, 3, 3), and reactions [mN], shape (n, 3); see `Solution`."""
+
+    first_piola: Floats
+    cauchy: Floats
+    reactions: Floats
+
+    @classmethod
+    def from_points(cls, P: Floats, F: Floats, volume: Floats, reactions: Floats) -> Stresses:
+        """Means over the tets of P [kPa] and F at q points each, shape (m, q, 3, 3), of volumes [mm³], shape (m, q).
+
+        P over the volume at rest, Cauchy's stress P Fᵀ / J over the deformed one.
+        """
+        deformed = np.einsum("mq,mq->m", volume, np.linalg.det(F))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cauchy = np.einsum("mq,mqij,mqkj->mik", volume, P, F) / deformed[:, None, None]
+        mean = np.einsum("mq,mqij->mij", volume, P) / volume.sum(axis=1)[:, None, None]
+        return cls(mean, cauchy, reactions)
+
+
+def von_mises(cauchy: Floats) -> Floats:
+    """√(3/2) ‖dev σ‖ [kPa], shape (m,), of stresses (m, 3, 3)."""
+    mean = np.trace(cauchy, axis1=1, axis2=2)[:, None, None] / 3.0
+    return np.sqrt(1.5) * np.linalg.norm(cauchy - mean * np.eye(3), axis=(1, 2))
+
+
+SUFFIXES = (".vtu", ".vtk")
+
+
+@check_arguments
+def write_solution(path: str | os.PathLike[str], scene: Scene, solution: Solution) -> None:
+    """Write a .vtu or .vtk file [mm, kPa, mN] of the scene at rest with what the solution found, whole or not at all.
+
+    Per vertex `displacement` and `reaction`, per tet `J`, `von_mises`, `cauchy` and `first_piola` (nine components,
+    row by row). Raises InputError for another suffix, a solution of another scene, and a place that cannot be written.
+    """
+    path = Path(path)
+    if scene.in_parts:
+        raise InputError(f"{path}: processes have this scene in parts; its own method write writes them together")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
+    if solution.positions.shape != scene.vertices.shape or len(solution.volume_ratio) != len(scene.tets):
+        raise InputError(
+            f"solution: of {len(solution.positions)} vertices and {len(solution.volume_ratio)} tets, the scene has "
+            f"{len(scene.vertices)} and {len(scene.tets)}"
+        )
+    tensors = {"cauchy": solution.cauchy, "first_piola": solution.first_piola}
+    numbers = {"J": solution.volume_ratio, "von_mises": solution.von_mises}
+    mesh = meshio.Mesh(
+        scene.vertices,
+        [("tetra", scene.tets)],
+        point_data={"displacement": solution.positions - scene.vertices, "reaction": solution.reactions},
+        cell_data={name: [np.nan_to_num(values)] for name, values in numbers.items()}
+        | {name: [np.nan_to_num(values.reshape(-1, 9))] for name, values in tensors.items()},
+    )
+    with replaced(path) as temporary, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        mesh.write(temporary, file_format=path.suffix.lower()[1:])

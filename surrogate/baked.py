@@ -13,7 +13,7 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.files.moving_surface import Morphs, write_rig
 from ..lhm.base.mesh import Floats32, Ints, Surface
 from ..lhm.expressions import Take, conversation
-from ..lhm.expressions.combinations import combinations
+from ..lhm.expressions.made_up import combinations
 from .dynamics import DynamicRig, Swing, dynamic_rig
 from .rig import FaceModes, Remainder, add_combination, check_out, check_weights
 

@@ -22,9 +22,14 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress, silent
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from ..reference.face.base import lag, pivot, rotation, turns
-from ..reference.face.dynamics import Recurrence, coefficients
-from ..reference.face.inertia import loose
+from ..reference.face.dynamics import (
+    Recurrence,
+    base_lag,
+    check_rotation,
+    check_turns,
+    find_pivot,
+    measure_looseness,
+)
 from .corpus.people import People
 from .local import at_vertices
 from .rig import Rig
@@ -58,19 +63,20 @@ class Swing:
     def from_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
         """Take a layered head, whose depth of bone under the skin tells where flesh is loose."""
         # Weights of skin off the wrap's triangles reach a little beyond their corners.
-        shares = np.clip(head.skin_from_wrap @ loose(head), 0.0, 1.0)
-        return cls.from_shares(shares, pivot(head), parameters, head.skin)
+        shares = np.clip(head.skin_from_wrap @ measure_looseness(head), 0.0, 1.0)
+        return cls.from_shares(shares, find_pivot(head), parameters, head.skin)
 
     def recurrence(self, time_step: float) -> Recurrence:
         """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
-        return coefficients(self.frequency, self.damping, time_step, loose=self.loose)
+        return Recurrence.from_oscillator(self.frequency, self.damping, time_step, loose=self.loose)
 
 
 @dataclass(frozen=True, eq=False)
 class Looseness:
     """Where flesh of a space's people is loose, and what their heads turn about: linear in the code.
 
-    Both follow from a fitted head's depths of bone, which a bind in milliseconds has not. shares (1 + c, n) of each vertex that swings, pivots (1 + c, 3) [mm]: of the mean, then by number of the code.
+    Both follow from a fitted head's depths of bone, which a bind in milliseconds has not. shares (1 + c, n): of each
+    vertex that swings; pivots (1 + c, 3) [mm]: of the mean, then by number of the code.
     """
 
     shares: Floats
@@ -89,8 +95,8 @@ class Looseness:
             except FitError:
                 continue
             codes.append(np.append(1.0, person.code))
-            shares.append(head.skin_from_wrap @ loose(head))
-            pivots.append(pivot(head))
+            shares.append(head.skin_from_wrap @ measure_looseness(head))
+            pivots.append(find_pivot(head))
         rows = np.array(codes)
         penalty = RIDGE * np.eye(rows.shape[1])
         penalty[0, 0] = 0.0
@@ -129,7 +135,7 @@ class DynamicRig:
         `base`: how the head was turned in the two frames before the first, the earlier first, (2, 3, 3), or one (3, 3)
         for both; not turned if None. InputError for other shapes, and values that are not finite.
         """
-        turned = turns("base", np.eye(3) if base is None else base)
+        turned = check_turns("base", np.eye(3) if base is None else base)
         skin = self._rig.frame(weights, blended)
         moving = np.zeros_like(skin) if velocity is None else np.asarray(velocity, dtype=np.float32)
         if moving.shape != skin.shape or not np.isfinite(moving).all():
@@ -145,7 +151,7 @@ class DynamicRig:
         `base`: the head's rotation in the room, shape (3, 3), or None as in the last frame (at first, not turned).
         Raises what the static rig raises, and InputError for a base that is no rotation; then the state stays.
         """
-        turned = None if base is None else rotation("base", base)
+        turned = None if base is None else check_rotation("base", base)
         skin = self._rig.frame(weights, blended, out=out)
         if not self._begun:
             self._last[:] = self._before[:] = skin[self._loose]
@@ -159,7 +165,7 @@ class DynamicRig:
     def _push(self, now: Floats) -> None:
         """What the head's turning adds to this frame [mm], and the turns that the next one has before it."""
         middle = self._pivot
-        behind = lag(now, self._last - middle, self._before - middle, self._turns)
+        behind = base_lag(now, self._last - middle, self._before - middle, self._turns)
         self._pushed[:] = 0.0 if behind is None else self._driven * behind
         self._turning = behind is not None
         self._turns = np.stack([self._turns[1], now])

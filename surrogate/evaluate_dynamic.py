@@ -14,7 +14,7 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.base.progress import OnProgress, silent
 from ..reference import Parameters
-from ..reference.face.base import turns_before
+from ..reference.face.dynamics import extrapolate_turns
 from .corpus.face import Face
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE, Split
@@ -135,7 +135,7 @@ def _played(method: Method, table: Table, number: int, face: Face, heads: Heads,
     moving = DynamicRig(_Answers(blended + corrected), swing, 1.0 / RATE)
     turned = row["rotations"].astype(np.float64)
     velocity = RATE * (row["before"][0].astype(np.float64) - row["before"][1])
-    moving.begin(0, velocity=velocity, base=turns_before(turned))
+    moving.begin(0, velocity=velocity, base=extrapolate_turns(turned))
     begin = time.process_time()
     swung = np.stack([moving.frame(k, base=base) for k, base in enumerate(turned)])
     dynamic = static + (time.process_time() - begin) / len(corrected)

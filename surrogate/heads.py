@@ -13,9 +13,9 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress, silent
 from ..lhm.head import LayeredHead
-from ..reference import Parameters, prepare, settled
-from ..reference.face.linearised import DIRECT, spring_norm
-from ..reference.face.settling import FOR_TARGETS, carry_skin
+from ..reference import Parameters, prepare, settle
+from ..reference.face.derivatives import QUICK_ACCURACY, spring_norm
+from ..reference.face.settle import TARGET_OPTIONS, carry_skin
 from .corpus.face import Face
 from .corpus.folder import known_plan
 from .corpus.people import OfSpace, People, people_of
@@ -125,7 +125,7 @@ def measure_binds(heads: Heads, faces: Sequence[Face], on_progress: OnProgress =
 
 def neutral_at_rest(head: LayeredHead, parameters: Parameters) -> Floats:
     """The neutral skin [mm], settled and at rest among its targets, without a tangent."""
-    face = settled(head, parameters, **FOR_TARGETS)
+    face = settle(head, parameters, **TARGET_OPTIONS)
     scene = face.scene(head.skin.vertices)
-    answer = prepare(scene).solve(start=face.positions, absolute=DIRECT * spring_norm(scene))
+    answer = prepare(scene).solve(start=face.positions, absolute=QUICK_ACCURACY * spring_norm(scene))
     return face.skin_after(head.skin.vertices, answer.positions)

@@ -19,11 +19,10 @@ from typing import Literal, Protocol
 import numpy as np
 
 from ..lhm.base.mesh import Floats, Floats32
-from ..reference.face.linearised import Linearised, spring_norm
+from ..reference.face.derivatives import FaceDerivatives, differentiate_head, spring_norm
 from .corpus.face import Face
 from .corpus.reading import Faces
 from .heads import Heads
-from .linear import linearised_face
 from .networks.weights import Weights
 from .rig import CorrectedRig, FaceModes, Rig
 from .runtime import BoundSurrogate, Surrogate
@@ -122,7 +121,7 @@ class _Simulated:
 
     def __init__(self, heads: Heads, face: Face):
         self.head, self.shapes = heads.fit(face), heads.shapes(face)
-        self.linear: Linearised = linearised_face(self.head, heads.parameters(face, self.head))
+        self.linear: FaceDerivatives = differentiate_head(self.head, heads.parameters(face, self.head))
 
     def correct(self, weights, *, iterations: int | None = None) -> Floats:
         """T - S [mm], shape (n, 3), from the first-order answer by so many iterations, or to the end."""
@@ -132,7 +131,7 @@ class _Simulated:
         if iterations is None:
             solution = self.linear.solve(expression, accuracy=TOLERANCE, max_iterations=MOST)
         else:
-            start, norm = self.linear.start(expression), spring_norm(scene)
+            start, norm = self.linear.predict(expression), spring_norm(scene)
             solution = self.linear.prepared.solve(
                 scene, start=start, absolute=TOLERANCE * norm, max_iterations=iterations, untangle=False
             )

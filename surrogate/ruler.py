@@ -17,7 +17,7 @@ import numpy as np
 from ..lhm.base.mesh import Floats
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from ..reference.face.settling import carry_skin
+from ..reference.face.settle import carry_skin
 from .corpus.mixture import STATIC
 
 MOVES = 0.05

@@ -33,7 +33,7 @@ class Sphere(Person):
         return skin + 3.0 * np.sum(weights, axis=1)[:, None, None] * front
 
     def shape(self, text):
-        return self.blend(expressions.parsed(text)[None])[0]
+        return self.blend(expressions.parse_weights(text)[None])[0]
 
 
 def with_regions(head):

@@ -54,7 +54,7 @@ def jaw_open(scan: Path) -> bytes:
 
     from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.lhm import expressions
-    from softdeca.reference import Parameters, facial_scene, neo_hookean_scene, solve
+    from softdeca.reference import Parameters, apply_law, facial_scene, solve
     from softdeca.surrogate import Surrogate
 
     head, space, code = face()
@@ -62,7 +62,7 @@ def jaw_open(scan: Path) -> bytes:
     shape = expressions.blend(space, code, weights)[0]
     scene = facial_scene(head, Parameters(), shape)
     fast = solve(scene)
-    real = solve(neo_hookean_scene(scene), solver="fenicsx", start=fast.positions, tolerance=1e-6)
+    real = solve(apply_law(scene, "neo-Hookean"), solver="fenicsx", start=fast.positions, tolerance=1e-6)
     for solution in (fast, real):
         if not solution.converged:
             raise SystemExit(f"jaw-open: {solution.reason}")
@@ -81,13 +81,13 @@ def weight(scan: Path) -> bytes:
     """Draw a neutral face and a smile, and both with 40 % more soft tissue."""
     from softdeca.animation.pictures import Panel, draw_strip
     from softdeca.lhm import expressions
-    from softdeca.reference import Parameters, settled, solve
+    from softdeca.reference import Parameters, settle, solve
 
     head, space, code = face()
     weights = expressions.weights_of(SMILE)
     shape, panels = expressions.blend(space, code, weights)[0], []
     for named, parameters in (("", Parameters()), (", + 40 % soft tissue", Parameters(soft_volume=1.4))):
-        settled_face = settled(head, parameters)
+        settled_face = settle(head, parameters)
         smile = solve(settled_face.scene(shape))
         if not smile.converged:
             raise SystemExit(f"weight: {smile.reason}")

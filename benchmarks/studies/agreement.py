@@ -100,7 +100,7 @@ class Agreement(Study):
     def tasks(self) -> Sequence[Task]:
         """The head, and each case by each method; InputError for a space or an expression that cannot be read."""
         for text in self.expressions:
-            expressions.parsed(text)
+            expressions.parse_weights(text)
         if not 0.0 <= self.gravity <= 10.0:
             raise InputError(f"gravity: expected 0 to 10 g, got {self.gravity:g}")
         if not 0.5 <= self.volume <= 2.0:
@@ -163,7 +163,7 @@ class Agreement(Study):
             return Face(of, still, Parameters(gravity=self.gravity), self.network())
         if case == self._grown:
             return Face(of, still, Parameters(soft_volume=self.volume), self.network())
-        return Face(of, expressions.parsed(case), Parameters(), self.network())
+        return Face(of, expressions.parse_weights(case), Parameters(), self.network())
 
     def measure(self, task: Task) -> Values:
         """A solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
@@ -191,7 +191,7 @@ class Agreement(Study):
             rigs = [Rig.baked("surrogate", network.bind(of.head.skin, of.code, parameters, expressions=shapes))]
         poses = []
         for text in self.expressions:
-            face, weights = self.face(text), expressions.parsed(text)
+            face, weights = self.face(text), expressions.parse_weights(text)
             poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
         return render_face_page(f"the head ({of.space.name})", VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
 

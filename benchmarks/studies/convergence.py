@@ -16,7 +16,7 @@ from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.refine import refined_head
+from ...lhm.remesh import refine_head
 from ...reference import Parameters, Scene, Solution, facial_scene, prepare, solve
 from ..differences import difference
 from ..harness.gates import at_most
@@ -86,7 +86,7 @@ class Convergence(OfPerson):
     def measure(self, task: Task) -> Values:
         """The solves on every mesh, and the errors of the head's own."""
         of = self.person()
-        head, shape, split = of.head, of.shape(task.case), refined_head(of.head)
+        head, shape, split = of.head, of.shape(task.case), refine_head(of.head)
         solves, skins = [], {}
         for surface, count in MESHES:
             mesh, layers = (head, count) if surface == 0 else (split, 1)

@@ -15,17 +15,17 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.files.surface_file import MILLIMETRES
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats
-from ...lhm.regressor import (
-    DepthErrors,
-    DepthRegressor,
+from ...lhm.regressor.depths import SKULL_PLACES, DepthErrors, DepthRegressor
+from ...lhm.regressor.pairs import (
     MeasuredDepths,
-    default_regressor,
+    check_inside,
     inward_normals,
-    measured_depths,
-    moved_wrap,
+    measure_depths,
+    move_wrap,
+    read_skin,
+    read_skull,
 )
-from ...lhm.regressor.evaluation import SKULL_PLACES
-from ...lhm.regressor.files import check_inside, read_skin, read_skull
+from ...lhm.regressor.prior import default_regressor
 from ...lhm.wraps.depth import LANDMARKS
 from ...lhm.wraps.landmarks import Mask
 from ..harness.gates import at_most
@@ -209,9 +209,9 @@ class DepthCheck:
         Raises InputError for a skull that lies outside the skin or is met from less than a tenth of the face, and
         FitError for a skin that no head can be fitted to.
         """
-        wrap = template.skin_wrap.with_vertices(moved_wrap(template, skin.vertices))
+        wrap = template.skin_wrap.with_vertices(move_wrap(template, skin.vertices))
         check_inside("skull", template, wrap, skull)
-        measured = measured_depths(wrap.vertices, inward_normals(wrap), [skull])
+        measured = measure_depths(wrap.vertices, inward_normals(wrap), [skull])
         met = float(measured.met[template.regions["face"]].mean())
         if met < LEAST_MEASURED:
             raise InputError(

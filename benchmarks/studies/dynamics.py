@@ -13,9 +13,9 @@ from ...lhm import LayeredHead
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...reference import Trajectory, march, solve, terms
-from ...reference.face.dynamics import coefficients, implicit_euler
+from ...reference.face.dynamics import Recurrence
 from ...reference.face.parameters import TISSUE_DENSITY
-from ...reference.schemes import SCHEMES
+from ...reference.march import SCHEMES
 from ..harness.gates import at_most
 from ..harness.runner import Row
 from ..harness.study import Column, Table, Task, Values
@@ -168,8 +168,8 @@ def let_go(release: Release, frames: int) -> dict:
     """The release by every march: swings, energies, distances between those that model the same, errors of steps."""
     p = release.parameters
     equation = {
-        "Eq. 9, p's frequency and damping": coefficients(p.frequency, p.damping, FRAME),
-        EQUATION_AS_EULER: implicit_euler(p.frequency, FRAME),
+        "Eq. 9, p's frequency and damping": Recurrence.from_oscillator(p.frequency, p.damping, FRAME),
+        EQUATION_AS_EULER: Recurrence.from_implicit_euler(p.frequency, FRAME),
     }
     frames_of = {name: release.by_recurrence(recurrence, frames) for name, recurrence in equation.items()}
     frames_of[PROJECTIVE] = release.by_projective_dynamics(frames)

@@ -18,7 +18,7 @@ from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...lhm.remesh import remeshed
+from ...lhm.remesh import remesh
 from ...lhm.template import DEFAULT_LEVEL
 from ...reference import Scene, solve
 from ...surrogate.ruler import measure
@@ -131,7 +131,7 @@ class Locking(OfPerson):
         if distance.max() > PAIRED:
             raise SoftdecaError(f"the mean skin is not symmetric: {distance.max():.3g} mm off its mirror image")
         rows = []
-        for what, head in ((PRISMS, of.head), (FREE, remeshed(of.head, self.size))):
+        for what, head in ((PRISMS, of.head), (FREE, remesh(of.head, self.size))):
             shapes = [rest + moved, rest + moved[partner] * MIRROR]
             answers = [_linear(head, shape, 0.45) for shape in shapes]
             left, right = (answer["skin"] for answer in answers)
@@ -245,7 +245,7 @@ class _Problem:
 
     def on_free_tets(self, size: float) -> list[dict]:
         """Compare free tets with split prisms, element by element."""
-        free = remeshed(self.head, size)
+        free = remesh(self.head, size)
         linear = _linear(free, self.shape, self.poisson)
         quadratic = _quadratic(free, self.shape, self.poisson, self.element, linear)
         pairs = (("P1", linear, self.linear), (self.element, quadratic, self.quadratic))

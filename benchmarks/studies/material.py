@@ -142,7 +142,7 @@ def _stress(terms: Sequence[Term], mode: str, stretch: float) -> float:
     loaded, confined = MODES[mode]
     densities = []
     for at in (stretch - STEP, stretch + STEP):
-        cube = Cube("", lambda: list(terms), loaded, at, 0.0, 0.0, confined)
+        cube = Cube("", tuple(terms), loaded, at, 0.0, 0.0, confined)
         solution = solve(held(cube, unstructured(1)), solver=SOLVER, tolerance=TOLERANCE)
         if not solution.converged:
             raise SoftdecaError(f"stretch {at:g}: {solution.reason}")

@@ -14,9 +14,9 @@ from ...lhm import expressions
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import FacialModel, Parameters, smallest_facial_scene
-from ...reference.face.connecting import bone_points
 from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ...reference.face.sequence import Sequence as Simulation
+from ...reference.face.tissue import bone_points
 from ..costs import COUNTS, ENDED, MEMORY, TIMES, counts, megabytes, timed
 from ..differences import distances
 from ..harness.gates import at_least, at_most

@@ -14,7 +14,7 @@ from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...lhm.head import LayeredHead
-from ...reference import Parameters, Scene, Solution, facial_scene, materials, neo_hookean_scene, prepare, solve, terms
+from ...reference import Parameters, Scene, Solution, apply_law, facial_scene, materials, prepare, solve, terms
 from ..differences import distances
 from ..harness.gates import at_most
 from ..harness.runner import Row
@@ -210,7 +210,7 @@ def around_vertices(scene: Scene, points: Floats, weights: Floats, values: Float
 
 def law_scene(head: LayeredHead, shape: Floats, poisson: float | None, layers: tuple[int, int] = (1, 1)) -> Scene:
     """The neo-Hookean facial scene of an expression with prescribed bones, incompressible or of a Poisson's ratio."""
-    scene = neo_hookean_scene(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers))
+    scene = apply_law(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers), "neo-Hookean")
     return replace(scene, terms=tuple(_with_law(term, poisson) for term in scene.terms))
 
 

@@ -27,7 +27,7 @@ class Person:
 
     def shape(self, text: str) -> Floats:
         """The skin [mm], shape (n, 3), of an expression as jawOpen*0.5+cheekPuff, by blendshapes."""
-        return self.blend(expressions.parsed(text))[0]
+        return self.blend(expressions.parse_weights(text))[0]
 
     def blend(self, weights: Floats) -> Floats:
         """The skins [mm], shape (frames, n, 3), of weights (frames, 52)."""
@@ -51,7 +51,7 @@ class OfPerson(Study):
         identities.from_text(self.identities)
         check_person(self.seed, self.level)
         for text in texts:
-            expressions.parsed(text)
+            expressions.parse_weights(text)
 
 
 @lru_cache(maxsize=3)

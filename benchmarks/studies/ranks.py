@@ -14,7 +14,7 @@ import numpy as np
 
 from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError, SoftdecaError
-from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene
+from ...reference import Parameters, Scene, apply_law, facial_scene
 from ..costs import NEO_HOOKEAN, PD_ENERGY
 from ..harness.apart import peak_megabytes
 from ..harness.gates import at_most
@@ -76,7 +76,7 @@ class Ranks(OfPerson):
         """A row per count of processes."""
         of = self.person()
         scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
-        return {"rows": compared(neo_hookean_scene(scene) if task.case == NEO_HOOKEAN else scene, self)}
+        return {"rows": compared(apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene, self)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All agree and converge."""

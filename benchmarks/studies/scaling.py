@@ -15,7 +15,7 @@ from ...lhm import expressions
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
 from ...lhm.template import LEVELS
-from ...reference import Parameters, Scene, Solution, facial_scene, neo_hookean_scene, prepare, projective
+from ...reference import Parameters, Scene, Solution, apply_law, facial_scene, prepare, projective
 from ...reference.face.sequence import Sequence as Simulation
 from ..costs import COUNTS, ENDED, MEMORY, TIMES, again, counts, megabytes, repeated, slope, timed, unfinished
 from ..floor import factor_bytes
@@ -172,7 +172,7 @@ class Scaling(OfPerson):
 
 
 def _neo_hookean(make: Callable[[], Scene]) -> Scene:
-    return neo_hookean_scene(make())
+    return apply_law(make(), "neo-Hookean")
 
 
 def _per_iteration(times: Sequence[float] | Floats) -> float:

@@ -17,13 +17,12 @@ from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import Parameters, Scene, Solution, settled, solve
-from ...reference.face.facial import scene_under
-from ...reference.face.linearised import TIGHT, Linearised
-from ...reference.face.settling import Settled, carry_skin, neutral_scene
+from ...reference import Parameters, Scene, Solution, settle, solve
+from ...reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives, differentiate_head
+from ...reference.face.facial import apply_law
+from ...reference.face.settle import SettledFace, carry_skin, neutral_scene
 from ...surrogate import Surrogate
 from ...surrogate.corpus.plan import CorpusPlan
-from ...surrogate.linear import linearised_face
 from ...surrogate.ruler import measure
 from ..differences import distances
 from ..harness.gates import at_most
@@ -125,7 +124,7 @@ class Split(OfPerson):
         of = self.person()
         head, shape = of.head, of.shape(task.method)
         parameters, linear = EFFECTS[task.case], _prepared(self, task.case)
-        weights = expressions.parsed(task.method)
+        weights = expressions.parse_weights(task.method)
         network = (
             Surrogate.load().bind(head.skin, of.code, parameters, beyond="clamp").frame(weights).astype(np.float64)
         )
@@ -140,7 +139,7 @@ class Split(OfPerson):
         motion = distances(converged, carried)
         rivals = {"carried": carried, "settled": shape + linear.face.displacement + linear.offset}
         moved = shape - head.skin.vertices
-        rivals["linearised"] = rivals["settled"] + linear.of_expressions(moved[None])[0] - moved
+        rivals["linearised"] = rivals["settled"] + linear.skin_by_shapes(moved[None])[0] - moved
         shares = {f"share_{key}": measure(distances(skin, converged), motion).share for key, skin in rivals.items()}
         return {
             "moved": float(motion.mean()),
@@ -282,35 +281,35 @@ def _lost(frames: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 @lru_cache(maxsize=1)
-def _prepared(study: Split, effect: str) -> Linearised:
-    return linearised_face(study.person().head, EFFECTS[effect])
+def _prepared(study: Split, effect: str) -> FaceDerivatives:
+    return differentiate_head(study.person().head, EFFECTS[effect])
 
 
 @lru_cache(maxsize=2)
 def _tight(study: Split, effect: str, text: str) -> Solution:
     """PD's converged answer to an expression."""
-    tight = _prepared(study, effect).solve(study.person().shape(text), accuracy=TIGHT)
+    tight = _prepared(study, effect).solve(study.person().shape(text), accuracy=TIGHT_ACCURACY)
     if not tight.converged:
         raise SoftdecaError(f"projective dynamics: {tight.reason}")
     return tight
 
 
 @lru_cache(maxsize=2)
-def _by_law(study: Split, effect: str, level: int) -> Settled:
+def _by_law(study: Split, effect: str, level: int) -> SettledFace:
     """The neutral face that the law has settled by itself with linear tets."""
-    face = settled(study.person(level).head, EFFECTS[effect], law=LAW)
+    face = settle(study.person(level).head, EFFECTS[effect], law=LAW)
     if not face.converged:
         raise SoftdecaError(f"the face does not settle by the {LAW} law: {face.reason}")
     return face
 
 
 @lru_cache(maxsize=2)
-def _by_quadratic_tets(study: Split, effect: str, level: int) -> Settled:
+def _by_quadratic_tets(study: Split, effect: str, level: int) -> SettledFace:
     """The same with quadratic tets."""
     face = _by_law(study, effect, level)
     if face.solution is None:
         return face
-    scene = scene_under(neutral_scene(face.head, face.parameters), LAW)
+    scene = apply_law(neutral_scene(face.head, face.parameters), LAW)
     positions = _fem(scene, face.positions, QUADRATIC_NEUTRAL, "P2")
     moved = positions[: len(face.head.bone)] - face.head.skin_wrap.vertices
     return replace(face, positions=positions, displacement=face.head.skin_from_wrap @ moved)

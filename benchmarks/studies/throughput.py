@@ -185,7 +185,7 @@ class Throughput(OfPerson):
             "an iteration [ms]": split["iteration"],
             RATIO: iteration / least,
             "energy and gradient (local step) [ms]": split["local"],
-            LOCAL_58K: 1e3 * projective.local_step_seconds(prepared, repeats=30) * TETS / len(prepared.scene.tets),
+            LOCAL_58K: 1e3 * projective.time_local_step(prepared, repeats=30) * TETS / len(prepared.scene.tets),
             "solve with A (global step) [ms]": split["solve"],
             "the rest: L-BFGS, further evaluations [ms]": split["rest"],
             "evaluations per iteration": solution.detail["evaluations"] / max(solution.iterations, 1),

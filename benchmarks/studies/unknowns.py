@@ -17,7 +17,7 @@ import numpy as np
 from ...animation.plots import subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
-from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, nested_start, prepare
+from ...reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
 from ..costs import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, load_kernels, slope, timed, unfinished
 from ..floor import bandwidth
 from ..harness.apart import forget_peak, peak_megabytes
@@ -176,7 +176,7 @@ class Unknowns(OfPerson):
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
     """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
     forget_peak()
-    of = (lambda scene: scene) if law == PD_ENERGY else neo_hookean_scene
+    of = (lambda scene: scene) if law == PD_ENERGY else apply_law
     start, watch = None, Stopwatch()
     if coarse is not None:
         near = prepare(of(coarse[0]), solver="fenicsx").solve(tolerance=NEAR)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
-from ...reference import Parameters, Scene, facial_scene, neo_hookean_scene, problems, solve
+from ...reference import Parameters, Scene, apply_law, facial_scene, problems, solve
 from .. import felupe_code
 from ..harness.gates import at_most
 from ..harness.runner import Row
@@ -58,7 +58,7 @@ class Verification(Study):
             scene = facial_scene(
                 of.head, Parameters(), of.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
             )
-            return {"outcomes": [asdict(felupe_beside_fenicsx(neo_hookean_scene(scene)))]}
+            return {"outcomes": [asdict(felupe_beside_fenicsx(apply_law(scene, "neo-Hookean")))]}
         fine = _fine().get(task.case)
         if fine is not None:
             return {"outcomes": [asdict(outcome) for outcome in fine()]}
@@ -103,6 +103,6 @@ def _posed() -> Sequence[problems.Problem]:
 
 
 def _fine() -> Mapping[str, Outcomes]:
-    orders = {f"orders of {e}": lambda e=e: list(problems.orders.study(e)) for e in problems.orders.ORDERS}
-    locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.locking.outcomes(nu) for nu in problems.locking.POISSON}
+    orders = {f"orders of {e}": lambda e=e: list(problems.manufactured.study(e)) for e in problems.manufactured.ORDERS}
+    locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.cook.locking_outcomes(nu) for nu in problems.cook.POISSON}
     return orders | locking

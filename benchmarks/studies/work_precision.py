@@ -12,9 +12,9 @@ from ...animation.plots import subplots, to_svg
 from ...lhm import expressions
 from ...lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ...lhm.base.mesh import Floats
-from ...reference import Parameters, Scene, facial_scene, hyperelastic_scene, prepare
+from ...reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ...reference.added import added_laws, added_solvers
-from ...reference.face.settling import carry_skin
+from ...reference.face.settle import carry_skin
 from .. import arap
 from ..costs import again
 from ..differences import distances
@@ -133,7 +133,7 @@ class WorkPrecision(OfPerson):
 
     def _learned(self, text: str, label: str) -> dict:
         of, problem = self.person(), _problem(self, text, FACE)
-        weights, shape = expressions.parsed(text), of.shape(text)
+        weights, shape = expressions.parse_weights(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
         bind = _binds(of)[label]
         bind()  # not counted, like the first solve
@@ -328,7 +328,7 @@ def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
     scene = face if handles is None else handles.scene(face)
     of_law = next((added.of_moduli for name, added in added_laws().items() if law_energy(name) == energy), None)
     if of_law is not None:
-        scene = hyperelastic_scene(face, of_law)
+        scene = apply_law(face, of_law)
     solution = prepare(scene, solver="projective" if of_law is None else "fenicsx").solve(tolerance=TIGHT)
     if not solution.converged:
         raise SoftdecaError(f"the tight run: {solution.reason}")

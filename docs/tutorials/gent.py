@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from softdeca.reference import add_law, terms
 from softdeca.reference.materials import EnergyLaw
-from softdeca.reference.materials.material import lame, lame_parameters
+from softdeca.reference.materials.material import check_lame, lame
 from softdeca.reference.problems.homogeneous import Row, free_stretch, under_load
 
 
@@ -24,7 +24,7 @@ class Gent(EnergyLaw):
     Jm: float = 30.0
 
     def __post_init__(self):
-        lame_parameters(self, *self.lame)
+        check_lame(self, *self.lame)
 
     @classmethod
     def of_moduli(cls, mu, lmbda):
@@ -79,7 +79,7 @@ def pulled(law, stretch):
     stress = nominal_stress(law, [stretch, free, free], 0)
     return Row(
         "Gent nu=.45, uniaxial",
-        lambda: [terms.Hyperelastic(law)],
+        (terms.Hyperelastic(law),),
         1,
         stretch,
         free,

@@ -16,7 +16,7 @@ import trimesh
 from softdeca.animation.head_pictures import draw_sections
 from softdeca.lhm import check_head, expressions, identities, load_template, scans
 from softdeca.lhm.head_file import load_head, save_head
-from softdeca.reference import Parameters, facial_scene, settled, solve
+from softdeca.reference import Parameters, facial_scene, settle, solve
 from softdeca.surrogate import derivatives_rig
 
 
@@ -82,7 +82,7 @@ Picture(draw_sections(head, head.vertices, head.skin))
 # %%
 shape = head.expression(expressions.weights_of({"jawOpen": 0.6, "mouthSmileLeft": 0.5}))
 solution = solve(facial_scene(head, Parameters(), shape))
-heavier = settled(head, Parameters(soft_volume=1.4))
+heavier = settle(head, Parameters(soft_volume=1.4))
 print(solution.reason)
 print(
     f"under 1.4 times the volume the skin moves by up to {np.abs(heavier.skin - head.skin.vertices).max():.1f} mm"

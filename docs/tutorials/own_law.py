@@ -24,8 +24,8 @@ from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
     Parameters,
     add_file,
+    apply_law,
     facial_scene,
-    hyperelastic_scene,
     problems,
     solve,
 )
@@ -60,7 +60,7 @@ for case in problems.added_hard_cases():
 # %% [markdown]
 # ## A face of it
 #
-# `hyperelastic_scene` puts the law in the place of projective dynamics' energy, with the moduli that each layer
+# `apply_law` puts the law in the place of projective dynamics' energy, with the moduli that each layer
 # has.
 
 # %%
@@ -70,7 +70,7 @@ head = fit_head(load_template(level=1), skin)
 shape = expressions.blend(space, code, expressions.weights_of({"jawOpen": 0.8}))[0]
 scene = facial_scene(head, Parameters(), shape)
 fast = solve(scene)
-face = solve(hyperelastic_scene(scene, gent), solver="fenicsx", start=fast.positions)
+face = solve(apply_law(scene, gent), solver="fenicsx", start=fast.positions)
 n = len(head.bone)
 apart = np.linalg.norm(face.positions[:n] - fast.positions[:n], axis=1)
 print(

@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import splu
 
 from softdeca.reference import Reason, Scene, SceneError, Solution, add_solver, terms
-from softdeca.reference.compiling import Clock, Spent
+from softdeca.reference.clock import Clock, Seconds
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.scene import refuse_unknown
 from softdeca.reference.solution import Limits, Recorder, first_positions, volume_ratio
@@ -109,7 +109,7 @@ class Prepared:
     scene: Scene
     held: np.ndarray
     factors: tuple
-    spent: Spent
+    spent: Seconds
 
     def solve(self, scene=None, *, start=None, warm=None, remember=False, tolerance=1e-6, absolute=None,
               max_iterations=None, on_iteration=None):  # fmt: skip
@@ -194,7 +194,7 @@ def prepare(scene: Scene):
         raise SceneError(f"solver {NAME!r} needs a vertex that is held")
     laplacian = Energy(scene).laplacian().tocsc()
     factors = tuple(splu(laplacian[~held[:, c]][:, ~held[:, c]]) for c in range(3))
-    return Prepared(scene, held, factors, clock.spent())
+    return Prepared(scene, held, factors, clock.read())
 
 
 add_solver(NAME, prepare)

@@ -11,8 +11,8 @@ from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import (
     Parameters,
     SceneError,
+    apply_law,
     facial_scene,
-    neo_hookean_scene,
     problems,
     solve,
 )
@@ -80,12 +80,15 @@ assert fast.converged and exact.converged and apart < 1e-3 * moved
 #
 # ## Another law
 #
-# `neo_hookean_scene` puts the neo-Hookean law of the same moduli at rest in the place of PD's energy. That distance
+# `apply_law` puts the neo-Hookean law of the same moduli at rest in the place of PD's energy. That distance
 # is what the *model* leaves out, and no tolerance makes it smaller.
 
 # %%
 real = solve(
-    neo_hookean_scene(scene), solver="fenicsx", start=fast.positions, tolerance=1e-9
+    apply_law(scene, "neo-Hookean"),
+    solver="fenicsx",
+    start=fast.positions,
+    tolerance=1e-9,
 )
 n = len(head.bone)
 model = np.linalg.norm(fast.positions[:n] - real.positions[:n], axis=1)

@@ -13,8 +13,8 @@ from ..base.geometry.warp import TriharmonicWarp, farthest_points
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.cut import boundary_loops, close_loop
 from ..identities.space import EYES, MOUTH
-from ..wraps.depth import wanted_depth
-from ..wraps.landmarks import Landmarks, Mask, landmarks
+from ..wraps.depth import mean_depth
+from ..wraps.landmarks import Landmarks, Mask, find_landmarks
 from .bodyparts import Anatomy
 from .envelope import SKULL_CLOSING, closed_envelope
 
@@ -68,8 +68,8 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
     incisors held. The condyles, which touch the temporal bones in the data, are pushed out of them. Muscles follow,
     are cut where they leave the head, and pushed to 1.5 mm inside the skin.
     """
-    outer = without_pockets(skin, parts)
-    marks = landmarks(skin, parts)
+    outer = close_pockets(skin, parts)
+    marks = find_landmarks(skin, parts)
     tissue = _Tissue(SignedDistance(outer), marks, _visible(skin, parts).sum())
     outside = closed_envelope([anatomy.cranium, anatomy.mandible], closing=SKULL_CLOSING, spacing=COARSE)
     exposed = _on_bone(anatomy, outside)
@@ -103,21 +103,21 @@ def place(anatomy: Anatomy, skin: Surface, parts: Ints) -> Placement:
     )
 
 
-def without_pockets(skin: Surface, parts: Ints) -> Surface:
+def close_pockets(skin: Surface, parts: Ints) -> Surface:
     """The visible skin, closed over mouth and eye sockets by lids across their rims, which come last."""
     triangles = skin.triangles[_visible(skin, parts)]
     vertices = skin.vertices
     for loop in boundary_loops(triangles):
         weights, lid = close_loop(loop, len(vertices))
         vertices, triangles = np.vstack([vertices, weights @ vertices]), np.vstack([triangles, lid])
-    return part_of(Surface(vertices, triangles), np.full(len(triangles), True))
+    return keep_triangles(Surface(vertices, triangles), np.full(len(triangles), True))
 
 
 def _visible(skin: Surface, parts: Ints) -> Mask:
     return ~np.isin(parts[skin.triangles], (MOUTH, EYES)).any(axis=1)
 
 
-def part_of(surface: Surface, kept: Mask) -> Surface:
+def keep_triangles(surface: Surface, kept: Mask) -> Surface:
     """The triangles that a mask (m,) keeps, over their own vertices."""
     used, numbers = np.unique(surface.triangles[kept], return_inverse=True)
     return Surface(surface.vertices[used], numbers.reshape(-1, 3))
@@ -137,7 +137,7 @@ class _Tissue:
         phi, outward, triangle, weights = self.phi(points)
         corners = self.phi.tree.vertices[self.phi.tree.triangles[triangle]]
         over = np.einsum("kc,kcd->kd", weights, corners)
-        wanted = wanted_depth(over, self.marks.eyes, self.marks.mouth)
+        wanted = mean_depth(over, self.marks.eyes, self.marks.mouth)
         near = (np.einsum("kd,kd->k", normals, outward) > FACING) | (phi > -LEAST)
         return Depths(points, -phi, wanted, near & (triangle < self.lids)), outward
 
@@ -234,7 +234,7 @@ def _joints_opened(anatomy: Anatomy) -> Anatomy:
         condyle = condyles[side]
         box = x[condyle].min(axis=0) - 10.0, x[condyle].max(axis=0) + 10.0
         near = ((cranium.vertices > box[0]) & (cranium.vertices < box[1])).all(axis=1)
-        socket = part_of(cranium, near[cranium.triangles].all(axis=1))
+        socket = keep_triangles(cranium, near[cranium.triangles].all(axis=1))
         fossa = closed_envelope([socket], closing=1.5, spacing=0.8, inflate=JOINT_GAP, smallest=0.0)
         phi = SignedDistance(fossa)
         for _ in range(3):
@@ -251,7 +251,7 @@ def _inside(muscle: Surface, phi: SignedDistance) -> Surface | None:
     kept = (boxed & (phi(x)[0] < OUTSIDE_HEAD))[muscle.triangles].all(axis=1)
     if not kept.any():
         return None
-    muscle = part_of(muscle, kept)
+    muscle = keep_triangles(muscle, kept)
     x = muscle.vertices
     for _ in range(PUSHES):
         distance, outward, _, _ = phi(x)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from ..base.progress import OnProgress, silent
-from ..build import build_template, in_space
+from ..build import build_template, space_options
 from ..identities.space import LinearSpace
 from ..template import DEFAULT_LEVEL, Template
 from . import bodyparts
@@ -38,7 +38,7 @@ def anatomical_template(
         space.mean,
         muscles,
         skull,
-        **in_space(space),
+        **space_options(space),
         bone_of=lambda points: bone_at(placed, points),
         level=level,
         name=f"{space.name}-anatomical",

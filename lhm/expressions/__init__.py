@@ -1,16 +1,12 @@
 """ARKit's 52 expressions: names, weights, takes, blending, and shapes carried to other faces."""
 
-from ..arkit import ARKIT
-from .blending import blend, checked_weights, index, parsed, weights_of
-from .combinations import combinations, sample_weights
-from .conversation import conversation, conversation_take
-from .head_motion import head_motion
-from .head_rotation import rotations
+from ..arkit import ARKIT, check_weights, index, parse_weights, weights_of
+from ..rig import blend
+from .made_up import combinations, conversation, conversation_take, head_motion, sample_weights, speech
+from .readers import read_take
 from .recordings import Recording, recordings, starts
-from .rigging import PersonalRig, personalised
-from .speech import speech
-from .take import Take, resampled
-from .take_file import read_take
+from .rigging import PersonalRig, personalise
+from .takes import Take, resample, rotations
 from .transfer import transfer_expressions
 
 __all__ = [
@@ -19,17 +15,17 @@ __all__ = [
     "Recording",
     "Take",
     "blend",
-    "checked_weights",
+    "check_weights",
     "combinations",
     "conversation",
     "conversation_take",
     "head_motion",
     "index",
-    "parsed",
-    "personalised",
+    "parse_weights",
+    "personalise",
     "read_take",
     "recordings",
-    "resampled",
+    "resample",
     "rotations",
     "sample_weights",
     "speech",

@@ -21,11 +21,9 @@ from ..base.checks import check_arguments
 from ..base.errors import InputError
 from ..base.limits import RECORDED_FILES, RECORDINGS
 from ..base.mesh import Ints
-from .combinations import combinations, hard_expressions
-from .conversation import conversation_take
-from .speech import PACE, speech, texts
-from .take import Take, check_frames, resampled
-from .take_file import read_take
+from .made_up import PACE, combinations, conversation_take, hard_expressions, shipped_sentences, speech
+from .readers import read_take
+from .takes import Take, check_frames, resample
 
 Kind = Literal["real", "speech", "conversation", "random", "hard"]
 RATE = 60.0
@@ -81,7 +79,7 @@ def recordings(
     check_frames(seconds * rate, rate)
     frames = round(seconds * rate)
     found = [] if folder is None else _real(Path(folder), rate)
-    spoken = texts() if spoken is None else spoken
+    spoken = shipped_sentences() if spoken is None else spoken
     RECORDINGS.check("spoken", len(spoken))
     for number, text in enumerate(spoken):
         count = len(_made("speech", text, 0, rate, pace).times)
@@ -116,7 +114,7 @@ def _real(folder: Path, rate: float) -> list[Recording]:
     RECORDED_FILES.check(str(folder), len(paths))
     for path in paths:
         try:
-            count = len(resampled(read_take(path), rate).times)
+            count = len(resample(read_take(path), rate).times)
         except InputError as error:
             warnings.warn(f"left out of the recordings: {error}", stacklevel=3)
             continue
@@ -129,9 +127,9 @@ def _real(folder: Path, rate: float) -> list[Recording]:
 
 def _made(kind: Kind, origin: str, frames: int, rate: float, pace: float) -> Take:
     if kind == "real":
-        return resampled(read_take(origin), rate)
+        return resample(read_take(origin), rate)
     if kind == "speech":
-        return resampled(speech(origin, pace=pace), rate)
+        return resample(speech(origin, pace=pace), rate)
     rng, times = np.random.default_rng(int(origin)), np.arange(frames) / rate
     if kind == "conversation":
         return conversation_take(rng, frames, rate=rate)

@@ -19,13 +19,12 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from ..arkit import ARKIT
+from ..arkit import ARKIT, check_weights
 from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
-from .blending import checked_weights
-from .transfer import HELD, Anchors, checked_deltas
+from .transfer import HELD, Anchors, check_deltas
 
 ROUNDS = 10
 SHAPE_TRUST = (0.5, 0.1)
@@ -50,7 +49,7 @@ class PersonalRig:
 
 
 @check_arguments
-def personalised(neutral: Surface, deltas, examples, weights, *, rounds: int = ROUNDS) -> PersonalRig:
+def personalise(neutral: Surface, deltas, examples, weights, *, rounds: int = ROUNDS) -> PersonalRig:
     """Fit the shapes to scanned expressions of one person.
 
     neutral: that person's neutral skin [mm]. deltas: generic shapes on it, such as `transfer_expressions` gives [mm],
@@ -59,10 +58,10 @@ def personalised(neutral: Surface, deltas, examples, weights, *, rounds: int = R
     that is 0 in all of them is not used, and stays as it is. Raises MeshError or InputError for other shapes, values
     that are not finite, weights that are all zero, triangles without area, and no round.
     """
-    generic = checked_deltas("deltas", deltas, neutral)
+    generic = check_deltas("deltas", deltas, neutral)
     check_areas("neutral", neutral.vertices, neutral.triangles)
     motions = _checked_examples(examples, neutral) - neutral.vertices
-    start = np.atleast_2d(checked_weights(weights))
+    start = np.atleast_2d(check_weights(weights))
     if len(start) != len(motions):
         raise InputError(f"weights: {len(start)} rows for {len(motions)} examples")
     if not start.any():

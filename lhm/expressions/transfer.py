@@ -60,7 +60,7 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
     Raises MeshError for other triangles, shapes or values that are not finite, and for a triangle without area in
     either neutral, by its number.
     """
-    deltas = checked_deltas("source_deltas", source_deltas, source_neutral)
+    deltas = check_deltas("source_deltas", source_deltas, source_neutral)
     check_same_triangles("target", target, source_neutral)
     check_areas("source_neutral", source_neutral.vertices, source_neutral.triangles)
     check_areas("target", target.vertices, target.triangles)
@@ -75,7 +75,7 @@ def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface
     return anchors.settle(np.ascontiguousarray(motion), deltas * (_size(target) / _size(source_neutral)))
 
 
-def checked_deltas(name: str, deltas, neutral: Surface) -> Floats:
+def check_deltas(name: str, deltas, neutral: Surface) -> Floats:
     """Displacements of the 52 expressions as float64; MeshError unless finite and of shape (52, n, 3)."""
     try:
         values = np.asarray(deltas, dtype=np.float64)

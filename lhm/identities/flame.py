@@ -19,9 +19,8 @@ from ..base.errors import InputError, MeshError
 from ..base.files.npz import read_arrays
 from ..base.limits import SPACE_VALUES, VERTICES
 from ..base.mesh import Floats, Surface
-from .cut import boundary_loops, close_loop, even_loop, largest_piece
-from .lips import lips_together
-from .pickled import read_pickled
+from .cut import boundary_loops, close_loop, even_loop, keep_lips_together, largest_piece
+from .safe_pickle import read_pickled
 from .space import CAP, EYES, MOUTH, OUTSIDE, LinearSpace, check_extent
 
 MM = 1000.0
@@ -97,7 +96,7 @@ def _space(data: Mapping[str, np.ndarray]) -> LinearSpace:
     directions = np.moveaxis(data["shapedirs"][:, :, :CODE_SIZE].astype(np.float64), 2, 0)
     identity = MM * np.stack([closed @ direction for direction in directions])
     if (part_of == MOUTH).any():
-        identity = lips_together(mean.vertices, mean.triangles, part_of, identity)
+        identity = keep_lips_together(mean.vertices, mean.triangles, part_of, identity)
     expressions = np.zeros((len(ARKIT), *mean.vertices.shape))
     expressions[ARKIT.index("jawOpen")] = MM * (closed @ _jaw_opened(template, data))
     missing = tuple(name for name in ARKIT if name != "jawOpen")

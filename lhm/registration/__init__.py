@@ -1,14 +1,14 @@
 """Registration: a template's topology laid onto skins of any other."""
 
-from .landmarks import landmark_ids, named_landmarks, read_landmarks
-from .registration import Registration, Residual, register, registered_by
+from .landmarks import landmark_ids, pair_landmarks, read_landmarks
+from .registration import Registration, Residual, register, register_by_mapping
 
 __all__ = [
     "Registration",
     "Residual",
     "landmark_ids",
-    "named_landmarks",
+    "pair_landmarks",
     "read_landmarks",
     "register",
-    "registered_by",
+    "register_by_mapping",
 ]

@@ -12,14 +12,18 @@ from ..base.checks import finite
 from ..base.errors import InputError, MeshError, quote
 from ..base.files.surface_file import FARTHEST
 from ..base.files.text import read_json
+from ..base.geometry.bvh import TriangleTree
 from ..base.mesh import Floats, Ints, Surface, as_points
 from ..identities.space import MOUTH, OUTSIDE
-from ..wraps.landmarks import landmarks
+from ..wraps.landmarks import find_landmarks
+from .alignment import fit_similarity
 
 Pairs = tuple[Ints, Floats]
 """Vertices of the template, shape (k,), and the points [mm] on the skin that belong to them, shape (k, 3)."""
 
 LEAST = 4
+SCALES = (0.7, 1.5)
+FAR = 20.0  # [mm] farther from the skin, or from where the others put it, a landmark is on something else
 
 
 def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
@@ -31,7 +35,7 @@ def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
     x = skin.vertices
     if not (parts == MOUTH).any():
         raise MeshError("landmarks: the template has no mouth among its parts")
-    marks = landmarks(skin, parts)
+    marks = find_landmarks(skin, parts)
     if not len(marks.lids):
         raise MeshError("landmarks: the template has no eyes among its parts")
     ids = {}
@@ -60,7 +64,7 @@ def landmark_ids(skin: Surface, parts: Ints) -> dict[str, int]:
     return {name: int(vertex) for name, vertex in ids.items()}
 
 
-def named_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pairs:
+def pair_landmarks(skin: Surface, parts: Ints, points: Mapping[str, Any]) -> Pairs:
     """Pairs for points [mm] given by the names of `landmark_ids`; InputError names an unknown one or a bad point."""
     ids = landmark_ids(skin, parts)
     unknown = [name for name in points if name not in ids]
@@ -90,10 +94,10 @@ def read_landmarks(path: str | os.PathLike[str]) -> dict[str, list[float]]:
     return read
 
 
-def checked_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
+def check_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     """The pairs as arrays; InputError for fewer than four, vertices out of range or repeated, points not finite."""
     try:
-        ids, points = np.asarray(pairs[0]), as_points("landmarks", pairs[1])
+        ids, points = np.asarray(pairs[0]), as_points("find_landmarks", pairs[1])
     except MeshError as error:
         raise InputError(str(error)) from None
     if ids.shape != (len(points),) or not np.issubdtype(ids.dtype, np.integer):
@@ -106,3 +110,38 @@ def checked_pairs(pairs: Pairs, n_vertices: int) -> Pairs:
     if len(np.unique(ids)) < len(ids):
         raise InputError("landmarks: a vertex of the template is given twice")
     return ids.astype(np.int64), points
+
+
+# DOC """What a skin of any topology has to be before a template is registered with it."""
+def check_placed(template: Floats, pairs: Pairs, skin: Surface) -> None:
+    """Raise InputError for landmarks that are mirrored, of another scale, off the skin, or that contradict each other.
+
+    `template` (n, 3) [mm] are the template's vertices.
+    """
+    ids, points = pairs
+    rest = template[ids]
+    moved, mirrored = fit_similarity(rest, points), fit_similarity(rest * [-1.0, 1.0, 1.0], points)
+    off = np.linalg.norm(moved(rest) - points, axis=1)
+    as_mirrored = np.linalg.norm(mirrored(rest * [-1.0, 1.0, 1.0]) - points, axis=1)
+    if as_mirrored.mean() < 0.5 * off.mean() and off.mean() > 2.0:
+        raise InputError(
+            f"landmarks: they fit a mirrored head ({as_mirrored.mean():.1f} mm) better than a head "
+            f"({off.mean():.1f} mm): are left and right exchanged?"
+        )
+    if not SCALES[0] <= moved.scale <= SCALES[1]:
+        raise InputError(
+            f"landmarks: they are those of a head {moved.scale:.3g} times the template's size, "
+            f"expected {SCALES[0]:g}..{SCALES[1]:g}: units off?"
+        )
+    away = TriangleTree(skin.vertices, skin.triangles).closest(points)[2]
+    if away.max() > FAR:
+        worst = away.argmax()
+        raise InputError(
+            f"landmarks: that of template vertex {ids[worst]} is {away[worst]:.0f} mm off the skin (at most {FAR:g})"
+        )
+    if off.max() > 2 * FAR:
+        worst = off.argmax()
+        raise InputError(
+            f"landmarks: that of template vertex {ids[worst]} is {off[worst]:.0f} mm from where the others put it "
+            f"(at most {2 * FAR:g})"
+        )

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags
 
 from ..base.errors import FitError, InputError
 from ..base.geometry.bvh import TriangleTree
+from ..base.geometry.cholesky import factorise
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
 from ..identities.space import CAP, EYES, MOUTH
-from ..wraps.landmarks import Landmarks, Mask, landmarks, regions
-from .checks import check_placed, registrable
-from .landmarks import Pairs, checked_pairs
-from .matching import Target
-from .nonrigid import laid_onto
-from .start import automatic, similarity
-from .ties import barycentric, on_skin, on_template
+from ..skin import check_registrable
+from ..wraps.columns import neighbours
+from ..wraps.landmarks import Landmarks, Mask, find_landmarks, find_regions
+from .alignment import FACING, Target, find_start, fit_similarity, open_edges
+from .landmarks import Pairs, check_pairs, check_placed
+from .nonrigid import lay_onto
 
 LEAST_SCALE, GREATEST_SCALE, WORST_START = 0.7, 1.5, 5.0
 WORST_FACE = 3.0
@@ -74,24 +74,24 @@ def register(
     landmarks that are too few, out of range, off the skin or mirrored; FitError if no face is found in the skin or
     the registered face stays off it.
     """
-    places, face = face_of(template_skin, parts)
-    whole = registrable(skin)
+    places, face = find_face(template_skin, parts)
+    whole = check_registrable(skin)
     target = Target(whole)
     progress("aligning the skin", 0.0)
     if landmarks is None:
         points, normals = template_skin.vertices[face], template_skin.vertex_normals[face]
-        motion, score = automatic(points, normals, target)
+        motion, score = find_start(points, normals, target)
         if not LEAST_SCALE <= motion.scale <= GREATEST_SCALE or score > WORST_START:
             raise FitError(
                 f"skin: no face found in it (a template {motion.scale:.2g} times its size is {score:.1f} mm off, "
                 f"at most {WORST_START:g}); it has to look along +z with +y up, or landmarks be given"
             )
     else:
-        landmarks = checked_pairs(landmarks, len(template_skin.vertices))
+        landmarks = check_pairs(landmarks, len(template_skin.vertices))
         check_placed(template_skin.vertices, landmarks, whole)
-        motion = similarity(template_skin.vertices[landmarks[0]], landmarks[1])
+        motion = fit_similarity(template_skin.vertices[landmarks[0]], landmarks[1])
     start = template_skin.with_vertices(motion(template_skin.vertices))
-    vertices, crossings = laid_onto(start, parts, places, target, landmarks, progress)
+    vertices, crossings = lay_onto(start, parts, places, target, landmarks, progress)
     done = _registration(template_skin.with_vertices(vertices), parts, face, skin, crossings)
     if done.residual.mean > WORST_FACE:
         raise FitError(
@@ -101,7 +101,7 @@ def register(
     return done
 
 
-def registered_by(
+def register_by_mapping(
     template_skin: Surface, parts: Ints, mapping: csr_matrix | tuple[Ints, Floats], skin: Surface
 ) -> Registration:
     """A registration from a known correspondence: where on the skin each template vertex lies.
@@ -120,7 +120,7 @@ def registered_by(
     surface = template_skin.with_vertices(weights @ skin.vertices)
     own = len(TriangleTree(template_skin.vertices, template_skin.triangles).self_crossings())
     crossings = len(TriangleTree(surface.vertices, surface.triangles).self_crossings()) - own
-    return _registration(surface, parts, face_of(template_skin, parts)[1], skin, max(crossings, 0))
+    return _registration(surface, parts, find_face(template_skin, parts)[1], skin, max(crossings, 0))
 
 
 def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
@@ -130,21 +130,91 @@ def _barycentric(ids: Ints, weights: Floats, n: int, m: int) -> csr_matrix:
     bad = np.flatnonzero(((ids < 0) | (ids >= m)).any(axis=1))
     if bad.size:
         raise InputError(f"mapping: row {bad[0]} names skin vertices outside 0..{m - 1}")
-    return barycentric(ids, weights, (n, m))
+    return barycentric_matrix(ids, weights, (n, m))
 
 
-def face_of(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
+def find_face(template_skin: Surface, parts: Ints) -> tuple[Landmarks, Mask]:
     """A template's rims of mouth and eyes, and the mask (n,) of its face; InputError where `parts` have none."""
     if np.shape(parts) != (len(template_skin.vertices),):
         raise InputError(f"parts: expected shape ({len(template_skin.vertices)},), got {np.shape(parts)}")
     if not (parts == MOUTH).any() or not (parts == EYES).any():
         raise InputError("parts: the template needs vertices of the mouth's lining and of the eye sockets")
-    places = landmarks(template_skin, parts)
-    return places, regions(template_skin, parts, places)["face"]
+    places = find_landmarks(template_skin, parts)
+    return places, find_regions(template_skin, parts, places)["face"]
 
 
 def _registration(surface: Surface, parts: Ints, face: Mask, skin: Surface, crossings: int) -> Registration:
     gap = TriangleTree(skin.vertices, skin.triangles).closest(surface.vertices[face])[2]
     residual = Residual(float(gap.mean()), float(np.quantile(gap, 0.95)), float(gap.max()))
-    ties = on_template(surface, skin), on_skin(surface, skin, parts == CAP)
+    ties = skin_ties(surface, skin), template_ties(surface, skin, parts == CAP)
     return Registration(surface, residual, *ties, crossings)
+
+
+# DOC """What ties a registered template and the skin it lies on: displacements of the one as those of the other."""
+MATCHED = 4.0
+"""[mm] Farther from the skin a vertex of the template lies on nothing: its displacement is that of those around it."""
+LEAST = 1e-4
+
+
+def skin_ties(template: Surface, skin: Surface) -> csr_matrix:
+    """Weights (skin vertices, n) of the template's closest point that faces the same way, else of the closest."""
+    return _closest(template, skin)[0]
+
+
+def template_ties(template: Surface, skin: Surface, lid: Mask) -> csr_matrix:
+    """Weights (n, skin vertices): displacements of the skin as those of the template's vertices; rows sum to one.
+
+    A vertex within 4 mm of a point that faces the same way, and is not on an open edge, moves as that does. What the
+    skin lacks (the lining of a mouth, eye sockets, a neck) follows harmonically what lies around it, but for the `lid`
+    (n,) of the template's neck, which moves as what is farthest from it: with the skull, however much a jaw draws at
+    the edge of a neck that ends under the chin.
+    """
+    weights, distance, facing = _closest(skin, template)
+    rim = np.zeros(len(skin.vertices), bool)
+    rim[open_edges(skin.triangles).ravel()] = True
+    on_rim = np.asarray(weights @ rim.astype(float)).ravel() > 0.99
+    lost = ~facing | (distance > MATCHED) | (on_rim & (distance > 1.0))
+    if not lost.any() or lost.all():
+        return weights
+    below = np.flatnonzero(lost & lid)
+    if below.size:
+        away = np.linalg.norm(template.vertices - template.vertices[below].mean(axis=0), axis=1)
+        crown = np.where(lost, -1.0, away).argmax()
+        weights, lost = replace_rows(weights, below, weights[np.full(below.size, crown)]), lost & ~lid
+    edges = neighbours(template.triangles, len(template.vertices))
+    laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges).tocsr()
+    inner, around = laplacian[lost][:, lost], laplacian[lost][:, ~lost]
+    border = np.flatnonzero(np.asarray(abs(around).sum(axis=0)).ravel())
+    filled = factorise(inner.tocsc())(np.asarray(-around[:, border].todense()))
+    filled = np.where(filled > LEAST, filled, 0.0)
+    total = filled.sum(axis=1, keepdims=True)
+    # A piece of the template of which nothing lies on the skin keeps its closest points.
+    reached = total[:, 0] > 0.5
+    follow = csr_matrix(filled[reached] / total[reached])
+    return replace_rows(weights, np.flatnonzero(lost)[reached], follow @ weights[np.flatnonzero(~lost)[border]])
+
+
+def replace_rows(matrix: csr_matrix, ids: Ints, rows: csr_matrix) -> csr_matrix:
+    """The matrix with `rows` (k, columns) in place of its own `ids` (k,)."""
+    n, k = matrix.shape[0], len(ids)
+    kept = np.setdiff1d(np.arange(n), ids)
+    places = csr_matrix((np.ones(k), (ids, np.arange(k))), shape=(n, k))
+    others = csr_matrix((np.ones(len(kept)), (kept, np.arange(len(kept)))), shape=(n, len(kept)))
+    return (others @ matrix[kept] + places @ rows).tocsr()
+
+
+def _closest(surface: Surface, points: Surface) -> tuple[csr_matrix, Floats, np.ndarray]:
+    """Weights (points, n) of the closest point on `surface`, its distance [mm], whether it faces the same way."""
+    faces = surface.face_normals
+    faces = faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-30)
+    tree = TriangleTree(surface.vertices, surface.triangles)
+    triangle, weights, distance = tree.closest_facing(points.vertices, points.vertex_normals, faces, FACING)
+    lost = triangle < 0
+    triangle[lost], weights[lost], distance[lost] = tree.closest(points.vertices[lost])
+    shape = (len(points.vertices), len(surface.vertices))
+    return barycentric_matrix(surface.triangles[triangle], weights, shape), distance, ~lost
+
+
+def barycentric_matrix(ids: Ints, weights: Floats, shape: tuple[int, int]) -> csr_matrix:
+    """A matrix whose rows have the weights (k, 3) of the vertices `ids` (k, 3)."""
+    return csr_matrix((weights.ravel(), (np.repeat(np.arange(len(ids)), 3), ids.ravel())), shape=shape)

@@ -13,9 +13,9 @@ from ..base.geometry.warp import farthest_points
 from ..base.mesh import Floats
 from ..identities.space import LinearSpace
 from ..wraps import depth
-from ..wraps.landmarks import landmarks
+from ..wraps.landmarks import find_landmarks
 from .depths import DepthPairs, DepthRegressor
-from .measured import moved_wrap
+from .pairs import move_wrap
 
 if TYPE_CHECKING:
     from ..template import Template
@@ -43,11 +43,11 @@ def prior_pairs(template: Template, space: LinearSpace, rng: np.random.Generator
     wraps, depths = [], []
     for _ in range(count):
         skin = space.sample(rng)[1]
-        marks = landmarks(skin, space.parts)
-        wrap = moved_wrap(template, skin.vertices)
-        mean = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
+        marks = find_landmarks(skin, space.parts)
+        wrap = move_wrap(template, skin.vertices)
+        mean = depth.mean_depth(wrap, marks.eyes, marks.mouth)
         mean[template.regions["mouth"]], mean[template.regions["eyes"]] = depth.LINING, depth.SOCKET
-        spread = depth.wanted_spread(wrap, marks.eyes, marks.mouth)
+        spread = depth.depth_spread(wrap, marks.eyes, marks.mouth)
         deviation = np.sqrt(np.log1p(spread**2))
         common, own = rng.standard_normal(), field @ rng.standard_normal(field.shape[1])
         factor = np.exp(deviation * (np.sqrt(COMMON) * common + np.sqrt(1 - COMMON) * own) - 0.5 * deviation**2)

@@ -1,11 +1,9 @@
 """Scans of heads: read from any usual file, repaired, put upright in millimetres, fitted."""
 
-from .guesses import read_guesses
-from .intake import HeadScan, Said, fit_head_scan, fit_scan, read_head_scan, topology_of
-from .marks import found_landmarks
-from .personal import Personal, personalised_head, told
-from .placing import AXES, UNITS, Placement, placed
-from .repair import Repaired, repaired
+from .intake import HeadScan, Hints, fit_head_scan, fit_scan, read_head_scan, read_same_topology, suggest_landmarks
+from .personal import Personal, describe_rig, personalise_head, read_guesses
+from .placing import AXES, UNITS, Placement, find_placement
+from .repair import Repaired, repair_scan
 
 __all__ = [
     "AXES",
@@ -14,15 +12,15 @@ __all__ = [
     "Personal",
     "Placement",
     "Repaired",
-    "Said",
+    "Hints",
     "fit_head_scan",
     "fit_scan",
-    "found_landmarks",
-    "personalised_head",
-    "placed",
+    "suggest_landmarks",
+    "personalise_head",
+    "find_placement",
     "read_guesses",
     "read_head_scan",
-    "repaired",
-    "told",
-    "topology_of",
+    "repair_scan",
+    "describe_rig",
+    "read_same_topology",
 ]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import dijkstra
 
 from ..arkit import ARKIT
+from ..base.geometry.cholesky import factorise
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import OUTSIDE, LinearSpace
-from ..registration.matching import Target
-from ..registration.start import similarity
+from ..registration.alignment import Target, fit_similarity
+from ..rig import Rig
+from ..wraps.columns import neighbours
 from ..wraps.landmarks import Mask, distance_to
 
 State = Literal["open", "solid", "closed", "unclear"]
@@ -74,7 +77,9 @@ _WORDS = {
 }
 
 
-def eyes_of(space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface) -> Eyes:
+def classify_eyes(
+    space: LinearSpace, template: Surface, parts: Ints, lids: Ints, registered: Surface, skin: Surface
+) -> Eyes:
     """The states of a skin's eyes, which the registered template (n vertices) [mm] lies on.
 
     `space`: whose expressions the template has; `lids`: the vertices of its lids' rims.
@@ -109,13 +114,13 @@ def _misfit(template: Surface, delta: Floats, registered: Floats, patch, close, 
     """Mean distance [mm] of the template's lids, moved by `delta` and laid rigidly, to the skin."""
     shape = template.with_vertices(template.vertices + delta)
     x, normals = shape.vertices[patch], shape.vertex_normals[patch]
-    motion = similarity(template.vertices[patch], registered[patch])
+    motion = fit_similarity(template.vertices[patch], registered[patch])
     for limit in LIMITS:
         closest, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=limit)
         used = (weight > 0) & (distance < limit)
         if used.sum() < 10:
             return FAR
-        motion = similarity(x[used], closest[used])
+        motion = fit_similarity(x[used], closest[used])
     _, distance, weight = target.match(motion(x), normals @ motion.rotation.T, reach=FAR)
     off = np.where(weight > 0, np.minimum(distance, FAR), FAR)
     return float(off[close[patch]].mean())
@@ -153,3 +158,38 @@ def _way(template: Surface, rim: Ints, registered: Surface, skin: Surface) -> fl
     start, end = (np.linalg.norm(points - place, axis=1).argmin() for place in places)
     straight = np.linalg.norm(points[start] - points[end])
     return float(dijkstra(graph, directed=False, indices=start)[end] / max(straight, 1e-9))
+
+
+# DOC """Lids that are one surface, and stay shut or as they are while the face around them moves."""
+REACH = 8.0
+"""[mm] From the template's lid rims: its lids part or meet there, where this skin is one piece."""
+LEAST = 0.1
+"""[mm] Shorter edges count as this long."""
+
+
+def calm_lids(rig: Rig, skin: Surface, rims: Floats, own: Collection[str]) -> Rig:
+    """The rig in which a skin near the registered rims (k, 3) [mm] of lids that stay still goes with what is around it.
+
+    Displacements there are those of least squared Laplacian, so that no expression draws one lid over the other; the
+    expressions in `own` stay as they are.
+    """
+    x, edges = skin.vertices, neighbours(skin.triangles, len(skin.vertices)).tocoo()
+    used = np.bincount(edges.row, minlength=len(x)) > 0
+    inside = (distance_to(x, rims) < REACH) & used
+    if not inside.any() or inside[used].all():
+        return rig
+    # By their lengths, so that short edges take no more of a stretch than long ones.
+    length = np.linalg.norm(x[edges.row] - x[edges.col], axis=1)
+    weights = csr_matrix((1.0 / np.maximum(length, LEAST), (edges.row, edges.col)), shape=edges.shape)
+    total = np.maximum(np.asarray(weights.sum(axis=1)).ravel(), 1e-12)
+    laplacian = (diags(used.astype(float)) - diags(1.0 / total) @ weights).tocsr()
+    rows = np.asarray(abs(laplacian[:, inside]).sum(axis=1)).ravel() > 0
+    free = laplacian[rows][:, inside]
+    # A piece that lies wholly inside has nothing to go along with.
+    solve = factorise((free.T @ free + 1e-9 * diags(np.ones(int(inside.sum())))).tocsc())
+    moved = [k for k, name in enumerate(ARKIT) if name not in own and np.abs(rig.deltas[k][inside]).max() > 0]
+    deltas = np.array(rig.deltas)
+    around = laplacian[rows][:, ~inside]
+    for k in moved:
+        deltas[k, inside] = solve(-(free.T @ (around @ deltas[k, ~inside].astype(np.float64))))
+    return replace(rig, deltas=deltas)

@@ -10,23 +10,23 @@ from typing import Any
 
 import numpy as np
 
+from ..arkit import find_arkit_morphs
 from ..base.errors import InputError, MeshError, SoftdecaError
 from ..base.files.surface_file import Scan, read_scan
 from ..base.geometry.bvh import TriangleTree
 from ..base.geometry.topology import find_openings
 from ..base.mesh import Floats, Ints, Surface
 from ..base.progress import OnProgress, silent
-from ..expressions.naming import arkit_named
-from ..fit import fit_registered, stands
+from ..fit import fit_registered, is_upright
 from ..head import LayeredHead
-from ..registration.landmarks import Pairs, named_landmarks
-from ..registration.registration import face_of, register
-from ..regressor import DepthRegressor
+from ..registration.landmarks import Pairs, landmark_ids, pair_landmarks
+from ..registration.registration import find_face, register
+from ..regressor.depths import DepthRegressor
 from ..skin import check_skin
 from ..template import Template
-from .placing import Placement, millimetres, placed
-from .repair import Repaired, repaired
-from .seals import left_sealed, named, opened_up
+from .placing import Placement, find_placement, millimetres
+from .repair import Repaired, repair_scan
+from .seals import leave_sealed, mark_rig
 
 ENOUGH = 5
 """So many of a mesh's own morph targets have to be ARKit's for them to count as its rig."""
@@ -51,7 +51,7 @@ class HeadScan:
 
 
 @dataclass(frozen=True)
-class Said:
+class Hints:
     """What is said of a scan's place rather than found: `unit`, `up` and `front` as in `placed`.
 
     `landmarks`: points by the names of `landmark_ids`, in the file's coordinates, or in millimetres along its axes.
@@ -66,7 +66,7 @@ class Said:
 def read_head_scan(
     path: str | os.PathLike[str],
     template: Template,
-    said: Said = Said(),  # noqa: B008 (frozen)
+    said: Hints = Hints(),  # noqa: B008 (frozen)
     *,
     repair: bool = True,
     progress: OnProgress = silent,
@@ -78,16 +78,16 @@ def read_head_scan(
     """
     scan = read_scan(path)
     try:
-        done = repaired(scan) if repair else Repaired.of(scan)
+        done = repair_scan(scan) if repair else Repaired.of(scan)
         return _upright(done, template, said, progress)
     except SoftdecaError as error:
         raise InputError(str(error) if str(path) in str(error) else f"{Path(path)}: {error}") from None
 
 
-def topology_of(
+def read_same_topology(
     path: str | os.PathLike[str],
     template: Template,
-    said: Said = Said(),  # noqa: B008 (frozen)
+    said: Hints = Hints(),  # noqa: B008 (frozen)
 ) -> tuple[Surface, tuple[str, ...]] | None:
     """The skin [mm] in a file whose triangles are the template's, and what was found; None if they are others.
 
@@ -101,9 +101,9 @@ def topology_of(
         skin, notes = scan.surface, tuple[str, ...]()
         if not np.ptp(skin.vertices, axis=0).max() > 0:
             raise MeshError("skin: all its vertices are in one place")
-        if (said.unit, said.up, said.front) != (None, None, None) or not stands(template.skin, skin):
+        if (said.unit, said.up, said.front) != (None, None, None) or not is_upright(template.skin, skin):
             rest = template.skin.vertices
-            where = placed(
+            where = find_placement(
                 skin, (rest, rest), landmarks=(rest, skin.vertices), unit=said.unit, up=said.up, front=said.front
             )
             skin, notes = Surface(where.motion(skin.vertices), skin.triangles), where.notes
@@ -116,7 +116,7 @@ def topology_of(
 def fit_scan(
     path: str | os.PathLike[str],
     template: Template,
-    said: Said = Said(),  # noqa: B008 (frozen)
+    said: Hints = Hints(),  # noqa: B008 (frozen)
     *,
     repair: bool = True,
     unseal: bool = True,
@@ -127,23 +127,23 @@ def fit_scan(
     return fit_head_scan(scan, template, unseal=unseal, progress=progress)
 
 
-def _upright(done: Repaired, template: Template, said: Said, progress: OnProgress) -> HeadScan:
+def _upright(done: Repaired, template: Template, said: Hints, progress: OnProgress) -> HeadScan:
     skin = done.scan.surface
-    _, face = face_of(template.skin, template.parts)
+    _, face = find_face(template.skin, template.parts)
     points, normals = template.skin.vertices[face], template.skin.vertex_normals[face]
     pairs = None
     if said.landmarks is not None:
-        pairs = _in_file(named_landmarks(template.skin, template.parts, said.landmarks), done.scan, said.unit)
+        pairs = _in_file(pair_landmarks(template.skin, template.parts, said.landmarks), done.scan, said.unit)
     known = None if pairs is None else (template.skin.vertices[pairs[0]], pairs[1])
-    where = placed(
+    where = find_placement(
         skin, (points, normals), landmarks=known, unit=said.unit, up=said.up, front=said.front, progress=progress
     )
     notes = [*done.notes, *where.notes, _told_openings(skin)]
     own = {}
-    named = arkit_named(done.scan.morphs)
-    if len(named) >= ENOUGH:
+    morphs = find_arkit_morphs(done.scan.morphs)
+    if len(morphs) >= ENOUGH:
         turn = where.motion.scale * where.motion.rotation
-        own = {name: delta @ turn.T for name, delta in named.items()}
+        own = {name: delta @ turn.T for name, delta in morphs.items()}
         notes.append(f"expressions: {len(own)} of the file's {len(done.scan.morphs)} morph targets are ARKit's")
     if pairs is not None:
         pairs = pairs[0], where.motion(pairs[1])
@@ -165,11 +165,11 @@ def fit_head_scan(
     the notes with the expressions that will not work, which the head's rig names too.
     """
     laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
-    open_ = opened_up if unseal else left_sealed
+    open_ = unseal if unseal else leave_sealed
     done = open_(template, laid, scan.skin, scan.own)
     head = fit_registered(template, done.skin, done.laid, regressor=regressor, own=done.own)
     if head.rig is not None:
-        head = replace(head, rig=named(head.rig, done, head))
+        head = replace(head, rig=mark_rig(head.rig, done, head))
     return replace(head, notes=(*scan.notes, *done.notes))
 
 
@@ -204,3 +204,15 @@ def _told_openings(skin: Surface) -> str:
     extent = float(np.ptp(skin.vertices, axis=0).max())
     large = sum(size > 0.05 * extent for size in sizes)
     return f"openings: {len(loops)} ({large} of them large); they stay open"
+
+
+# DOC """The named landmarks of a scan, found by laying the template on it."""
+def suggest_landmarks(scan: HeadScan, template: Template, *, progress: OnProgress = silent) -> dict[str, Floats]:
+    """Points [mm] on the upright skin by the names of `landmark_ids` (half a minute); raises what `register` raises.
+
+    They are where the registered template's are: on Lee Perry-Smith's scan .7 to 6 mm from those picked by hand. For a
+    person to look at, correct and give back to `fit`; given back as they are they say nothing new.
+    """
+    laid = register(template.skin, template.parts, scan.skin, landmarks=scan.landmarks, progress=progress)
+    ids = landmark_ids(template.skin, template.parts)
+    return {name: laid.vertices[vertex] for name, vertex in ids.items()}

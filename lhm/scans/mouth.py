@@ -13,12 +13,10 @@ from ..base.errors import MeshError
 from ..base.mesh import Floats, Ints, Surface
 from ..identities.space import MOUTH
 from ..registration.registration import Registration
-from ..wraps.harmonic import harmonic
+from ..wraps.columns import fill_harmonically, neighbours
 from ..wraps.landmarks import Mask
-from ..wraps.shrinkwrap import neighbours
-from .cutting import Slit, slit
-from .lip_ties import of_lips, shares, side_by_side
-from .lips import LipLine, lip_line
+from .lips import LipLine, chain_shares, find_lip_line, lips_of_vertices, tie_lips
+from .slit import Slit, cut_slit
 
 BESIDE, HIGH, BEHIND, BEFORE = 8.0, 12.0, 15.0, 35.0
 """[mm] The mouth's zone: beyond the corners, above and below the line, behind the corners and before them."""
@@ -93,16 +91,16 @@ def ways_across(line: LipLine, skin: Surface) -> Floats:
     return np.array(found or [np.inf])
 
 
-def opened(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth:
+def open_mouth(template: Surface, parts: Ints, laid: Registration, skin: Surface) -> OpenedMouth:
     """The skin with its sealed mouth opened, and the registration on it; MeshError, saying why, if it cannot be cut."""
-    furrow = lip_line(template, parts, laid.surface, skin)
+    furrow = find_lip_line(template, parts, laid.surface, skin)
     if not is_sealed(furrow, skin):
-        line = lip_line(template, parts, laid.surface, skin, share=0.0)
-        return cut_open(template, parts, laid, skin, line, _over_membrane(template, parts, laid, skin, line))
+        line = find_lip_line(template, parts, laid.surface, skin, share=0.0)
+        return cut_mouth(template, parts, laid, skin, line, _over_membrane(template, parts, laid, skin, line))
     for share in SHARES:
         try:
-            line = lip_line(template, parts, laid.surface, skin, share=share)
-            return cut_open(template, parts, laid, skin, line, line.above(skin.vertices))
+            line = find_lip_line(template, parts, laid.surface, skin, share=share)
+            return cut_mouth(template, parts, laid, skin, line, line.above(skin.vertices))
         except MeshError as error:
             failed = error
     raise failed
@@ -113,14 +111,14 @@ def _over_membrane(template: Surface, parts: Ints, laid: Registration, skin: Sur
 
     Where they lie on neither, and towards the corners, the height over the line decides.
     """
-    side = laid.skin_weights @ of_lips(template, parts, line)
+    side = laid.skin_weights @ lips_of_vertices(template, parts, line)
     aside = np.abs(line.local(skin.vertices)[:, 0]) / line.along[-1]
     height = np.clip(line.above(skin.vertices) / BAND[0], -1.0, 1.0)
     share = np.where(np.abs(side) > 1e-9, np.clip((CORNERS[1] - aside) / (CORNERS[1] - CORNERS[0]), 0.0, 1.0), 0.0)
     return share * side + (1 - share) * height
 
 
-def cut_open(
+def cut_mouth(
     template: Surface, parts: Ints, laid: Registration, skin: Surface, line: LipLine, above: Floats
 ) -> OpenedMouth:
     """The skin cut where `above` (n,) changes its sign, with the template's lining sewn in behind.
@@ -131,7 +129,7 @@ def cut_open(
     near = _zone(line, local, line.above(skin.vertices))
     allowed = near[skin.triangles].all(axis=1)
     ends = (float(line.along[0]), float(line.along[-1]))
-    cut = slit(skin.triangles, above, local[:, 0], ends, allowed, skin.vertices)
+    cut = cut_slit(skin.triangles, above, local[:, 0], ends, allowed, skin.vertices)
     x = cut.on(skin.vertices)
     moved = _rims_moved(template, line, laid.surface.vertices, x, cut)
     laid = replace(laid, surface=laid.surface.with_vertices(moved))
@@ -147,7 +145,7 @@ def cut_open(
         for side, chain in ((cut.upper, line.upper), (cut.lower, line.lower))
     ]
     whole = Surface(vertices, np.vstack([cut.triangles, number[lining], *strips]))
-    tied = side_by_side(template, parts, laid, line, skin, whole, cut, pocket, near, above)
+    tied = tie_lips(template, parts, laid, line, skin, whole, cut, pocket, near, above)
     return OpenedMouth(whole, tied, cut, pocket, laid)
 
 
@@ -166,7 +164,7 @@ def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: 
     """The registered template (n, 3) with the rims of its lips at the cut, half a gap apart; harmonic around them."""
     shift = np.zeros_like(x)
     for sign, chain, side in ((1, line.upper, cut.upper), (-1, line.lower, cut.lower)):
-        share, at = shares(line.local(x[chain])[:, 0]), shares(line.local(skin[side])[:, 0])
+        share, at = chain_shares(line.local(x[chain])[:, 0]), chain_shares(line.local(skin[side])[:, 0])
         goal = np.stack([np.interp(share, at, skin[side, c]) for c in range(3)], axis=1)
         inner = np.minimum(share, 1 - share) > 0
         goal += 0.5 * sign * GAP * inner[:, None] * line.axes[1]
@@ -178,12 +176,12 @@ def _rims_moved(template: Surface, line: LipLine, x: Floats, skin: Floats, cut: 
     graph = csr_matrix((gaps, (pairs.row, pairs.col)), shape=edges.shape)
     free = dijkstra(graph, directed=False, indices=rim, min_only=True) < FADES
     free[rim] = False
-    return x + harmonic(template.triangles, shift, ~free)
+    return x + fill_harmonically(template.triangles, shift, ~free)
 
 
 def _strip(outer: Ints, inner: Ints, local: Floats, triangles: Ints) -> Ints:
     """Triangles between two chains of vertices that run side by side, oriented against the outer one's own."""
-    a, b = shares(local[outer, 0]), shares(local[inner, 0])
+    a, b = chain_shares(local[outer, 0]), chain_shares(local[inner, 0])
     i = j = 0
     found = []
     while i < len(outer) - 1 or j < len(inner) - 1:

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..arkit import ARKIT
+from ..arkit import ARKIT, weights_of
 from ..base.errors import FitError, InputError, SoftdecaError
 from ..base.files.surface_file import read_scan
+from ..base.files.text import is_plain_file, parse_json, read_bytes
 from ..base.geometry.warp import rigid_motion
+from ..base.limits import JSON_BYTES
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
-from ..expressions.rigging import PersonalRig, personalised
+from ..expressions.rigging import PersonalRig, personalise
 from ..expressions.transfer import transfer_expressions
 from ..head import LayeredHead
-from ..registration.checks import registrable
-from ..registration.matching import Target, robust
-from ..registration.nonrigid import laid_onto
-from ..registration.registration import WORST_FACE, WORST_START, face_of
-from ..registration.start import automatic, similarity
-from ..registration.ties import on_template
+from ..registration.alignment import Target, find_start, fit_similarity, tukey_weights
+from ..registration.nonrigid import lay_onto
+from ..registration.registration import WORST_FACE, WORST_START, find_face, skin_ties
 from ..rig import Rig
+from ..skin import check_registrable
 from ..template import Template
-from .placing import UNITS, placed
-from .repair import repaired
+from .placing import UNITS, find_placement
+from .repair import repair_scan
 
 CALM = 0.5
 """The share of the face, where the guessed expressions move it least, by which a scan is aligned."""
@@ -46,7 +50,7 @@ class Personal:
     notes: tuple[str, ...]
 
 
-def personalised_head(
+def personalise_head(
     head: LayeredHead,
     template: Template,
     guesses: Mapping[Path, Floats],
@@ -79,11 +83,13 @@ def personalised_head(
         examples.append(example)
         notes.append(f"{path.name}: {note}")
     progress("fitting the expressions", 1.0)
-    fitted = personalised(head.skin, head.rig.deltas, examples, np.array(list(guesses.values())))
-    told = f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
+    fitted = personalise(head.skin, head.rig.deltas, examples, np.array(list(guesses.values())))
+    describe_rig = (
+        f"personalised from {len(examples)} scans, {len(used)} of {len(ARKIT)} shapes; else {head.rig.source}"
+    )
     missing = tuple(name for name in head.rig.missing if ARKIT.index(name) not in used)
-    rig = Rig(fitted.deltas.astype(np.float32), told, missing, head.rig.doubtful)
-    return Personal(replace(head, rig=rig, notes=(*head.notes, told)), fitted, tuple(notes))
+    rig = Rig(fitted.deltas.astype(np.float32), describe_rig, missing, head.rig.doubtful)
+    return Personal(replace(head, rig=rig, notes=(*head.notes, describe_rig)), fitted, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +115,10 @@ class _Start:
         """The head's skin [mm] in a scan's expression, and what is said of it."""
         scan = read_scan(path)
         skin = self.head.skin
-        for same in (scan, repaired(scan).scan):
+        for same in (scan, repair_scan(scan).scan):
             if np.array_equal(same.triangles, skin.triangles) and len(same.vertices) == len(skin.vertices):
                 return self._aligned(same.vertices)
-        return self._registered(repaired(scan).scan.surface, weights)
+        return self._registered(repair_scan(scan).scan.surface, weights)
 
     def _aligned(self, points: Floats) -> tuple[Floats, str]:
         """Points of the skin's own triangles, in any unit and place, where the expressions move the skin least."""
@@ -121,7 +127,7 @@ class _Start:
         if self.head.rig is None:
             raise InputError("head: it has no expressions")
         calm = _calm(self.head.rig.deltas[self.used], face)
-        found = similarity(points[calm], skin.vertices[calm])
+        found = fit_similarity(points[calm], skin.vertices[calm])
         scale = min(UNITS.values(), key=lambda unit: abs(np.log(unit / found.scale)))
         scale = scale if abs(scale / found.scale - 1) < SAME_SIZE else found.scale
         rotation, shift = rigid_motion(scale * points[calm], skin.vertices[calm])
@@ -133,20 +139,20 @@ class _Start:
 
     def _registered(self, scan: Surface, weights: Floats) -> tuple[Floats, str]:
         """The skin carried along with the template's, which is laid upon the scan from the guessed expression."""
-        places, face = face_of(self.template.skin, self.template.parts)
+        places, face = find_face(self.template.skin, self.template.parts)
         shape = self.laid.vertices + np.tensordot(weights, self.deltas, axes=1)
         start = self.laid.with_vertices(shape)
         normals = start.vertex_normals
-        where = placed(scan, (shape[face], normals[face]))
-        upright = registrable(Surface(where.motion(scan.vertices), scan.triangles))
-        motion, score = automatic(shape[face], normals[face], Target(upright))
+        where = find_placement(scan, (shape[face], normals[face]))
+        upright = check_registrable(Surface(where.motion(scan.vertices), scan.triangles))
+        motion, score = find_start(shape[face], normals[face], Target(upright))
         if score > WORST_START:
             raise FitError(f"skin: the head's face is {score:.1f} mm off it, at most {WORST_START:g}")
         size = motion.scale if abs(motion.scale - 1) > SAME_SIZE else 1.0
         moved = (upright.vertices - motion.shift) @ motion.rotation / size
         calm = _calm(self.deltas[self.used], face)
         target = Target(Surface(_settled(moved, upright, shape[calm], normals[calm]), upright.triangles))
-        x, _ = laid_onto(start, self.template.parts, places, target, None, silent)
+        x, _ = lay_onto(start, self.template.parts, places, target, None, silent)
         off = float(target.tree.closest(x[face])[2].mean())
         if off > WORST_FACE:
             raise FitError(f"skin: the face laid upon it is {off:.1f} mm off, at most {WORST_FACE:g}; another guess?")
@@ -161,7 +167,7 @@ class _Start:
         """
         if self.head.registered is None or self.head.rig is None:
             return motion
-        ties = on_template(self.laid, self.head.skin)
+        ties = skin_ties(self.laid, self.head.skin)
         carried: Floats = ties @ motion
         for k in np.flatnonzero(weights):
             own, tied = self.head.rig.deltas[k].astype(np.float64), ties @ self.deltas[k]
@@ -181,7 +187,7 @@ def _settled(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Fl
     """A scan's points [mm] after the rigid motions that bring it closest to the calm points of a face."""
     for limit in np.geomspace(10.0, 2.0, STEPS):
         closest, distance, weight = Target(Surface(points, skin.triangles)).match(calm, normals)
-        near = (weight * robust(distance, limit)) > 0.2
+        near = (weight * tukey_weights(distance, limit)) > 0.2
         if near.sum() < 0.25 * len(calm):
             break
         rotation, shift = rigid_motion(closest[near], calm[near])
@@ -189,7 +195,7 @@ def _settled(points: Floats, skin: Surface, calm: Floats, normals: Floats) -> Fl
     return points
 
 
-def told(rig: PersonalRig, names: Sequence[str]) -> list[str]:
+def describe_rig(rig: PersonalRig, names: Sequence[str]) -> list[str]:
     """What was fitted, a line each: the expressions found in each scan, and how far the rig is from the scans."""
     lines = []
     for name, weights in zip(names, rig.weights, strict=True):
@@ -197,3 +203,73 @@ def told(rig: PersonalRig, names: Sequence[str]) -> list[str]:
         lines.append(f"{name}: " + (", ".join(f"{ARKIT[k]} {weights[k]:.2f}" for k in largest) or "neutral"))
     lines.append(f"rig to scans: {rig.history[0]:.2f} mm with the shapes before, {rig.history[-1]:.2f} mm with these")
     return lines
+
+
+# DOC """Which expressions the scans of a person show, by guess, as JSON or CSV; the scans lie beside that file.
+# DOC
+# DOC {"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 1}, "open.ply": {"jawOpen": 0.8}}
+# DOC
+# DOC scan,jawOpen,mouthSmileLeft,mouthSmileRight          what is not named, or empty, is 0
+# DOC smile.obj,,1,1
+# DOC """
+def read_guesses(path: str | os.PathLike[str]) -> dict[Path, Floats]:
+    """Weights (52,) by scan, in the file's order; InputError names the file, the scan and the expression."""
+    path = Path(path)
+    if path.suffix.lower() not in (".json", ".csv"):
+        raise InputError(f"{path}: unknown kind of file; expected .json or .csv")
+    content = read_bytes(path, JSON_BYTES)
+    try:
+        rows = _of_json(content) if path.suffix.lower() == ".json" else _of_csv(content)
+        found = _weights(rows, path.parent)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return found
+
+
+def _weights(rows: Iterable[tuple[str, Mapping[str, Any]]], folder: Path) -> dict[Path, Floats]:
+    found: dict[Path, Floats] = {}
+    for name, named in rows:
+        scan = folder / name
+        if scan in found:
+            raise InputError(f"{name}: it stands there twice")
+        try:
+            found[scan] = weights_of(named)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+        if not is_plain_file(scan):
+            raise InputError(f"{name}: no such file beside it")
+    if not any(weights.any() for weights in found.values()):
+        raise InputError("no scan shows an expression; expected weights as {'smile.obj': {'mouthSmileLeft': 1}}")
+    return found
+
+
+def _of_json(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
+    rows = parse_json(content)
+    if not isinstance(rows, dict):
+        raise InputError('expected weights by scan, {"smile.obj": {"mouthSmileLeft": 1}, ...}')
+    return list(rows.items())
+
+
+def _of_csv(content: bytes) -> list[tuple[str, Mapping[str, Any]]]:
+    try:
+        text = content.decode("utf-8-sig")
+        head, *rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text)) if any(row)]
+    except UnicodeDecodeError:
+        raise InputError("it is no text") from None
+    except (csv.Error, ValueError):
+        raise InputError("no lines of scan and weights in it") from None
+    if head[0].lower() != "scan":
+        raise InputError(f"line 1: begins with {head[0][:40]!r}, expected: scan,jawOpen,...")
+    found: list[tuple[str, Mapping[str, Any]]] = []
+    for row in rows:
+        if len(row) != len(head):
+            raise InputError(f"{row[0]}: {len(row) - 1} weights, the first line names {len(head) - 1}")
+        found.append((row[0], {name: _number(cell) for name, cell in zip(head[1:], row[1:], strict=True) if cell}))
+    return found
+
+
+def _number(cell: str) -> Any:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell

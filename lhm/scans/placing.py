@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..base.errors import FitError, InputError
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
-from ..registration.matching import Target
-from ..registration.start import Similarity, icp, score, similarity
-from .sieve import Sieve
+from ..registration.alignment import Similarity, Target, fit_similarity, icp, score_start
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 """Millimetres in a unit."""
@@ -38,7 +37,7 @@ class Placement:
     """
 
     motion: Similarity
-    score: float
+    score_start: float
     notes: tuple[str, ...]
 
     def inverse(self, points: Floats) -> Floats:
@@ -46,7 +45,7 @@ class Placement:
         return (points - self.motion.shift) @ self.motion.rotation / self.motion.scale
 
 
-def placed(
+def find_placement(
     skin: Surface,
     face: tuple[Floats, Floats],
     *,
@@ -68,7 +67,7 @@ def placed(
     rotations = _rotations(up, front)
     used = skin.vertices[np.unique(skin.triangles)]
     if landmarks is not None:
-        found = similarity(*landmarks)
+        found = fit_similarity(*landmarks)
         off = float(np.linalg.norm(found(landmarks[0]) - landmarks[1], axis=1).mean() / found.scale)
     else:
         found, off = _searched(skin, used, face, given, rotations, progress)
@@ -176,11 +175,11 @@ def _best(
     for number, start in enumerate(starts):
         moved = icp(start, points[more], normals[more], target, 20)
         if 0.3 < moved.scale < 3.0:
-            fine.append((score(moved, points[more], normals[more], target), number, moved))
+            fine.append((score_start(moved, points[more], normals[more], target), number, moved))
     if not fine:
         return Similarity(1.0, np.eye(3), np.zeros(3)), np.inf
     moved = icp(min(fine, key=lambda item: item[:2])[2], points, normals, target, 10)
-    return moved, score(moved, points, normals, target)
+    return moved, score_start(moved, points, normals, target)
 
 
 def _starts(used: Floats, points: Floats, turn: Floats) -> list[Similarity]:
@@ -222,3 +221,66 @@ def _upright(rotation: Floats, *, known: bool) -> tuple[Floats, str]:
     if angle <= TILTED or known:
         return nearest, f"axes: {up} is up, {front} the front"
     return rotation, f"axes: turned upright ({angle:.0f}° from {up} up and {front} the front)"
+
+
+# DOC """Many rigid starts at once, laid upon a surface's points and normals and sorted by how well they fit."""
+POINTS = 4000
+TURNED = 25.0
+"""[mm] What a unit of difference between normals counts as beside a distance."""
+FAR, LEAST, MOST = 30.0, 0.4, 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class Sieve:
+    """Points (n, 3) [mm] of a surface and normals, evenly chosen by area, in a tree over both."""
+
+    points: Floats
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, skin: Surface) -> Sieve:
+        """Up to POINTS of the surface's triangles, by their centres."""
+        along = np.cumsum(skin.areas)
+        chosen = np.unique(np.searchsorted(along, (np.arange(POINTS) + 0.5) / POINTS * along[-1]))
+        chosen = np.minimum(chosen, len(along) - 1)
+        normals = skin.face_normals[chosen]
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        points = skin.vertices[skin.triangles[chosen]].mean(axis=1)
+        return cls(points, cKDTree(np.hstack([points, TURNED * normals])))
+
+    def best(
+        self, starts: Sequence[Similarity], points: Floats, normals: Floats, kept: int, steps: int
+    ) -> list[Similarity]:
+        """The `kept` best of `starts` after so many steps each; `points` (k, 3) [mm] and `normals` are laid."""
+        scale = np.array([start.scale for start in starts])
+        turn = np.array([start.rotation for start in starts])
+        shift = np.array([start.shift for start in starts])
+        for step in range(steps + 1):
+            moved = scale[:, None, None] * np.einsum("sij,kj->ski", turn, points) + shift[:, None]
+            turned = np.einsum("sij,kj->ski", turn, normals)
+            query = np.concatenate([moved, TURNED * turned], axis=2).reshape(-1, 6)
+            distance, nearest = self.tree.query(query)
+            distance = distance.reshape(len(starts), -1)
+            if step == steps:
+                break
+            weight = 1.0 / (1.0 + (distance / 10.0) ** 2)
+            scale, turn, shift = _fits(points, self.points[nearest].reshape(moved.shape), weight, scale)
+        off = np.minimum(distance, FAR).mean(axis=1) / scale
+        off[(scale <= LEAST * 1.001) | (scale >= MOST * 0.999)] = np.inf
+        order = np.argsort(off, kind="stable")[:kept]
+        return [Similarity(float(scale[k]), turn[k], shift[k]) for k in order]
+
+
+def _fits(points: Floats, goals: Floats, weight: Floats, before: Floats) -> tuple[Floats, Floats, Floats]:
+    """Weighted similarities from points (k, 3) to goals (s, k, 3), as in `start.similarity`, for all s at once."""
+    share = weight / weight.sum(axis=1, keepdims=True)
+    a = points[None] - (share @ points)[:, None]
+    middle = np.einsum("sk,skd->sd", share, goals)
+    b = goals - middle[:, None]
+    u, _, v = np.linalg.svd(np.einsum("sk,ski,skj->sij", share, b, a))
+    flip = np.ones((len(goals), 3))
+    flip[:, 2] = np.sign(np.linalg.det(u @ v))
+    turn = (u * flip[:, None]) @ v
+    size = np.einsum("sk,ski,sij,skj->s", share, b, turn, a) / np.einsum("sk,skd->s", share, a**2)
+    scale = np.clip(size, np.maximum(LEAST, 0.8 * before), np.minimum(MOST, 1.25 * before))
+    return scale, turn, middle - scale[:, None] * np.einsum("sij,sj->si", turn, share @ points)

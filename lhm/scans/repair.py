@@ -35,7 +35,7 @@ class Repaired:
         return cls(scan, np.arange(len(scan.vertices)), ())
 
 
-def repaired(scan: Scan) -> Repaired:
+def repair_scan(scan: Scan) -> Repaired:
     """The main piece of a scan as an oriented manifold, open or closed.
 
     In turns: vertices that lie upon one another on open edges (the seams of textures) become one; triangles without

@@ -10,15 +10,14 @@ from ..base.errors import MeshError
 from ..base.geometry.deformation import torn_area
 from ..base.mesh import Floats, Ints, Surface
 from ..head import LayeredHead
-from ..membranes import MOUTH, at, torn
+from ..openings import MOUTH, measure_torn, triangles_at
 from ..registration.registration import Registration
 from ..rig import Rig
 from ..template import Template
 from ..wraps.landmarks import distance_to
-from .eyes import Eyes, eyes_of
-from .lips import lip_line
-from .mouth import is_sealed, opened
-from .still import carried_along
+from .eyes import Eyes, calm_lids, classify_eyes
+from .lips import find_lip_line
+from .mouth import is_sealed, open_mouth
 
 AROUND = 25.0
 """[mm] Where a membrane between the lips is looked for, from the registered template's rim of them."""
@@ -45,7 +44,7 @@ class Unsealed:
     notes: tuple[str, ...]
 
 
-def opened_up(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
+def unseal(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
     """Open a mouth that is sealed, and say in what state the eyes are.
 
     A skin with a jawOpen of its own is left as it is.
@@ -56,7 +55,7 @@ def opened_up(template: Template, laid: Registration, skin: Surface, own: Mappin
     if not _sealed(template, laid, skin):
         return Unsealed(skin, laid, own, still, rims, False, told)
     try:
-        mouth = opened(template.skin, template.parts, laid, skin)
+        mouth = open_mouth(template.skin, template.parts, laid, skin)
     except MeshError as error:
         return Unsealed(skin, laid, own, still, rims, True, (f"mouth: sealed, and not to be opened ({error})", *told))
     more = len(mouth.skin.vertices) - len(skin.vertices)
@@ -64,28 +63,28 @@ def opened_up(template: Template, laid: Registration, skin: Surface, own: Mappin
     return Unsealed(mouth.skin, mouth.laid, mouth.carried(own), still, rims, False, (note, *told))
 
 
-def left_sealed(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
+def leave_sealed(template: Template, laid: Registration, skin: Surface, own: Mapping[str, Floats]) -> Unsealed:
     """Leave the skin as it is, and say what is sealed."""
     still, rims, told = _eyes(template, laid, skin, own)
     sealed = "jawOpen" not in own and _sealed(template, laid, skin)
     return Unsealed(skin, laid, own, still, rims, sealed, ("mouth: sealed, and left so", *told) if sealed else told)
 
 
-def named(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
+def mark_rig(rig: Rig, done: Unsealed, head: LayeredHead) -> Rig:
     """The rig in which lids that are not open stay still, and what tears a mouth that stayed sealed is named."""
     rig = rig.without({name: reason for name, reason in done.still.items() if name not in done.own})
     if len(done.rims):
-        rig = carried_along(rig, head.skin, done.laid.vertices[done.rims], done.own)
+        rig = calm_lids(rig, head.skin, done.laid.vertices[done.rims], done.own)
     if not done.sealed:
         return rig
-    lips = at(head.skin, head.skin_from_wrap, head.regions, MOUTH)
+    lips = triangles_at(head.skin, head.skin_from_wrap, head.regions, MOUTH)
     reason = "the mouth is sealed: its lips are one surface"
-    return rig.doubting({name: reason for name in ARKIT if torn(head.skin, rig, lips, (name,)) > TEARS})
+    return rig.doubting({name: reason for name in ARKIT if measure_torn(head.skin, rig, lips, (name,)) > TEARS})
 
 
 def _sealed(template: Template, laid: Registration, skin: Surface) -> bool:
     """Whether a skin's lips are one surface, or have a membrane deep between them, which an open jaw would draw out."""
-    if is_sealed(lip_line(template.skin, template.parts, laid.surface, skin), skin):
+    if is_sealed(find_lip_line(template.skin, template.parts, laid.surface, skin), skin):
         return True
     if template.space is None or "jawOpen" in template.space.missing:
         return False
@@ -101,6 +100,6 @@ def _eyes(
     lids = template.marks.lids
     if template.space is None or "eyeBlinkLeft" in own:
         return {}, lids[:0], ()
-    eyes: Eyes = eyes_of(template.space, template.skin, template.parts, lids, laid.surface, skin)
+    eyes: Eyes = classify_eyes(template.space, template.skin, template.parts, lids, laid.surface, skin)
     rims = eyes.still_rims(template.skin, template.parts, lids)
     return eyes.still, rims, (eyes.told(),) if eyes.told() else ()

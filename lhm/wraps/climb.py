@@ -21,7 +21,7 @@ SHORTEST, LONGEST = 0.4, 1.6  # of the length that a connector started with
 SLIDE = 0.25  # of the mean edge: how far a vertex of the skin wrap may slide along it
 
 
-def improved(columns: Columns, stack: Floats, *, least: float) -> Floats:
+def improve(columns: Columns, stack: Floats, *, least: float) -> Floats:
     """Wraps, stacked (3 n, 3) [mm] from skin to skull, whose worst tets have a better shape, close to those given.
 
     A column's skull and muscle vertex move together, its muscle vertex alone, and its skin vertex within the tangent

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
 
+from ..base.geometry.cholesky import factorise
 from ..base.mesh import Floats, Ints, Surface
 from ..layers import prism_tets
 
@@ -69,3 +71,20 @@ class Columns:
         rows = np.repeat(np.arange(self.n), np.diff(self.edges.indptr))
         length = np.linalg.norm(vertices[rows] - vertices[self.edges.indices], axis=1)
         return np.bincount(rows, length, self.n) / np.diff(self.edges.indptr)
+
+
+# DOC """Values spread over a mesh's vertices from those that are given, as evenly as edges allow."""
+def fill_harmonically(triangles: Ints, values: Floats, given: np.ndarray) -> Floats:
+    """Values (n, ...) where `given` (n,) holds; elsewhere each the mean of its neighbours'.
+
+    A piece of the mesh in which nothing is given stays as it is.
+    """
+    found = np.array(values, dtype=np.float64)
+    edges = neighbours(triangles, len(found))
+    _, piece = connected_components(edges, directed=False)
+    free = ~given & np.isin(piece, piece[given])
+    if free.any():
+        laplacian = (diags(np.asarray(edges.sum(axis=1)).ravel()) - edges).tocsr()[free]
+        right = -(laplacian[:, ~free] @ found[~free].reshape(np.count_nonzero(~free), -1))
+        found[free] = factorise(laplacian[:, free].tocsc())(right).reshape(found[free].shape)
+    return found

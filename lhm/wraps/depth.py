@@ -57,7 +57,7 @@ LEAST = 0.4
 ROOM = 0.8
 
 
-def wanted_depth(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
+def mean_depth(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
     """Mean depth [mm] from skin to skull at points of the skin, shape (k,).
 
     `eyes` (2, 3): the eyes' centres, the subject's left first; `mouth` (3,): the mouth's centre [mm].
@@ -66,10 +66,10 @@ def wanted_depth(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
     return _blended(points, eyes, mouth, np.array([mark.depth for mark in LANDMARKS]), rest)
 
 
-def wanted_spread(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
-    """Standard deviation over the mean of the depth at points of the skin, shape (k,); see `wanted_depth`."""
+def depth_spread(points: Floats, eyes: Floats, mouth: Floats) -> Floats:
+    """Standard deviation over the mean of the depth at points of the skin, shape (k,); see `mean_depth`."""
     spread = _blended(points, eyes, mouth, np.array([mark.spread for mark in LANDMARKS]), np.full(len(points), SPREAD))
-    return np.maximum(spread, LEAST_DEVIATION / wanted_depth(points, eyes, mouth))
+    return np.maximum(spread, LEAST_DEVIATION / mean_depth(points, eyes, mouth))
 
 
 def _frame(points: Floats, eyes: Floats, mouth: Floats) -> tuple[Floats, Floats]:

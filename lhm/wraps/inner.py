@@ -59,7 +59,7 @@ def cone_normals(columns: Columns, wrap: Floats, rounds: int = 60) -> tuple[Floa
     return _cones(surface.vertex_normals, faces, columns.owner, columns.first, rounds)
 
 
-def uncreased(columns: Columns, wrap: Floats) -> Floats:
+def smooth_creases(columns: Columns, wrap: Floats) -> Floats:
     """A wrap (n, 3) [mm] whose crossings with itself and sharpest creases are smoothed away.
 
     Vertices of crossing triangles, and those from which no direction enters all their triangles at an angle whose
@@ -80,7 +80,7 @@ def uncreased(columns: Columns, wrap: Floats) -> Floats:
     return wrap
 
 
-def smoothed(columns: Columns, values: Floats, amount: float) -> Floats:
+def smooth(columns: Columns, values: Floats, amount: float) -> Floats:
     """Solve (1 + amount L) y = values with the graph Laplacian L: implicit smoothing of a field on the wrap."""
     laplacian = diags(np.asarray(columns.edges.sum(axis=1)).ravel()) - columns.edges
     return splu((identity(columns.n) + amount * laplacian).tocsc()).solve(values)
@@ -120,7 +120,7 @@ class Crossings:
         return skin.self_crossings(), np.vstack([skull.self_crossings(), skin.crossings(skull)])
 
 
-def valid_layers(columns: Columns, stack: Floats) -> Floats:
+def make_valid(columns: Columns, stack: Floats) -> Floats:
     """Wraps (3 n, 3) [mm], skin, muscle, skull, without crossing and inverted tet, close to those given.
 
     Worst tets are shaped by climbing. Columns of a defect that is left are shortened and, with their neighbours',
@@ -128,11 +128,11 @@ def valid_layers(columns: Columns, stack: Floats) -> Floats:
     Raises FitError naming what is left after ROUNDS.
     """
     n = columns.n
-    skin = uncreased(columns, stack[:n])
+    skin = smooth_creases(columns, stack[:n])
     stack = stack + np.tile(skin - stack[:n], (3, 1))
     search = Crossings.of(columns, stack)
     for number in range(ROUNDS):
-        stack = climb.improved(columns, stack, least=LEAST_LENGTH)
+        stack = climb.improve(columns, stack, least=LEAST_LENGTH)
         bad = columns.tets[sines(stack, columns.tets) < LEAST_SINE]
         skin_pairs, pairs = (np.zeros((0, 2), np.int64),) * 2 if len(bad) else search.find(stack)
         hit = [bad.ravel() % n, columns.triangles[skin_pairs].ravel(), columns.triangles[pairs].ravel()]

@@ -18,7 +18,7 @@ STEPS = (500, 260, 160)
 """How often a wrap of each level is moved; the sphere of frequency COARSE is the first, and each splits the last."""
 
 
-def concentrated(sphere: Floats, towards: Floats, factor: float) -> Floats:
+def concentrate(sphere: Floats, towards: Floats, factor: float) -> Floats:
     """Unit vectors moved by the Möbius map that shrinks lengths near the direction `towards` by `factor`."""
     towards = towards / np.linalg.norm(towards)
     height = sphere @ towards
@@ -49,7 +49,7 @@ def shrink(
     low, high = skin.vertices.min(axis=0), skin.vertices.max(axis=0)
     centre, radii = 0.5 * (low + high), 0.5 * (high - low)
     sphere, triangles = geodesic_sphere(COARSE)
-    x = centre + 1.45 * radii * concentrated(sphere, (focus - centre) / radii, concentration)
+    x = centre + 1.45 * radii * concentrate(sphere, (focus - centre) / radii, concentration)
     distance = SignedDistance(skin)
     cost = [steps * 4**number for number, steps in enumerate(STEPS[:level])]
     for number, steps in enumerate(STEPS[:level]):

@@ -26,7 +26,7 @@ CONDYLE = 0.05
 """The mandible is scaled about the mean of this share of its vertices, the highest behind its middle."""
 
 
-def scaled(head: LayeredHead, parameters: Parameters, bone: int, points: Floats) -> Floats:
+def scale_bone(head: LayeredHead, parameters: Parameters, bone: int, points: Floats) -> Floats:
     """Points [mm], shape (k, 3), of a bone, scaled by p: a cranium about its middle, a mandible about its condyles."""
     scale = parameters.scale("cranium" if bone == CRANIUM else "mandible")
     wrap = head.skull_wrap.vertices[head.bone == bone]
@@ -43,11 +43,11 @@ def condyles(mandible: Floats) -> Floats:
     return highest.mean(axis=0)
 
 
-def scaled_skull(head: LayeredHead, parameters: Parameters) -> Floats:
+def scale_skull(head: LayeredHead, parameters: Parameters) -> Floats:
     """The skull wrap [mm], shape (n, 3), with cranium and mandible scaled by p; free vertices stay."""
     skull = np.array(head.skull_wrap.vertices)
     for bone in (CRANIUM, MANDIBLE):
-        skull[head.bone == bone] = scaled(head, parameters, bone, skull[head.bone == bone])
+        skull[head.bone == bone] = scale_bone(head, parameters, bone, skull[head.bone == bone])
     return skull
 
 
@@ -59,7 +59,7 @@ def jaw_motion(head: LayeredHead, neutral: Floats, wrap_targets: Floats) -> tupl
     return rigid_motion(neutral[jaw], wrap_targets[jaw])
 
 
-def carried(
+def carry_wraps(
     head: LayeredHead, parameters: Parameters, neutral: Floats, wrap_targets: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Skin, muscle and skull wrap [mm], each of shape (n, 3), carried along by an expression without physics.
@@ -70,7 +70,7 @@ def carried(
     skin, muscle, rest = (wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap))
     rotation, translation = jaw_motion(head, neutral, wrap_targets)
     moved = wrap_targets - skin
-    skull = scaled_skull(head, parameters)
+    skull = scale_skull(head, parameters)
     skull[head.bone == MANDIBLE] = skull[head.bone == MANDIBLE] @ rotation.T + translation
     skull[head.bone == FREE] += moved[head.bone == FREE]
     depth = np.linalg.norm(rest - skin, axis=1)
@@ -85,7 +85,7 @@ def rigid_bones(
 
     first: index of the skull wrap's first vertex.
     """
-    skull = scaled_skull(head, parameters)
+    skull = scale_skull(head, parameters)
     cranium, jaw = (np.flatnonzero((head.bone == b) & (b not in elsewhere)) for b in (CRANIUM, MANDIBLE))
     parts: list[terms.Term] = [terms.Fixed(first + cranium, skull[cranium])] if cranium.size else []
     return parts + ([terms.RigidBody(first + jaw, skull[jaw])] if jaw.size >= 3 else [])
@@ -108,7 +108,7 @@ def soft_bones(head: LayeredHead, parameters: Parameters, stack: Floats, first: 
     if not len(triangles):
         return []
     rest = np.array(stack)
-    rest[first : first + len(head.bone)] = scaled_skull(head, parameters)
+    rest[first : first + len(head.bone)] = scale_skull(head, parameters)
     stiffness = BONE_STIFFNESS * float(np.mean(parameters.skin_stiffness))
     edge = float(np.mean(np.linalg.norm(np.diff(wrap.vertices[triangles[:, :2]], axis=1), axis=2)))
     behind = np.flatnonzero((head.bone == CRANIUM) & ~head.regions.get("face", np.zeros(len(head.bone), dtype=bool)))

@@ -21,13 +21,10 @@ from ..added import added_laws
 from ..materials import Material, NeoHookean
 from ..scene import Scene
 from ..terms import StrainRule
-from .bones import Bones, carried, jaw_motion, prescribed_bones, rigid_bones, scaled, soft_bones
-from .connecting import Attached, connecting_tets
-from .guard import guard, is_guard
-from .local import TETS_PER_PRISM, on_tets, on_triangles
+from .bones import Bones, carry_wraps, jaw_motion, prescribed_bones, rigid_bones, scale_bone, soft_bones
 from .palsy import Springs
-from .parameters import TISSUE_DENSITY, Parameters
-from .stack import Stack
+from .parameters import TETS_PER_PRISM, TISSUE_DENSITY, Parameters, spread_to_tets, spread_to_triangles
+from .tissue import Attachment, Stack, connecting_tets, guard, is_guard
 
 PARTS = ("muscle", "skin")
 OF_TETS = (
@@ -65,7 +62,7 @@ def facial_scene(
     without: Collection[str] = (),
     region: str | np.ndarray | None = None,
     contact: Sequence[str | np.ndarray] = (),
-    attached: Sequence[Attached] = (),
+    attached: Sequence[Attachment] = (),
     rule: StrainRule = "clamp",
 ) -> Scene:
     """The energy of Eq. 15 for an expression `targets` [mm], shape (skin vertices, 3), as a scene.
@@ -83,19 +80,19 @@ def facial_scene(
     Raises SceneError for targets of another shape, that are not finite or more than 200 mm from the skin, and for
     unknown or contradicting choices.
     """
-    targets = checked_targets(head, targets)
-    neutral = head.skin.vertices if neutral is None else checked_targets(head, neutral, "neutral")
+    targets = check_targets(head, targets)
+    neutral = head.skin.vertices if neutral is None else check_targets(head, neutral, "neutral")
     _check_choices(bones, without, attached)
     wrap_targets, rest = head.wrap_targets(targets), head.wrap_targets(neutral)
-    stack = Stack.of(head, layers, without)
-    start = carried(head, parameters, rest, wrap_targets)
+    stack = Stack.from_head(head, layers, without)
+    start = carry_wraps(head, parameters, rest, wrap_targets)
     inside = _mask(head, region)
     tissue = _tissue(head, parameters, stack, inside, rule)
     vertices, bodies = _attach(head, parameters, attached, (rest, wrap_targets), stack, tissue, bones)
     parts = list(tissue.terms)
     if "skin" not in without:
         parts += _skin(head, parameters, inside)
-    springs = Springs.of(head, parameters)
+    springs = Springs.from_head(head, parameters)
     drawn_to = springs.positions(wrap_targets, rest)
     parts.append(terms.Target(np.arange(len(drawn_to)), drawn_to, springs.stiffness))
     elsewhere, first = {thing.bone for thing in attached} - {FREE}, stack.first_of_skull
@@ -107,7 +104,7 @@ def facial_scene(
         parts += prescribed_bones(head, start[2], first, elsewhere)
     idle = _idle(head, stack, inside)
     if idle.size:
-        parts.append(terms.Fixed(idle, stack.between(*start)[idle]))
+        parts.append(terms.Fixed(idle, stack.interpolate(*start)[idle]))
     if np.any(parameters.added_gravity):
         parts.append(terms.Gravity(parameters.added_gravity, TISSUE_DENSITY))
     if contact:
@@ -149,7 +146,7 @@ def _tissue(head: LayeredHead, p: Parameters, stack: Stack, inside: np.ndarray, 
         tissue.add(tets, of, at(stiffness), at(limit), at(volume), at(target), rule)
 
     def value(name: str):
-        return on_tets(name, getattr(p, name), wrap)
+        return spread_to_tets(name, getattr(p, name), wrap)
 
     tissue = _Tissue()
     strain = value("soft_stiffness")
@@ -181,7 +178,7 @@ def _skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Te
     kept = inside[wrap.triangles].any(axis=1)
 
     def at(name: str):
-        value = on_triangles(name, getattr(p, name), wrap)
+        value = spread_to_triangles(name, getattr(p, name), wrap)
         return np.asarray(value)[kept] if np.ndim(value) else value
 
     triangles = wrap.triangles[kept]
@@ -192,7 +189,7 @@ def _skin(head: LayeredHead, p: Parameters, inside: np.ndarray) -> list[terms.Te
 def _attach(
     head: LayeredHead,
     p: Parameters,
-    attached: Sequence[Attached],
+    attached: Sequence[Attachment],
     motion: tuple[Floats, Floats],
     stack: Stack,
     tissue: _Tissue,
@@ -217,11 +214,11 @@ def _attach(
 
 
 def _body(
-    head: LayeredHead, p: Parameters, thing: Attached, ids: Ints, motion: tuple[Floats, Floats], bones: Bones
+    head: LayeredHead, p: Parameters, thing: Attachment, ids: Ints, motion: tuple[Floats, Floats], bones: Bones
 ) -> terms.Term:
     if thing.bone == FREE:
         return terms.RigidBody(ids)
-    rest = scaled(head, p, thing.bone, thing.points)
+    rest = scale_bone(head, p, thing.bone, thing.points)
     if thing.bone == CRANIUM:
         return terms.Fixed(ids, rest)
     if bones == "rigid":
@@ -262,7 +259,7 @@ def _touching(head: LayeredHead, names: Sequence[str | np.ndarray]) -> Ints:
     return triangles[touching[triangles].all(axis=1)]
 
 
-def checked_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
+def check_targets(head: LayeredHead, targets, name: str = "targets") -> Floats:
     """Targets [mm] of the skin's shape, finite and near it; SceneError for others, by `name`."""
     try:
         targets = np.asarray(targets, dtype=np.float64)
@@ -281,7 +278,7 @@ def checked_targets(head: LayeredHead, targets, name: str = "targets") -> Floats
     return targets
 
 
-def _check_choices(bones: str, without: Collection[str], attached: Sequence[Attached]):
+def _check_choices(bones: str, without: Collection[str], attached: Sequence[Attachment]):
     if bones not in get_args(Bones):
         raise SceneError(f"bones {bones!r}: there are {', '.join(get_args(Bones))}")
     unknown = sorted(set(without) - set(PARTS))
@@ -292,54 +289,35 @@ def _check_choices(bones: str, without: Collection[str], attached: Sequence[Atta
 
 
 @check_arguments
-def scene_under(scene: Scene, law: FaceLaw) -> Scene:
-    """Return a facial scene under a law; PD_ENERGY leaves it as it is, others are those of `hyperelastic_scene`.
-
-    Raises SceneError for an unknown name, and what `hyperelastic_scene` raises.
-    """
-    if not isinstance(law, str):
-        return hyperelastic_scene(scene, law)
-    if law == PD_ENERGY:
-        return scene
-    laws = LAWS | {name: added.of_moduli for name, added in added_laws().items()}
-    if law not in laws:
-        raise SceneError(f"law {law!r}: there are {', '.join((PD_ENERGY, *laws))}")
-    return hyperelastic_scene(scene, laws[law])
-
-
-@check_arguments
-def neo_hookean_scene(scene: Scene) -> Scene:
-    """The scene with each layer's Strain and Volume replaced by the neo-Hookean law of the same small-strain moduli.
-
-    See `hyperelastic_scene`.
-    """
-    return hyperelastic_scene(scene, NeoHookean)
-
-
-@check_arguments
-def hyperelastic_scene(scene: Scene, law: Callable[[float, float], Material]) -> Scene:
-    """The scene with each layer's Strain and Volume replaced by a law, made of Lamé's moduli mu and lmbda [kPa].
+def apply_law(scene: Scene, law: FaceLaw) -> Scene:
+    """Replace each layer's Strain and Volume by a law of the same moduli at rest; PD_ENERGY leaves the scene as it is.
 
     mu = w_str / 2 and lmbda = w_vol / 3: the linearisation of both energies at rest. A target volume is the law's
     growth, by which tissue is at rest when it has reached it, while Strain holds it back; guards against inversion are
-    left out, since a law may be one itself. Raises SceneError where a layer has no such counterpart: strain limit or
-    growth other than 1, or stiffnesses that vary within a term.
+    left out, since a law may be one itself. Raises SceneError for an unknown name, and where a layer has no such
+    counterpart: strain limit or growth other than 1, or stiffnesses that vary within a term.
     """
+    if law == PD_ENERGY:
+        return scene
+    if isinstance(law, str):
+        laws = LAWS | {name: added.of_moduli for name, added in added_laws().items()}
+        if law not in laws:
+            raise SceneError(f"law {law!r}: there are {', '.join((PD_ENERGY, *laws))}")
+        law = laws[law]
     strains = [strain for strain in scene.of(terms.Strain) if not is_guard(strain)]
     volumes = scene.of(terms.Volume)
-    others = [t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume))]
-    laws: list[terms.Term] = []
-    if len(strains) != len(volumes):
-        raise SceneError("hyperelastic_scene: each Strain term needs a Volume term on the same tets")
+    same = len(strains) == len(volumes)
+    if not same or any(
+        not np.array_equal(scene.tets_of(strain), scene.tets_of(volume))
+        for strain, volume in zip(strains, volumes, strict=True)
+    ):
+        raise SceneError("apply_law: each Strain term needs a Volume term on the same tets")
+    solids: list[terms.Term] = []
     for strain, volume in zip(strains, volumes, strict=True):
-        if not np.array_equal(scene.tets_of(strain), scene.tets_of(volume)):
-            raise SceneError("hyperelastic_scene: each Strain term needs a Volume term on the same tets")
         if np.any(strain.limit != 1.0) or np.any(strain.growth != 1.0) or strain.rule != "clamp":
-            raise SceneError(
-                "hyperelastic_scene: a strain limit or growth other than 1, or the indicator, has no counterpart"
-            )
+            raise SceneError("apply_law: a strain limit or growth other than 1, or the indicator, has no counterpart")
         if np.ptp(strain.stiffness) > 0 or np.ptp(volume.stiffness) > 0:
-            raise SceneError("hyperelastic_scene: stiffnesses that vary within a term are not supported")
+            raise SceneError("apply_law: stiffnesses that vary within a term are not supported")
         material = law(float(np.max(strain.stiffness)) / 2, float(np.max(volume.stiffness)) / 3)
-        laws.append(terms.Hyperelastic(material, tets=strain.tets, growth=volume.target))
-    return replace(scene, terms=(*laws, *others))
+        solids.append(terms.Hyperelastic(material, tets=strain.tets, growth=volume.target))
+    return replace(scene, terms=(*solids, *(t for t in scene.terms if not isinstance(t, (terms.Strain, terms.Volume)))))

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ...lhm.flesh import cheeks
+from ...lhm.flesh import cheek_share
 from ...lhm.head import FREE, MANDIBLE, LayeredHead
-from ...lhm.wraps.harmonic import harmonic
+from ...lhm.wraps.columns import fill_harmonically
 from .. import terms
 from ..scene import Scene
-from .bones import condyles, scaled_skull
+from .bones import condyles, scale_skull
 from .facial import facial_scene
 from .parameters import Parameters
 
@@ -50,7 +50,7 @@ def open_jaw_scene(
     about = jaw_hinge(head) if hinge is None else np.asarray(hinge, dtype=np.float64)
     if about.shape != (3,) or not np.isfinite(about).all():
         raise SceneError(f"hinge: expected three finite numbers, got {hinge!r}")
-    skull = scaled_skull(head, parameters)
+    skull = scale_skull(head, parameters)
     turn = Rotation.from_euler("x", angle, degrees=True).as_matrix()
     skull[jaw] = about + (skull[jaw] - about) @ turn.T
     return _scene_of_bones(head, parameters, skull)
@@ -86,7 +86,7 @@ def push_cheek_scene(
     x = head.skin_wrap.vertices[patch]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]).sum(axis=0)
     push = terms.Traction(patch, -pressure * normal / np.linalg.norm(normal))
-    scene = _scene_of_bones(head, parameters, scaled_skull(head, parameters))
+    scene = _scene_of_bones(head, parameters, scale_skull(head, parameters))
     return replace(scene, terms=(*scene.terms, push))
 
 
@@ -108,7 +108,7 @@ def _scene_of_bones(head: LayeredHead, parameters: Parameters, skull: Floats) ->
     moved = skull - head.skull_wrap.vertices
     bone = head.bone != FREE
     carried = head.skin_wrap.vertices + (
-        harmonic(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
+        fill_harmonically(head.skull_wrap.triangles, moved, bone) if moved.any() else np.zeros_like(moved)
     )
     lining = _lining(head)
 
@@ -132,7 +132,7 @@ def _lining(head: LayeredHead) -> np.ndarray:
 def _left_cheek(head: LayeredHead) -> Floats:
     """Return the skin wrap's vertex [mm], shape (3,), that is nearest to the middle of the left cheek."""
     x = head.skin_wrap.vertices
-    share = cheeks(head) * (x[:, 0] > 0.0)
+    share = cheek_share(head) * (x[:, 0] > 0.0)
     middle = share @ x / share.sum()
     nearest: Floats = x[np.argmin(np.linalg.norm(x - middle, axis=1))]
     return nearest

@@ -15,7 +15,7 @@ from ...lhm.head import LayeredHead
 from ..scene import Scene
 from ..solve import prepare
 from .parameters import Parameters
-from .settling import Settled, settled
+from .settle import SettledFace, settle
 
 WITHIN = 0.1
 """[mm], below what one sees on a face."""
@@ -39,7 +39,7 @@ class Smallest:
     model: Any = field(repr=False)
 
 
-def smallest(
+def find_smallest(
     whole: Model,
     pieces: Mapping[str, Callable[[Model], Model]],
     answer: Callable[[Model], Floats],
@@ -89,7 +89,7 @@ def smallest_scene(
     }
     pieces = {name: lambda s, t=term: replace(s, terms=tuple(x for x in s.terms if x is not t))
               for name, term in names.items()}  # fmt: skip
-    return smallest(scene, pieces, lambda s: solve_positions(s, solver, tolerance), within=within)
+    return find_smallest(scene, pieces, lambda s: solve_positions(s, solver, tolerance), within=within)
 
 
 def solve_positions(scene: Scene, solver: str = "projective", tolerance: float = TOLERANCE) -> Floats:
@@ -113,9 +113,9 @@ class FacialModel:
     targets: Floats
     choices: Mapping[str, Any] = field(default_factory=dict)
 
-    def settle(self) -> Settled:
+    def settle(self) -> SettledFace:
         """Settle the neutral face; raise SoftdecaError where it does not come to rest."""
-        face = settled(self.head, self.parameters, tolerance=TOLERANCE, **self.choices)
+        face = settle(self.head, self.parameters, tolerance=TOLERANCE, **self.choices)
         if not face.converged:
             raise SoftdecaError(f"the neutral face: {face.reason}")
         return face
@@ -175,4 +175,4 @@ def smallest_facial_scene(model: FacialModel, *, within: float = WITHIN) -> Smal
         del pieces["contact"]
     if not np.any(model.parameters.added_gravity):
         del pieces["gravity beyond the scan's"]
-    return smallest(model, pieces, FacialModel.skin, within=within)
+    return find_smallest(model, pieces, FacialModel.skin, within=within)

@@ -13,10 +13,9 @@ from functools import lru_cache
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Surface
-from ...lhm.flesh import expressive, eye_sockets
+from ...lhm.flesh import expressive_share, socket_share
 from ...lhm.head import LayeredHead
-from .local import on_vertices
-from .parameters import Parameters
+from .parameters import Parameters, spread_to_vertices
 
 SEAM = 10.0
 """Half the width [mm] over which a paralysed half of the face blends into the other."""
@@ -32,7 +31,7 @@ def left_share(skin: Surface) -> Floats:
     return t * t * (3.0 - 2.0 * t)
 
 
-def kept_share(left, paralysis_left, paralysis_right):
+def activation_share(left, paralysis_left, paralysis_right):
     """The share of its targets' stiffness that skin keeps, by its `left_share`.
 
     A paralysed half has no activation: nothing draws its skin to the expression.
@@ -40,21 +39,21 @@ def kept_share(left, paralysis_left, paralysis_right):
     return (1.0 - paralysis_left * left) * (1.0 - paralysis_right * (1.0 - left))
 
 
-def kept(head: LayeredHead, parameters: Parameters) -> Floats:
+def activation(head: LayeredHead, parameters: Parameters) -> Floats:
     """The share of activation left at each vertex of the skin wrap, shape (n,).
 
     A palsy is of the face alone: scalp, ears and neck stay tied to what is below.
     """
-    share = kept_share(left_share(head.skin_wrap), parameters.paralysis_left, parameters.paralysis_right)
-    return 1.0 - expressive(head) * (1.0 - share)
+    share = activation_share(left_share(head.skin_wrap), parameters.paralysis_left, parameters.paralysis_right)
+    return 1.0 - expressive_share(head) * (1.0 - share)
 
 
-def kept_of_skin(head: LayeredHead, parameters: Parameters) -> Floats | None:
+def skin_activation(head: LayeredHead, parameters: Parameters) -> Floats | None:
     """The same at each vertex of the skin, shape (skin vertices, 1), or None where there is no palsy.
 
     Detail that an expression has finer than the wrap, such as a closed lid's, is of the skin in that share only.
     """
-    return (head.skin_from_wrap @ kept(head, parameters))[:, None] if has_palsy(parameters) else None
+    return (head.skin_from_wrap @ activation(head, parameters))[:, None] if has_palsy(parameters) else None
 
 
 def has_palsy(parameters: Parameters) -> bool:
@@ -75,14 +74,14 @@ class Springs:
 
     @classmethod
     @lru_cache(maxsize=1)  # every frame of a face asks for the same, a third of a palsied scene's price
-    def of(cls, head: LayeredHead, parameters: Parameters) -> Springs:
+    def from_head(cls, head: LayeredHead, parameters: Parameters) -> Springs:
         """Per area, less what is paralysed, but where eyes are lined: there springs stay, and draw elsewhere."""
         wrap = head.skin_wrap
-        whole = on_vertices("target_stiffness", parameters.target_stiffness, wrap) * wrap.vertex_areas
+        whole = spread_to_vertices("target_stiffness", parameters.target_stiffness, wrap) * wrap.vertex_areas
         if not has_palsy(parameters):
             return cls(whole)
-        share = kept(head, parameters)
-        passive = (1.0 - share) * eye_sockets(head)
+        share = activation(head, parameters)
+        passive = (1.0 - share) * socket_share(head)
         active = np.divide(share, share + passive, out=np.ones_like(share), where=passive > 0.0)
         return cls(whole * (share + passive), active[:, None])
 
@@ -90,6 +89,6 @@ class Springs:
         """What the springs draw to [mm], shape (n, 3), for an expression of the skin wrap and its neutral place."""
         return wrap_targets if self.active is None else neutral + self.active * (wrap_targets - neutral)
 
-    def moved(self, displacements: Floats) -> Floats:
+    def move(self, displacements: Floats) -> Floats:
         """How `positions` move [mm] where the expression does, both of shape (..., n, 3)."""
         return displacements if self.active is None else self.active * displacements

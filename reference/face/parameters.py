@@ -1,18 +1,30 @@
 """The simulation parameters p of SoftDECA (3.3.3) as named fields with default, range, unit and source.
 
 The paper's own list and ranges are not public; these are reconstructed, and each says from what.
+
+Parameters that vary over the face, on the tets, triangles and vertices of a head's wraps (SoftDECA 3.5, Eq. 20).
+
+Parameters p from a TOML file: names with numbers, or with the .npy file of a parameter that varies over the face.
+
+soft_stiffness = 4.0
+gravity = 1.5
+skin_stiffness = "cheek.npy"     # one value per triangle of the wraps; beside this file
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, fields
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...lhm.base.errors import InputError, quote
-from ...lhm.base.mesh import Floats
+from ...lhm.base.checks import check_arguments, finite
+from ...lhm.base.errors import InputError, SceneError, escape, quote
+from ...lhm.base.files.text import read_toml
+from ...lhm.base.mesh import Floats, Surface
 
 STANDARD_GRAVITY = 9810.0
 """[mm/s²]"""
@@ -241,3 +253,75 @@ def _checked(info: ParameterInfo, value: Any) -> float | Floats:
         return float(array)
     array.flags.writeable = False
     return array
+
+
+TETS_PER_PRISM = 3
+
+
+def spread_to_triangles(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
+    """A parameter per triangle of the wrap; one number stays one. SceneError for another count."""
+    if np.ndim(value) and len(value) != len(wrap.triangles):  # type: ignore[arg-type]
+        raise SceneError(f"parameter {name}: {len(value)} values for {len(wrap.triangles)} triangles")  # type: ignore[arg-type]
+    return value
+
+
+def spread_to_tets(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
+    """A parameter per tet of one layer of prisms, from one number, one per triangle, or one per tet of the layer."""
+    if not np.ndim(value):
+        return value
+    triangles, count = len(wrap.triangles), len(value)  # type: ignore[arg-type]
+    if count == triangles:
+        return np.repeat(value, TETS_PER_PRISM)
+    if count != TETS_PER_PRISM * triangles:
+        raise SceneError(
+            f"parameter {name}: {count} values for {triangles} triangles, or {TETS_PER_PRISM * triangles} tets"
+        )
+    return value
+
+
+def spread_to_vertices(name: str, value: float | Floats, wrap: Surface) -> float | Floats:
+    """A parameter per vertex: the mean over the triangles around, weighted by their area."""
+    if not np.ndim(value):
+        return value
+    weight = np.repeat(wrap.areas, 3)
+    values = np.repeat(spread_to_triangles(name, value, wrap), 3)
+    corners, n = wrap.triangles.ravel(), len(wrap.vertices)
+    return np.bincount(corners, weight * values, n) / np.maximum(np.bincount(corners, weight, n), 1e-300)
+
+
+@check_arguments
+def read_parameters(path: str | os.PathLike[str]) -> Parameters:
+    """The parameters in a TOML file; what it does not name keeps its default.
+
+    Raises InputError, one line that names the file and the parameter, for a file that is missing or no TOML, an unknown
+    name, and a value that is no number or out of range.
+    """
+    path = Path(path)
+    named = read_toml(path)
+    try:
+        values = {Parameters.info(name).name: _value(path, name, value) for name, value in named.items()}
+        return Parameters(**values)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _value(path: Path, name: str, value):
+    """A number as it is (Parameters checks it), or the array in the file that a text names."""
+    return _array(path.parent / value, name) if isinstance(value, str) else value
+
+
+def _array(path: Path, name: str) -> Floats:
+    if path.suffix != ".npy" or not os.path.isfile(path):  # False, too, for a name that is too long
+        raise InputError(f"parameter {name}: {quote(str(path), 200)}: expected a number, or an .npy file that is there")
+    try:
+        # A map of the file cannot be longer than the file, whatever its header says.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # numpy's reader raises whatever the damage makes it raise
+        reason = escape(" ".join(str(error).split()))[:60]
+        raise InputError(f"parameter {name}: {path}: not an array of numbers ({reason})") from None
+    values = np.array(finite(f"parameter {name}: {path}", array))
+    try:
+        Parameters(**{Parameters.info(name).name: values})  # type: ignore[arg-type]  # one of those that may vary
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return values

@@ -1,30 +1,41 @@
-"""Frames of one head one after another: prepared once, each started from the last, with inertia where asked for."""
+"""Frames of one head one after another: prepared once, each started from the last, with inertia where asked for.
+
+Initial velocities for short dynamic sequences: taken from one long run, carried onto other identities.
+
+The paper starts its sequences of 16 with velocities from a run of 2,048 frames with fixed dynamics. They are kept in
+each skin vertex' own frame of the neutral face and in head sizes per second, so that a cheek that swings outward swings
+outward on every head whose skin has the same triangles.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...lhm.base.checks import check_arguments
-from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats
+from ...lhm.base.errors import InputError, SceneError
+from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
 from ..scene import Scene
 from ..solution import Solution, volume_ratio
 from ..solve import Prepared, prepare
 from ..terms import Target
-from .base import lag, pivot, rotation, turns
-from .bones import carried
-from .dynamics import Recurrence
-from .inertia import recurrence
+from .bones import carry_wraps
+from .dynamics import Recurrence, base_lag, check_rotation, check_turns, find_pivot
 from .parameters import Parameters
-from .settling import Settled
-from .stack import Stack
+from .settle import SettledFace
+from .tissue import Stack
 
 TOLERANCE = 2.5e-5
+"""Gradient norm relative to that of the targets' springs each 1 mm long."""
+FARTHEST = 60.0
+"""[mm] A velocity that would carry some vertex farther over a sequence is none of a face."""
+LENGTH = 16
+"""Frames of a sequence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +65,7 @@ class Sequence:
     `tolerance` is the gradient norm relative to that of springs of statics each 1 mm long: unlike one
     relative to a frame's own start it asks the same of every frame.
     `options` go to `prepare` of the solver, `choices` to `facial_scene`. Raises what these raise, and InputError for a
-    time step at which the frequency cannot be followed. `of` makes one whose neutral face has settled under p.
+    time step at which the frequency cannot be followed. `from_face` makes one whose neutral face has settled under p.
     """
 
     @check_arguments
@@ -74,18 +85,18 @@ class Sequence:
         if not (np.isfinite(tolerance) and 0.0 < tolerance < 1.0):
             raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
         self.head, self.parameters, self.time_step = head, parameters, float(time_step)
-        self.recurrence = recurrence(head, parameters, time_step) if dynamic else None
+        self.recurrence = Recurrence.from_head(head, parameters, time_step) if dynamic else None
         self.state: State | None = None
         self._tolerance, self._limit = tolerance, max_iterations
         self._solver, self._options, self._choices = solver, dict(options or {}), choices
-        self._stack = Stack.of(head, choices.get("layers", (1, 1)), choices.get("without", ()))
+        self._stack = Stack.from_head(head, choices.get("layers", (1, 1)), choices.get("without", ()))
         self._prepared: dict[bool, Prepared] = {}
-        self._neutral = Settled(head, parameters, self._stack.vertices, np.zeros_like(head.skin.vertices))
-        self._pivot = pivot(head)
+        self._neutral = SettledFace(head, parameters, self._stack.vertices, np.zeros_like(head.skin.vertices))
+        self._pivot = find_pivot(head)
 
     @classmethod
     @check_arguments
-    def of(cls, neutral: Settled, **options: Any) -> Sequence:
+    def from_face(cls, neutral: SettledFace, **options: Any) -> Sequence:
         """Frames of a face settled under its p: expressions stay those of the head without p.
 
         `options` are a sequence's, `choices` among them over those of `neutral`; the first frame starts from its tets.
@@ -102,7 +113,7 @@ class Sequence:
         `base`: how the head was turned in the room in these two, the earlier first, (2, 3, 3), or one (3, 3) for both;
         not turned if None. In statics neither has an effect. Returns the statics' solution.
         """
-        turned = turns("base", np.eye(3) if base is None else base)
+        turned = check_turns("base", np.eye(3) if base is None else base)
         moving = np.zeros_like(self.head.skin.vertices) if velocity is None else np.asarray(velocity, dtype=np.float64)
         if moving.shape != self.head.skin.vertices.shape or not np.isfinite(moving).all():
             raise SceneError(f"velocity: expected finite values of the skin's shape {self.head.skin.vertices.shape}")
@@ -121,7 +132,7 @@ class Sequence:
         Raises what `facial_scene` and the solver raise, and InputError for a base that is no rotation; then, and where
         an answer is not finite, the state stays.
         """
-        turned = None if base is None else rotation("base", base)
+        turned = None if base is None else check_rotation("base", base)
         if self.recurrence is not None and self.state is None:
             self.begin(targets, base=turned)
         solution, scene = self._solved(targets, dynamic=self.recurrence is not None, base=turned)
@@ -162,7 +173,7 @@ class Sequence:
         last, before = state.positions[: len(static.vertices)], state.before
         sought = recurrence.target(static.positions, last, before)
         now = state.turns[1] if base is None else base
-        behind = lag(now, last - self._pivot, before - self._pivot, state.turns)
+        behind = base_lag(now, last - self._pivot, before - self._pivot, state.turns)
         if behind is not None:
             sought = sought + recurrence.driven_by(behind)
         moving = replace(static, positions=sought, stiffness=recurrence.stiffness(static.stiffness))
@@ -207,9 +218,92 @@ class Sequence:
     def _carried(self, wrap_targets: Floats) -> Floats:
         """The scene's vertices of the wraps [mm] where an expression takes them without physics."""
         rest = self.head.wrap_targets(self._neutral.skin)
-        return self._stack.between(*carried(self.head, self.parameters, rest, wrap_targets))
+        return self._stack.interpolate(*carry_wraps(self.head, self.parameters, rest, wrap_targets))
 
 
 def _target(scene: Scene) -> Target:
     """The term that draws the skin wrap to the expression: the first of its kind."""
     return scene.of(Target)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Velocities:
+    """The skin's velocities of a run's frames from the second on, shape (frames, skin vertices, 3).
+
+    `local` [1/s] holds them in each vertex' neutral frame (see `vertex_frames`), over `head_size`.
+    """
+
+    local: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.local)
+
+    @classmethod
+    def from_skins(cls, head: LayeredHead, skins: Iterable[Floats | None], time_step: float) -> Velocities:
+        """Take (T_k - T_{k-1}) / time_step of a head's simulated skins [mm], each (skin vertices, 3), in order.
+
+        None stands for a frame without an answer. InputError where there are no two frames in a row.
+        """
+        frames = vertex_frames(head.skin) / (time_step * head_size(head))
+        local, last = [], None
+        for skin in skins:
+            if skin is not None and last is not None:
+                local.append(np.einsum("nij,ni->nj", frames, skin - last).astype(np.float32))
+            last = skin
+        if not local:
+            raise InputError("velocities: two frames in a row are needed")
+        return cls(np.array(local))
+
+    @classmethod
+    def from_sequence(cls, sequence: Sequence, targets: Iterable[Floats]) -> Velocities:
+        """Run a dynamic sequence through expressions [mm], each (skin vertices, 3), and take its velocities.
+
+        A frame whose answer is not finite has none, nor has the next. InputError for a sequence without dynamics.
+        """
+        if sequence.recurrence is None:
+            raise InputError("velocities: expected a dynamic sequence")
+        solved = ((expression, sequence.frame(expression)) for expression in targets)
+        skins = (sequence.skin(*pair) if np.isfinite(pair[1].positions).all() else None for pair in solved)
+        return cls.from_skins(sequence.head, skins, sequence.time_step)
+
+    def on(self, head: LayeredHead, number: int) -> Floats:
+        """Frame `number`'s velocity on another head of the same skin triangles [mm/s], shape (skin vertices, 3).
+
+        InputError for a head whose skin has another count of vertices, and for a number that is none of these frames.
+        """
+        if not 0 <= number < len(self):
+            raise InputError(f"velocity {number}: there are {len(self)}")
+        if self.local.shape[1] != len(head.skin.vertices):
+            raise InputError(f"velocities: of a skin of {self.local.shape[1]} vertices, not {len(head.skin.vertices)}")
+        there = np.asarray(self.local[number], dtype=np.float64)
+        return head_size(head) * np.einsum("nij,nj->ni", vertex_frames(head.skin), there)
+
+
+def is_plausible(velocity: Floats, time_step: float, *, frames: int = LENGTH, farthest: float = FARTHEST) -> bool:
+    """Whether no vertex would go farther [mm] at this velocity [mm/s], shape (n, 3), over so many frames."""
+    return bool(np.linalg.norm(velocity, axis=1).max() * time_step * frames <= farthest)
+
+
+def head_size(head: LayeredHead) -> float:
+    """The root mean square distance [mm] of the skin wrap from its middle."""
+    x = head.skin_wrap.vertices
+    return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
+
+
+def vertex_frames(skin: Surface) -> Floats:
+    """Each vertex' own frame, shape (n, 3, 3): columns along its first edge in the surface, across it, and normal.
+
+    Two surfaces of the same triangles agree on which edge is first. A vertex without triangles has the axes' frame.
+    """
+    x, triangles = skin.vertices, skin.triangles
+    start, edge = np.unique(triangles.ravel(), return_index=True)
+    following = np.roll(triangles, -1, axis=1).ravel()[edge]
+    normal = skin.vertex_normals[start]
+    along = x[following] - x[start]
+    along -= np.sum(along * normal, axis=1, keepdims=True) * normal
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    sound = (length[:, 0] > 0.0) & (np.abs(np.linalg.norm(normal, axis=1) - 1.0) < 1e-6)
+    along = along / np.where(length > 0.0, length, 1.0)
+    frames = np.broadcast_to(np.eye(3), (len(x), 3, 3)).copy()
+    frames[start[sound]] = np.stack([along, np.cross(normal, along), normal], axis=2)[sound]
+    return frames

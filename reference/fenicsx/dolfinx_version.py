@@ -24,7 +24,7 @@ import numpy as np
 from ...lhm.base.errors import MissingDependencyError
 from ...lhm.base.files import cache
 from ...lhm.base.mesh import Floats, Ints
-from ..compiling import compiling
+from ..clock import count_compilation
 from ..ranks import followers, leave
 
 for _name in ("FFC", "ffcx", "UFL", "UFL_LEGACY"):
@@ -80,7 +80,7 @@ def _compiling(comm) -> Iterator[None]:
     before = logging.root.manager.disable
     logging.disable(max(before, logging.INFO))
     try:
-        with compiling(), _LOCK.open("a") as lock:
+        with count_compilation(), _LOCK.open("a") as lock:
             if comm.rank == 0:
                 fcntl.flock(lock, fcntl.LOCK_EX)
             yield

@@ -12,11 +12,10 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..march import Motion
+from ..march import Energies, Motion, Trajectory
 from ..scene import Scene, refuse_unknown
 from ..solution import Reason
 from ..terms import Target
-from ..trajectory import Energies, Trajectory
 from .dolfinx_version import PETSc
 from .masses import accelerations, mass_matrix, times
 from .moving import Chord, MovingProblem, MovingState

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 import ufl
 
+from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
+from .. import materials
 from ..materials import Incompressible, Material
+from ..materials.material import HasDensity, HasMixedDensity
 from . import dolfinx_version as seam
-from .densities import density_of, mixed_density
 
 
 def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
@@ -48,8 +50,23 @@ def density(displacement, cells: Ints, material: Material, growth: Floats | floa
     law = material.law if isinstance(material, Incompressible) else material
     parameters = symbols(law, domain, cells)
     if pressure is None:
-        return ratio * density_of(material)(elastic, parameters), F
-    return ratio * mixed_density(elastic, pressure, material, parameters), F
+        assert isinstance(law, HasDensity)
+        return ratio * law.density(elastic, parameters), F
+    assert isinstance(material, (HasMixedDensity, Incompressible))
+    return ratio * material.mixed_density(elastic, pressure, parameters), F
+
+
+def check_mixed(material: Material):
+    """Raise SceneError for a law that mixed elements cannot model: without a mixed density, or where it fails."""
+    law = material.law if isinstance(material, Incompressible) else material
+    if not isinstance(law, HasMixedDensity):
+        names = ", ".join(kind.__name__ for kind in materials.LAWS if issubclass(kind, HasMixedDensity))
+        raise SceneError(f"element 'P2P1' cannot model {law.name} by a pressure; it models {names}")
+    if law is material:
+        try:
+            law.check_mixed()
+        except SceneError as error:
+            raise SceneError(f"element 'P2P1': {error}") from None
 
 
 def elastic_part(F, growth: Floats | float, domain, cells: Ints):

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ..restraint import drifts
+from ..restraint import has_free_motion
 from ..solution import Reason
 from .dolfinx_version import PETSc
 from .equilibrium import Equilibrium, Point
@@ -69,7 +69,7 @@ class Continuation:
         held = (run.held | problem.unsupported[:, None])[: run.numbering.nodes.owned]
         self.equations = Equilibrium(problem, np.flatnonzero(held))
         self.start, self.goal = (self.equations.vector(u, run.pressure) for u in (run.u, run.goal))
-        self._drifts = drifts(run.scene)
+        self._drifts = has_free_motion(run.scene)
         self._limit = run.record.left(MAX_ITERATIONS)
         self._assemblies = problem.assemblies
         self.factors = Factorisation()

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ..restraint import drifts
+from ..restraint import has_free_motion
 from ..solution import Limits, Reason
 from ..terms import Bending, RigidBody, Strain, SurfaceStrain, Traction, Volume
 from .bodies import Pose, RigidProblem
@@ -74,7 +74,7 @@ class Minimisation:
         if reason is Reason.CONVERGED:
             end = replace(end, sound=True)
             if scene.of(Traction) and not any(scene.of(kind) for kind in INDEFINITE):
-                stable = self._newton.stable(self._at(state.u), DRIFT if drifts(scene) else 0.0)
+                stable = self._newton.stable(self._at(state.u), DRIFT if has_free_motion(scene) else 0.0)
                 many = self._run.record.iterations - before > STRAIGHT_ITERATIONS
                 end = replace(end, sound=stable, doubtful=many or not stable)
         work = self._work

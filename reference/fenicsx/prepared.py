@@ -12,8 +12,8 @@ import numpy as np
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from ..compiling import Clock
-from ..march import Motion, march
+from ..clock import Clock
+from ..march import Motion, Trajectory, march
 from ..materials import Incompressible, NeoHookean
 from ..ranks import Mirrored, followers
 from ..restraint import check_restrained
@@ -27,12 +27,11 @@ from ..terms import (
     Traction,
     Volume,
 )
-from ..trajectory import Trajectory
 from .bodies import Pose, RigidProblem
-from .densities import check_mixed, shear_modulus
 from .dolfinx_version import ALONE
 from .dynamics import March, bare, check
 from .fields import Fields, Sampling
+from .hyperelastic import check_mixed
 from .linear import LINEAR_SOLVERS, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
@@ -122,11 +121,11 @@ class PreparedFenicsx:
             self._condensed = Condensed(self._problem)
         self._force: Floats | None = None
         self._end: Attempt | None = None
-        self._spent = clock.spent()
+        self._spent = clock.read()
 
     def _kind(self, linear: str) -> str:
         """The linear solver of Newton's steps by displacement: factors where multigrid leaves too much of volumes."""
-        stiff = any(t.material.stiffness > STIFF * shear_modulus(t.material) for t in self.scene.of(Hyperelastic))
+        stiff = any(t.material.stiffness > STIFF * t.material.shear_modulus for t in self.scene.of(Hyperelastic))
         if linear == "cg" and stiff and 3 * self._numbering.nodes.total < LARGE_SADDLE:
             return "mumps"
         return "cg" if linear == "block" else linear
@@ -314,7 +313,7 @@ def compressible(scene: Scene) -> Scene:
     def softer(term: Term) -> Term:
         if not isinstance(term, Hyperelastic):
             return term
-        mu = shear_modulus(term.material)
+        mu = term.material.shear_modulus
         return replace(term, material=NeoHookean(mu, BULK * mu))
 
     return replace(scene, terms=tuple(softer(term) for term in scene.terms))

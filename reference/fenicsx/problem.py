@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..materials import Corotated, Material, NeoHookean, StableNeoHookean
+from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import (
     Bending,
@@ -29,35 +28,17 @@ from . import dolfinx_version as seam
 from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
-from .densities import BY_DENSITY, shear_modulus
 from .dolfinx_version import MPI, PETSc
-from .follower import FollowerPressure
 from .hyperelastic import HyperelasticForms
-from .laws import (
-    CorotatedLaw,
-    Grown,
-    NeoHookeanLaw,
-    PrincipalLaw,
-    StableNeoHookeanLaw,
-    StrainLaw,
-    VolumeLaw,
-    add_at,
-)
-from .membrane import Membrane
+from .loads import FollowerPressure
 from .numbering import CELL_SHARES, FACE_SHARES, Numbering
 from .quadrature import DEGREES, Quadrature
 from .shared import Shared, anywhere
-from .solids import Solid
+from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at
+from .surface_strain import Membrane
 
-Law = tuple[Ints, PrincipalLaw]
+Law = tuple[Ints, HasStretches]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
-BY_STRETCHES = (NeoHookean, StableNeoHookean)
-"""Laws whose energy and stress are UFL's; their tangent is by singular values, where to soften it is cheap."""
-LAWS: dict[type[Material], Callable[[Floats, Floats], PrincipalLaw]] = {
-    Corotated: CorotatedLaw,
-    NeoHookean: NeoHookeanLaw,
-    StableNeoHookean: StableNeoHookeanLaw,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +85,11 @@ class Problem:
         self._hyperelastic = [self._forms(solid) for solid in by_ufl]
         self.softness = np.zeros(len(numbering.cell_dofs))
         for solid in by_ufl if mixed else []:
-            self.softness[solid.cells] += 1.0 / shear_modulus(solid.hyperelastic.material)
+            self.softness[solid.cells] += 1.0 / solid.hyperelastic.material.shear_modulus
         self._tensors = [
             (self._points(forms.cells), forms)
             for forms, solid in zip(self._hyperelastic, by_ufl, strict=True)
-            if mixed or not isinstance(solid.hyperelastic.material, BY_STRETCHES)
+            if mixed or not isinstance(solid.hyperelastic.material, HasStretches)
         ]
         self._faces = [numbering.faces(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
         self._pressed = [numbering.faces(term.name, term.triangles) for term in scene.of(Pressure)]
@@ -150,7 +131,7 @@ class Problem:
         return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
 
     def _is_by_ufl(self, term) -> bool:
-        return isinstance(term, Hyperelastic) and (self.mixed or isinstance(term.material, BY_DENSITY))
+        return isinstance(term, Hyperelastic) and (self.mixed or isinstance(term.material, HasDensity))
 
     def _forms(self, solid: Solid) -> HyperelasticForms:
         cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
@@ -172,11 +153,9 @@ class Problem:
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
         self._laws = [self._law(s) for s in by_law]
-        self._laws += [self._law(s) for s in hyperelastic if isinstance(s.hyperelastic.material, Corotated)]
-        if self.mixed:
-            hyperelastic = []
-        stretched = [s for s in hyperelastic if isinstance(s.hyperelastic.material, BY_STRETCHES)]
-        self._stretched = [self._law(s) for s in stretched]
+        self._laws += [self._law(s) for s in hyperelastic if not self._is_by_ufl(s.term)]
+        by_ufl = [s for s in hyperelastic if self._is_by_ufl(s.term) and not self.mixed]
+        self._stretched = [self._law(s) for s in by_ufl if isinstance(s.hyperelastic.material, HasStretches)]
         sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
         self.energy_scale = scene.force_scale() * sizes
 
@@ -223,8 +202,8 @@ class Problem:
             return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
         if isinstance(term, Volume):
             return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        assert isinstance(term, Hyperelastic) and isinstance(term.material, (Corotated, *BY_STRETCHES))
-        law = LAWS[type(term.material)](at_points(term.material.mu), at_points(term.material.lmbda))
+        law = term.material
+        assert isinstance(law, HasStretches)
         return points, law if np.all(term.growth == 1.0) else Grown(law, at_points(term.growth))
 
     @property
@@ -288,7 +267,7 @@ class State:
         s = self._svd()[1]
         psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
         for points, law in laws:
-            add_at(points, *law.evaluate(s[points]), psi, p, h)
+            add_at(points, *law.by_stretches(s[points]), psi, p, h)
         return psi, p, h
 
     @cached_property

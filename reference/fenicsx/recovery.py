@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
-from ..recovered import Recovered
 from ..scene import Scene
+from ..solution import Stresses
 from .dolfinx_version import ALONE
 from .numbering import Numbering
 from .problem import Problem
@@ -32,7 +32,7 @@ class Nodal:
     pressure: Floats | None
 
 
-def recover(scene: Scene, degree: int, answer: Nodal) -> Recovered:
+def recover(scene: Scene, degree: int, answer: Nodal) -> Stresses:
     """The stresses and reactions of an answer to a scene, by elements of a degree."""
     numbering = Numbering(scene, degree, comm=processes_for(scene) if scene.in_parts else ALONE)
     node, pressure = numbering.nodes_between(answer.ends), answer.pressure
@@ -48,7 +48,7 @@ def recover(scene: Scene, degree: int, answer: Nodal) -> Recovered:
     tets = numbering.tet[points.cells]
     P_of[tets], F_of[tets] = P.reshape(-1, q, 3, 3), F.reshape(-1, q, 3, 3)
     volume[tets] = points.volume.reshape(-1, q)
-    return Recovered.of_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
+    return Stresses.from_points(P_of, F_of, volume, _reactions(scene, numbering, state.gradient()))
 
 
 def _reactions(scene: Scene, numbering: Numbering, gradient: Floats) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from ..compiling import Spent
+from ..clock import Seconds
 from ..scene import Scene
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, volume_ratio
 from .numbering import Numbering
@@ -101,7 +101,7 @@ class Run:
         """Positions [mm], shape (scene vertices, 3), of a displacement by node."""
         return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
 
-    def solution(self, end: Attempt, preparation: Spent, *, remember: bool = False) -> Solution:
+    def solution(self, end: Attempt, preparation: Seconds, *, remember: bool = False) -> Solution:
         """The answer that an attempt has found, which another solve may start from if it is to be remembered."""
         positions = end.numbering.to_scene(end.numbering.X + end.u, self._elsewhere)
         held, values = self.scene.dirichlet()

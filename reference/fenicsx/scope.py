@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ...lhm.base.errors import SceneError
-from ..materials import Corotated, Material
+from .. import materials
+from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import (
     Bending,
@@ -19,7 +20,6 @@ from ..terms import (
     Traction,
     Volume,
 )
-from .densities import BY_DENSITY
 from .dolfinx_version import ALL, ALONE, MPI
 from .parts import PartScene
 
@@ -37,7 +37,7 @@ TERMS = (
     Pressure,
     Inertia,
 )
-LAWS: tuple[type[Material], ...] = (*BY_DENSITY, Corotated)
+LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasDensity, HasStretches)))
 DEGREE_OF = {"P1": 1, "P2": 2, "P2P1": 2}
 """The degree of each element's displacement."""
 MOVING_TERMS = tuple(kind for kind in TERMS if kind not in (RigidBody, Pressure, Inertia))

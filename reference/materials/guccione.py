@@ -8,11 +8,12 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
-from .material import Material, optional_bulk, positive
+from .material import check_positive
+from .volumetric import SplitLaw
 
 
 @dataclass(frozen=True, eq=False)
-class Guccione(Material):
+class Guccione(SplitLaw):
     """psi = C/2 (exp Q - 1) + kappa/2 (J - 1)², of Green's strain E = (J^(-2/3) FᵀF - I)/2 along and across fibres f.
 
     Q = bf E_ff² + bt (E_ss² + E_nn² + 2 E_sn²) + 2 bfs (E_fs² + E_fn²) (Guccione, McCulloch, Waldman 1991, "Passive
@@ -30,9 +31,9 @@ class Guccione(Material):
     kappa: float | None = None
 
     def __post_init__(self):
-        positive(self, "C", "bf", "bt", "bfs")
-        optional_bulk(self, self.kappa)
-        object.__setattr__(self, "fibres", _directions(self.name, self.fibres))
+        check_positive(self, "C", "bf", "bt", "bfs")
+        self.check_kappa()
+        object.__setattr__(self, "fibres", unit_vectors(self.name, self.fibres))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Guccione):
@@ -51,14 +52,26 @@ class Guccione(Material):
         """See Material."""
         return self.C * max(self.bf, self.bt, self.bfs) + (self.kappa or 0.0)
 
-    @property
-    def resists_volume_change(self) -> bool:
-        """See Material."""
-        return self.kappa is not None
+    @staticmethod
+    def isochoric(F, p):
+        """See HasMixedDensity: C/2 (exp Q - 1); not a number where J <= 0.
+
+        Q needs no directions across the fibres: |E f|² = E_ff² + E_fs² + E_fn², and tr E² is the sum of all nine
+        squares.
+        """
+        import ufl
+
+        C, drawn = F.T * F, F * p.fibres
+        scale = ufl.det(F) ** (-2 / 3)
+        i4, i5 = scale * ufl.inner(drawn, drawn), scale**2 * ufl.inner(F.T * drawn, F.T * drawn)
+        squares = (scale**2 * ufl.inner(C, C) - 2 * scale * ufl.tr(C) + 3) / 4
+        along, row = (i4 - 1) ** 2 / 4, (i5 - 2 * i4 + 1) / 4
+        Q = p.bf * along + p.bt * (squares - 2 * row + along) + 2 * p.bfs * (row - along)
+        return p.C / 2 * (ufl.exp(Q) - 1)
 
 
-def _directions(name: str, fibres) -> Floats:
-    """Unit vectors, shape (3,) or (m, 3), read-only."""
+def unit_vectors(name: str, fibres) -> Floats:
+    """A law's fibres as unit vectors, shape (3,) or (m, 3), read-only; SceneError for others."""
     try:
         directions = np.array(fibres, dtype=np.float64)
     except (TypeError, ValueError):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from ...lhm.base.errors import SceneError
-from .material import Material
+from .material import HasMixedDensity, Material
 
 
 @dataclass(frozen=True)
@@ -25,3 +26,15 @@ class Incompressible(Material):
     def stiffness(self) -> float:
         """See Material."""
         return self.law.stiffness
+
+    @property
+    def shear_modulus(self) -> float:
+        """See Material."""
+        return self.law.shear_modulus
+
+    def mixed_density(self, F: Any, pressure: Any, p: Any) -> Any:
+        """See HasMixedDensity; p has the fields of the law."""
+        import ufl
+
+        assert isinstance(self.law, HasMixedDensity)
+        return self.law.isochoric(F, p) + pressure * (ufl.det(F) - 1)

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+
+import numpy as np
 
 from ...lhm.base.errors import SceneError
-from .material import Isotropic, lame, optional_bulk, positive
-
-
-class Volumetric(str, Enum):
-    """The energy of a change of volume, by its formula."""
-
-    QUADRATIC = "kappa/2 (J-1)^2"
-    LOGARITHMIC = "kappa/4 (J^2-1-2 ln J)"
-
-    def __str__(self) -> str:
-        return self.value
+from ...lhm.base.mesh import Floats
+from .material import check_positive, lame
+from .volumetric import SplitInvariantLaw, Volumetric
 
 
 @dataclass(frozen=True)
-class IsochoricNeoHookean(Isotropic):
+class IsochoricNeoHookean(SplitInvariantLaw):
     """psi = mu/2 (J^(-2/3) I1 - 3) plus the volumetric part; mu and bulk modulus kappa [kPa].
 
     `volumetric` is a Volumetric or its formula: "kappa/2 (J-1)^2", or "kappa/4 (J^2-1-2 ln J)" (Miehe 1994, "Aspects
@@ -34,8 +27,8 @@ class IsochoricNeoHookean(Isotropic):
     volumetric: Volumetric = Volumetric.QUADRATIC
 
     def __post_init__(self):
-        positive(self, "mu")
-        optional_bulk(self, self.kappa)
+        check_positive(self, "mu")
+        self.check_kappa()
         try:
             object.__setattr__(self, "volumetric", Volumetric(self.volumetric))
         except ValueError:
@@ -55,7 +48,14 @@ class IsochoricNeoHookean(Isotropic):
         """See Isotropic; without kappa, of the isochoric part."""
         return self.mu, (self.kappa or 0.0) - 2 / 3 * self.mu
 
-    @property
-    def resists_volume_change(self) -> bool:
-        """See Material."""
-        return self.kappa is not None
+    @staticmethod
+    def isochoric(F, p):
+        """See HasMixedDensity; not a number where J <= 0."""
+        import ufl
+
+        return p.mu / 2 * (ufl.det(F) ** (-2 / 3) * ufl.inner(F, F) - 3)
+
+    def by_isochoric(self, i1: Floats, i2: Floats) -> tuple[Floats, Floats, Floats]:
+        """See SplitInvariantLaw."""
+        gradient = np.tile([self.mu / 2, 0.0], (len(i1), 1))
+        return self.mu / 2 * (i1 - 3), gradient, np.zeros((len(i1), 2, 2))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...lhm.base.errors import SceneError
-from .material import Isotropic, not_negative, optional_bulk
+from ...lhm.base.mesh import Floats
+from .material import check_not_negative
+from .volumetric import SplitInvariantLaw
 
 
 @dataclass(frozen=True)
-class MooneyRivlin(Isotropic):
+class MooneyRivlin(SplitInvariantLaw):
     """psi = C10 (i1 - 3) + C01 (i2 - 3) + C20 (i1 - 3)² + kappa/2 (J - 1)², i1 = J^(-2/3) I1, i2 = J^(-4/3) I2.
 
     C10, C01, C20 and the bulk modulus kappa [kPa]; the shear modulus at rest is 2 (C10 + C01). Infinite for J <= 0.
@@ -23,10 +27,10 @@ class MooneyRivlin(Isotropic):
     C20: float = 0.0
 
     def __post_init__(self):
-        not_negative(self, "C10", "C01", "C20")
+        check_not_negative(self, "C10", "C01", "C20")
         if self.C10 + self.C01 <= 0:
             raise SceneError(f"{self.name}: C10 + C01 must be positive, got {self.C10 + self.C01}")
-        optional_bulk(self, self.kappa)
+        self.check_kappa()
 
     @property
     def lame(self) -> tuple[float, float]:
@@ -34,7 +38,19 @@ class MooneyRivlin(Isotropic):
         mu = 2 * (self.C10 + self.C01)
         return mu, (self.kappa or 0.0) - 2 / 3 * mu
 
-    @property
-    def resists_volume_change(self) -> bool:
-        """See Material."""
-        return self.kappa is not None
+    @staticmethod
+    def isochoric(F, p):
+        """See HasMixedDensity; not a number where J <= 0."""
+        import ufl
+
+        J, C = ufl.det(F), F.T * F
+        i1 = J ** (-2 / 3) * ufl.tr(C)
+        i2 = J ** (-4 / 3) * (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2
+        return p.C10 * (i1 - 3) + p.C01 * (i2 - 3) + p.C20 * (i1 - 3) ** 2
+
+    def by_isochoric(self, i1: Floats, i2: Floats) -> tuple[Floats, Floats, Floats]:
+        """See SplitInvariantLaw."""
+        away = i1 - 3
+        psi = self.C10 * away + self.C01 * (i2 - 3) + self.C20 * away**2
+        gradient = np.column_stack([self.C10 + 2 * self.C20 * away, np.full(len(i1), self.C01)])
+        return psi, gradient, np.tile(np.diag([2 * self.C20, 0.0]), (len(i1), 1, 1))

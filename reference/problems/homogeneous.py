@@ -1,28 +1,43 @@
-"""Unit cubes on rollers, stretched along one axis or two: homogeneous, so exact on any mesh.
+"""Unit cubes on rollers, stretched along one axis or two: homogeneous, so exact on any mesh, slivers included (H4).
 
 A row is posed with the stretch held and the free stretch sought, and with the nominal stress as a dead load and the
 stretch sought. Under a compressive dead load the strain energy buckles (its Hessian at the homogeneous state is
 indefinite), so there the energy of the held state stands for the stress, which is its derivative.
-The values solve one equation for the free stretch (tests/verification/test_closed_forms.py).
+Corotated and St. Venant-Kirchhoff have closed forms. The values of the others solve one equation for the free stretch
+(tests/verification/test_closed_forms.py). Mooney-Rivlin's formulas are for an incompressible body: they stand beside a
+nearly incompressible one, with the error that its compressibility must cause as the bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats, Ints
-from ..materials import NeoHookean
+from ...lhm.base.mesh import Floats, Ints, tet_volumes
+from ..materials import (
+    Corotated,
+    Guccione,
+    IsochoricNeoHookean,
+    MooneyRivlin,
+    NeoHookean,
+    StableNeoHookean,
+    StVenantKirchhoff,
+    Volumetric,
+)
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
-from .meshes import triangles_at, unstructured, vertices_at
-from .problem import Problem
+from .meshes import block, triangles_at, unstructured, vertices_at
+from .problem import Attempt, HardCase, Problem
 
 CELLS = 3
 LIMIT = 1.2
+YOUNG, POISSON = 1.0, 0.45
+C1, C2 = 0.3, 0.1
+BULK = 1e4 * 2 * (C1 + C2)
 
 
 @dataclass(frozen=True)
@@ -33,7 +48,7 @@ class Row:
     """
 
     label: str
-    energies: Callable[[], list[Term]]
+    energies: tuple[Term, ...]
     loaded: int
     stretch: float
     free_stretch: float
@@ -41,48 +56,124 @@ class Row:
     confined: int = 0
 
 
-def neo_hookean() -> list[Term]:
-    """Young's modulus 1 kPa, Poisson's ratio .45."""
-    return [Hyperelastic(NeoHookean.from_young(1.0, 0.45))]
-
-
-def strain() -> list[Term]:
-    """1/2 ‖F - R‖²."""
-    return [Strain(1.0)]
-
-
-def strain_and_volume() -> list[Term]:
-    """1/2 ‖F - R‖² and ten times as much volume."""
-    return [Strain(1.0), Volume(10.0)]
-
-
-def limited_strain() -> list[Term]:
-    """Free up to the limit, (stretch - limit)²/2 beyond it."""
-    return [Strain(1.0, limit=LIMIT)]
-
+NEO_HOOKEAN = (Hyperelastic(NeoHookean.from_young(YOUNG, POISSON)),)
+STRAIN = (Strain(1.0),)
+STRAIN_AND_VOLUME = (Strain(1.0), Volume(10.0))
+LIMITED = (Strain(1.0, limit=LIMIT),)
+COROTATED = (Hyperelastic(Corotated.from_young(YOUNG, POISSON)),)
+KIRCHHOFF = (Hyperelastic(StVenantKirchhoff.from_young(YOUNG, POISSON)),)
+STABLE = (Hyperelastic(StableNeoHookean.from_young(YOUNG, POISSON)),)
+QUADRATIC = (Hyperelastic(IsochoricNeoHookean.from_young(YOUNG, POISSON)),)
+LOGARITHMIC = (Hyperelastic(IsochoricNeoHookean.from_young(YOUNG, POISSON, Volumetric.LOGARITHMIC)),)
+POLYNOMIAL = (Hyperelastic(MooneyRivlin(C10=0.1, C01=0.05, kappa=10 / 3, C20=0.02)),)
+ALONG = (Hyperelastic(Guccione(C=2.0, bf=8.0, bt=2.0, bfs=4.0, fibres=np.array([1.0, 0.0, 0.0]), kappa=20.0)),)
+ACROSS = (Hyperelastic(Guccione(C=2.0, bf=8.0, bt=2.0, bfs=4.0, fibres=np.array([0.0, 0.0, 1.0]), kappa=20.0)),)
+RIVLIN = (Hyperelastic(MooneyRivlin(C10=C1, C01=C2, kappa=BULK)),)
 
 NEO_HOOKEAN_ROWS = (
-    Row("NeoHookean nu=.45, uniaxial", neo_hookean, 1, 0.5, 1.3508697467, -1.0861028086),
-    Row("NeoHookean nu=.45, uniaxial", neo_hookean, 1, 1.5, 0.8306789808, 0.3586143519),
-    Row("NeoHookean nu=.45, uniaxial", neo_hookean, 1, 2.0, 0.7259350056, 0.5987962703),
-    Row("NeoHookean nu=.45, uniaxial", neo_hookean, 1, 3.0, 0.5983147092, 0.9933355757),
-    Row("NeoHookean nu=.45, equibiaxial", neo_hookean, 2, 1.5, 0.4839184956, 0.4634075608),
-    Row("NeoHookean nu=.45, equibiaxial", neo_hookean, 2, 2.0, 0.2770079198, 0.6764252780),
+    Row("NeoHookean nu=.45, uniaxial", NEO_HOOKEAN, 1, 0.5, 1.3508697467, -1.0861028086),
+    Row("NeoHookean nu=.45, uniaxial", NEO_HOOKEAN, 1, 1.5, 0.8306789808, 0.3586143519),
+    Row("NeoHookean nu=.45, uniaxial", NEO_HOOKEAN, 1, 2.0, 0.7259350056, 0.5987962703),
+    Row("NeoHookean nu=.45, uniaxial", NEO_HOOKEAN, 1, 3.0, 0.5983147092, 0.9933355757),
+    Row("NeoHookean nu=.45, equibiaxial", NEO_HOOKEAN, 2, 1.5, 0.4839184956, 0.4634075608),
+    Row("NeoHookean nu=.45, equibiaxial", NEO_HOOKEAN, 2, 2.0, 0.2770079198, 0.6764252780),
 )
 STRAIN_ROWS = (
-    Row("Strain, uniaxial", strain, 1, 0.5, 1.0, -0.5),
-    Row("Strain, uniaxial", strain, 1, 2.0, 1.0, 1.0),
-    Row("Strain + 10 Volume, uniaxial", strain_and_volume, 1, 0.5, 1.296099, -1.189891),
-    Row("Strain + 10 Volume, uniaxial", strain_and_volume, 1, 1.5, 0.835426, 0.590399),
-    Row("Strain + 10 Volume, uniaxial", strain_and_volume, 1, 2.0, 0.735254, 1.094268),
+    Row("Strain, uniaxial", STRAIN, 1, 0.5, 1.0, -0.5),
+    Row("Strain, uniaxial", STRAIN, 1, 2.0, 1.0, 1.0),
+    Row("Strain + 10 Volume, uniaxial", STRAIN_AND_VOLUME, 1, 0.5, 1.296099, -1.189891),
+    Row("Strain + 10 Volume, uniaxial", STRAIN_AND_VOLUME, 1, 1.5, 0.835426, 0.590399),
+    Row("Strain + 10 Volume, uniaxial", STRAIN_AND_VOLUME, 1, 2.0, 0.735254, 1.094268),
 )
 COMPRESSED_DENSITIES = ((STRAIN_ROWS[0], 0.125), (STRAIN_ROWS[2], 0.2452393))
-LIMITED_ROW = Row("Strain beyond a limit, uniaxial", limited_strain, 1, 1.5, 1.0, 1.5 - LIMIT)
+LIMITED_ROW = Row("Strain beyond a limit, uniaxial", LIMITED, 1, 1.5, 1.0, 1.5 - LIMIT)
 
 SOURCE = "closed form: one equation for the free stretch"
 # The tables' digits bound the error.
 TEN_DIGITS = {"fenicsx": 1e-9, "skfem": 1e-9}
 SIX_DIGITS = {"projective": 2e-6, "fenicsx": 2e-6, "skfem": 2e-6}
+
+
+def corotated(stretch: float, loaded: int) -> Row:
+    """P is linear in the stretches: E (stretch - 1) along one axis, E/(1 - nu) (stretch - 1) along two."""
+    away = stretch - 1
+    if loaded == 1:
+        return Row("Corotated nu=.45, uniaxial", COROTATED, 1, stretch, 1 - POISSON * away, YOUNG * away)
+    free = 1 - 2 * POISSON / (1 - POISSON) * away
+    return Row("Corotated nu=.45, equibiaxial", COROTATED, 2, stretch, free, YOUNG / (1 - POISSON) * away)
+
+
+def kirchhoff(stretch: float) -> Row:
+    """S = E e of Green's strain e = (stretch² - 1)/2; the free axes' strain is -nu e, and P = stretch S."""
+    e = (stretch**2 - 1) / 2
+    free = (1 - 2 * POISSON * e) ** 0.5
+    return Row("StVenantKirchhoff nu=.45, uniaxial", KIRCHHOFF, 1, stretch, free, YOUNG * e * stretch)
+
+
+CLOSED_ROWS = (
+    *(corotated(stretch, 1) for stretch in (0.8, 1.5, 2.0)),
+    *(corotated(stretch, 2) for stretch in (1.2, 1.5)),
+    *(kirchhoff(stretch) for stretch in (1.2, 1.5)),
+)
+CRUSHED_ROW = corotated(0.5, 1)
+SOLVED_ROWS = (
+    Row("StableNeoHookean nu=.45, uniaxial", STABLE, 1, 0.7, 1.1673782584, -0.4372646134),
+    Row("StableNeoHookean nu=.45, uniaxial", STABLE, 1, 2.0, 0.7228808390, 0.6671711837),
+    Row("StableNeoHookean nu=.45, equibiaxial", STABLE, 2, 1.5, 0.4790507973, 0.5112212478),
+    Row("IsochoricNeoHookean nu=.45 (quadratic), uniaxial", QUADRATIC, 1, 2.0, 0.7420503532, 0.5576728792),
+    Row("IsochoricNeoHookean nu=.45 (quadratic), equibiaxial", QUADRATIC, 2, 1.5, 0.4956669842, 0.4284448055),
+    Row("IsochoricNeoHookean nu=.45 (logarithmic), uniaxial", LOGARITHMIC, 1, 2.0, 0.7435047292, 0.5558704664),
+    Row("IsochoricNeoHookean nu=.45 (logarithmic), equibiaxial", LOGARITHMIC, 2, 1.5, 0.4980810392, 0.4265481723),
+    Row("MooneyRivlin with C20, uniaxial", POLYNOMIAL, 1, 2.0, 0.7460226037, 0.6294546814),
+    Row("MooneyRivlin with C20, equibiaxial", POLYNOMIAL, 2, 1.5, 0.5148229027, 0.6114224614),
+    Row("MooneyRivlin with C20, pure shear", POLYNOMIAL, 1, 1.5, 0.7153319328, 0.3787427959, confined=1),
+)
+FIBRE_ROWS = (
+    Row("Guccione, uniaxial along the fibres", ALONG, 1, 1.2, 0.9512199470, 4.6571016844),
+    Row("Guccione, equibiaxial across the fibres", ACROSS, 2, 1.2, 0.7871152445, 3.7813443531),
+)
+RIVLIN_SOURCE = "Rivlin 1948, incompressible; the bound is the error of kappa = 1e4 mu"
+
+
+def rivlin(stretch: float, loaded: int, confined: int = 0) -> Row:
+    """P = 2 (C1 + C2/l) (l - l⁻²) along one axis, 2 (C1 + C2 l²) (l - l⁻⁵) along two; 2 (C1 + C2) (l - l⁻³)."""
+    s = stretch
+    if loaded == 2:
+        return Row("MooneyRivlin, equibiaxial", RIVLIN, 2, s, s**-2, 2 * (C1 + C2 * s**2) * (s - s**-5))
+    if confined:
+        return Row("MooneyRivlin, pure shear", RIVLIN, 1, s, 1 / s, 2 * (C1 + C2) * (s - s**-3), confined=1)
+    return Row("MooneyRivlin, uniaxial", RIVLIN, 1, s, s**-0.5, 2 * (C1 + C2 / s) * (s - s**-2))
+
+
+RIVLIN_ROWS = (rivlin(1.5, 1), rivlin(2.0, 1), rivlin(1.5, 2), rivlin(1.5, 1, 1), rivlin(2.0, 1, 1))
+
+
+def mean_stress(row: Row) -> float:
+    """A third of the trace of Cauchy's stress [kPa] of an incompressible Mooney-Rivlin body."""
+    l3 = row.free_stretch
+    confined = row.confined * (2 * C1 * (1 - l3**2) - 2 * C2 * (1 - l3**-2))
+    return (row.loaded * row.stretch * row.stress + confined) / 3
+
+
+def free_stretch_error(row: Row) -> float:
+    """Relative error of the free stretch to first order in 1 / kappa.
+
+    kappa/2 (J - 1)² makes J - 1 = mean stress / kappa; the free axes share it, as the other stretches are held.
+    """
+    return mean_stress(row) / BULK / (3 - row.loaded - row.confined)
+
+
+def stretch_error(row: Row) -> float:
+    """Relative error of the stretch under load, to first order in 1 / kappa.
+
+    Where the stretch is held, the energy is lower by (mean stress)² / (2 kappa), and its derivative by the stretch is
+    `loaded` times P; so P is lower by e = mean stress · (mean stress)' / (kappa · loaded), which a stretch greater by
+    e / P' makes good.
+    """
+    h = 1e-5
+    high, low = (rivlin(row.stretch + d, row.loaded, row.confined) for d in (h, -h))
+    e = mean_stress(row) * (mean_stress(high) - mean_stress(low)) / (2 * h) / (BULK * row.loaded)
+    return e / ((high.stress - low.stress) / (2 * h)) / row.stretch
 
 
 def rollers(X: Floats) -> list[Term]:
@@ -101,7 +192,7 @@ def held(row: Row, mesh: tuple[Floats, Ints] | None = None) -> Scene:
     X, tets = unstructured(CELLS) if mesh is None else mesh
     faces = [vertices_at(X, axis, 1.0) for axis in range(row.loaded)]
     ends: list[Term] = [Fixed(face, X[face] * row.stretch, components=(axis,)) for axis, face in enumerate(faces)]
-    return Scene(X, tets, (*row.energies(), *rollers(X), *confined(row, X), *ends))
+    return Scene(X, tets, (*row.energies, *rollers(X), *confined(row, X), *ends))
 
 
 def pulled(row: Row) -> Scene:
@@ -109,7 +200,7 @@ def pulled(row: Row) -> Scene:
     X, tets = unstructured(CELLS)
     faces = [triangles_at(X, tets, axis, 1.0) for axis in range(row.loaded)]
     loads: list[Term] = [Traction(face, row.stress * np.eye(3)[axis]) for axis, face in enumerate(faces)]
-    return Scene(X, tets, (*row.energies(), *rollers(X), *confined(row, X), *loads))
+    return Scene(X, tets, (*row.energies, *rollers(X), *confined(row, X), *loads))
 
 
 def stretch_along(axis: int, reference: float) -> Callable[[Scene, Solution], float]:
@@ -169,7 +260,96 @@ def _problems() -> list[Problem]:
     beyond = (LIMITED_ROW.stretch - LIMIT) ** 2 / 2
     problems.append(held_energy(LIMITED_ROW, SIX_DIGITS, beyond))
     problems.append(under_load(LIMITED_ROW, SIX_DIGITS, lambda scene: scene.vertices * [LIMIT + 0.1, 1.0, 1.0]))
+    for rows, source in ((CLOSED_ROWS, "closed form"), (SOLVED_ROWS, SOURCE)):
+        for row in rows:
+            problems += [free_stretch(row, TEN_DIGITS, source), under_load(row, TEN_DIGITS, source=source)]
+    # A dead load that halves the corotated cube buckles it: the energy of the held state stands for the stress.
+    crushed = YOUNG / 2 * (CRUSHED_ROW.stretch - 1) ** 2
+    problems.append(free_stretch(CRUSHED_ROW, TEN_DIGITS, "closed form"))
+    problems.append(held_energy(CRUSHED_ROW, TEN_DIGITS, crushed, "closed form"))
+    for row in FIBRE_ROWS:
+        bounds = {"fenicsx": TEN_DIGITS["fenicsx"]}
+        problems += [free_stretch(row, bounds), under_load(row, bounds)]
+    for row in RIVLIN_ROWS:
+        # Terms of second order are smaller by the relative change of volume, 1e-4.
+        held_bounds, load_bounds = (
+            dict.fromkeys(TEN_DIGITS, 1.001 * error(row)) for error in (free_stretch_error, stretch_error)
+        )
+        problems.append(free_stretch(row, held_bounds, RIVLIN_SOURCE))
+        problems.append(under_load(row, load_bounds, source=RIVLIN_SOURCE))
     return problems
 
 
 PROBLEMS = tuple(_problems())
+
+TOLERANCE = 1e-7
+"""Rounding of F in the worst sliver leaves no more of the gradient."""
+
+Mesh = Callable[[], tuple[Floats, Ints]]
+
+
+def flat_layer(aspect: float) -> tuple[Floats, Ints]:
+    """A layer of cells whose height is a width over `aspect`."""
+    X, tets = block(CELLS)
+    heights = np.array([0.0, 0.5, 0.5 + 1 / (CELLS * aspect), 1.0])
+    X[:, 2] = heights[np.rint(CELLS * X[:, 2]).astype(int)]
+    return X, tets
+
+
+def sliver(height: float) -> tuple[Floats, Ints]:
+    """An inner vertex that lies `height` [mm] above the middle of the face opposite in one of its tets."""
+    X, tets = block(CELLS)
+    vertex = int(np.argmin(np.linalg.norm(X - 1 / CELLS, axis=1)))
+    tet = tets[(tets == vertex).any(axis=1)][0]
+    a, b, c = X[tet[tet != vertex]]
+    normal = np.cross(b - a, c - a)
+    normal *= np.sign(normal @ (X[vertex] - a)) / np.linalg.norm(normal)
+    X[vertex] = (a + b + c) / 3 + height * normal
+    return X, tets
+
+
+def of_volume(volume: float) -> tuple[Floats, Ints]:
+    """A sliver of a volume [mm³]."""
+    height = 1e-3
+    return sliver(height * volume / float(tet_volumes(*sliver(height)).min()))
+
+
+MESHES: dict[str, Mesh] = {
+    "layer of aspect 1e2": partial(flat_layer, 1e2),
+    "layer of aspect 1e3": partial(flat_layer, 1e3),
+    "dihedral angle of .1°": partial(sliver, 2 * np.tan(np.radians(0.1)) / (3 * CELLS)),
+    "tet of 1e-12 mm³": partial(of_volume, 1e-12),
+}
+ALL, NEWTON, MIXED = ("projective", "fenicsx", "skfem"), ("fenicsx", "skfem"), ("P1", "P2", "P2P1")
+ROWS: tuple[tuple[Row, tuple[str, ...], tuple[str, ...]], ...] = (
+    (STRAIN_ROWS[3], ALL, ("P1", "P2")),
+    (NEO_HOOKEAN_ROWS[1], NEWTON, MIXED),
+    (corotated(1.5, 1), NEWTON, ("P1", "P2")),
+    (kirchhoff(1.2), NEWTON, MIXED),
+    *((row, NEWTON, MIXED) for row in SOLVED_ROWS if row.loaded == 1 and row.stretch == 2.0),
+    (FIBRE_ROWS[0], ("fenicsx",), MIXED),
+)
+
+
+def position_error(row: Row, mesh: Mesh, attempt: Attempt) -> float:
+    """The largest distance [mm] of a vertex from the homogeneous stretch."""
+    scene = held(row, mesh())
+    exact = scene.vertices * [row.stretch, row.free_stretch, row.free_stretch]
+    start = scene.vertices * [row.stretch, 1.0, 1.0]
+    found = attempt.solve(attempt.prepare(scene), start=start, tolerance=TOLERANCE).positions
+    return float(np.linalg.norm(found - exact, axis=1).max())
+
+
+CASES = tuple(
+    HardCase(
+        f"{name}, {row.label}",
+        "H4; V2",
+        "positions within 1e-6 of the cube's size",
+        partial(position_error, row, mesh),
+        1e-6,
+        solvers,
+        elements,
+    )
+    for row, solvers, elements in ROWS
+    for name, mesh in MESHES.items()
+)

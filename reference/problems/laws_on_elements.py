@@ -29,10 +29,9 @@ from ..materials import (
 )
 from ..scene import Scene
 from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
-from . import bars, locking, recovery, stretched_bars, time_steps, twisted_bar
-from .cook import MIDDLE, rise
-from .hard_case import Attempt, HardCase
+from . import bars, cook, recovery, time_steps
 from .meshes import block, box, triangles_at, vertices_at
+from .problem import Attempt, HardCase
 
 FIBRE = np.array([1.0, 2.0, 0.0])
 STIFF_IN_VOLUME = 0.49
@@ -129,9 +128,9 @@ def _stretch(law: NeoHookean, stress: float) -> float:
 
 def twist_error(law: str, attempt: Attempt) -> float:
     """How much the volume of a bar changed, relative to it, one end turned against the other by TURN."""
-    X, tets = box(twisted_bar.CELLS, (twisted_bar.LENGTH, 1.0, 1.0))
-    ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, twisted_bar.LENGTH)])
-    turned = twisted_bar.twisted(X, TURN)
+    X, tets = box(bars.TWISTED_CELLS, (bars.TWISTED_LENGTH, 1.0, 1.0))
+    ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, bars.TWISTED_LENGTH)])
+    turned = bars.twisted(X, TURN)
     scene = Scene(X, tets, (*_energies(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
     solution = attempt.solve(attempt.prepare(scene), start=turned, tolerance=1e-8)
     return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
@@ -141,9 +140,9 @@ def share_error(poisson: float, attempt: Attempt) -> float:
     """How far Cook's membrane falls short of Taylor-Hood's element on a finer mesh, relative to it."""
     found = []
     for way, cells in ((Attempt("fenicsx", "P2P1"), 16), (attempt, 12)):
-        scene = locking.panel(poisson, cells)
-        solution = way.solve(way.prepare(scene), tolerance=locking.TOLERANCE)
-        found.append(rise(MIDDLE, scene, solution))
+        scene = cook.locking_panel(poisson, cells)
+        solution = way.solve(way.prepare(scene), tolerance=cook.LOCKING_TOLERANCE)
+        found.append(cook.rise(cook.MIDDLE, scene, solution))
     return abs(found[1] / found[0] - 1.0)
 
 
@@ -183,19 +182,19 @@ def cases_of(law: str) -> list[HardCase]:
 
 def _cases() -> list[HardCase]:
     cases = [case for law in LAWS for case in cases_of(law)]
-    for stretch in stretched_bars.STRETCHES:
-        error = partial(stretched_bars.stretch_error, *stretched_bars.ENERGIES["NeoHookean nu=.45"][:2], stretch)
+    for stretch in bars.STRETCHES:
+        error = partial(bars.stretch_error, *bars.ENERGIES["NeoHookean nu=.45"][:2], stretch)
         name, criterion = (
             f"bar stretched x{stretch:g}, NeoHookean",
             "principal stretches within .1 % away from the clamp",
         )
         cases += [_case(name, "H5; closed form", criterion, error, 1e-3, element) for element in MIXED]
-    for poisson in locking.POISSON:
+    for poisson in cook.POISSON:
         name, error = f"Cook's membrane, nu = {poisson:g}", partial(share_error, poisson)
         criterion = "within .5 % of Taylor-Hood's on a finer mesh; the others lock"
         for element in (*DISPLACEMENT, *MIXED):
             outcomes = PASSED if element in MIXED else ("passed", "missed")
-            cases.append(_case(name, "H8", criterion, error, locking.NEAR_LIMIT, element, outcomes))
+            cases.append(_case(name, "H8", criterion, error, cook.NEAR_LIMIT, element, outcomes))
     for ratio in bars.RATIOS:
         error = partial(layers_error, ratio)
         cases += [

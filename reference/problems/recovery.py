@@ -17,8 +17,8 @@ from ..materials import Corotated, lame
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Hyperelastic, Strain, Term, Volume
-from .hard_case import Attempt, HardCase
 from .meshes import block, vertices_at
+from .problem import Attempt, HardCase
 
 YOUNG, POISSON = 1e4, 0.45
 SEEDS = 20

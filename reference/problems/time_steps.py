@@ -14,8 +14,8 @@ from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..solution import Solution
 from ..terms import Fixed, Gravity, Inertia, Strain, Target, Term, Volume
-from .hard_case import Attempt, HardCase
 from .meshes import box, vertices_at
+from .problem import Attempt, HardCase
 
 DENSITY = 1e-6
 GRAVITY = 9810.0

@@ -39,7 +39,7 @@ class Body:
     offset: Floats
 
     @classmethod
-    def of(cls, scene: Scene, term: RigidBody) -> Body:
+    def from_scene(cls, scene: Scene, term: RigidBody) -> Body:
         """A body of a scene."""
         rest = scene.body_rest(term)
         arms = rest - rest.mean(axis=0)
@@ -74,10 +74,10 @@ class Coordinates:
     bodies: tuple[Body, ...]
 
     @classmethod
-    def of(cls, scene: Scene) -> Coordinates:
+    def from_scene(cls, scene: Scene) -> Coordinates:
         """The unknowns of a scene, after its Fixed and RigidBody terms."""
         held, _ = scene.dirichlet()
-        bodies = tuple(Body.of(scene, term) for term in scene.of(RigidBody))
+        bodies = tuple(Body.from_scene(scene, term) for term in scene.of(RigidBody))
         taken = held.copy()
         for body in bodies:
             taken[body.vertices] = True

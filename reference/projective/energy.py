@@ -1,4 +1,7 @@
-"""A scene's energy and its gradient at a displacement, and the PD matrix that majorises it."""
+"""A scene's energy and its gradient at a displacement, and the PD matrix that majorises it.
+
+Stresses and reactions of an answer: P from what each tet alone gives to the gradient.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ from scipy.sparse import csr_matrix
 
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
+from ..solution import Stresses
 from ..terms import Inertia, Target
 from .bending import Rings
-from .tets import TetBlocks
+from .tets import TetBlocks, shape_gradients
 from .triangles import Triangles
 
 
@@ -29,9 +33,11 @@ class Energy:
     loads: Floats
 
     @classmethod
-    def of(cls, scene: Scene, threads: int = 1) -> Energy:
+    def from_scene(cls, scene: Scene, threads: int = 1) -> Energy:
         """Build what depends on mesh and stiffnesses."""
-        return cls(TetBlocks.of(scene, threads), Triangles.of(scene), Rings.of(scene), (), np.zeros(0)).for_scene(scene)
+        return cls(
+            TetBlocks.from_scene(scene, threads), Triangles.from_scene(scene), Rings.from_scene(scene), (), np.zeros(0)
+        ).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> Energy:
         """The energy of a scene of the same terms with other targets, motion, loads, limits, growth and volumes."""
@@ -88,3 +94,22 @@ class Energy:
             entries.append(self.bending.stiffness_entries(n))
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
         return csr_matrix((values, (rows, columns)), shape=(n, n)), anchored > 0
+
+
+def recover(scene: Scene, positions: Floats) -> Stresses:
+    """Of positions [mm], shape (n, 3)."""
+    energy, u = Energy.from_scene(scene), positions - scene.vertices
+    reactions = np.where(scene.dirichlet()[0], energy.evaluate(u)[1], 0.0)
+    every = np.arange(len(scene.tets))
+    _, gradients = shape_gradients(scene, every)
+    F = np.eye(3) + np.einsum("mai,maj->mij", u[scene.tets], gradients)
+    P = np.zeros((len(every), 3, 3))
+    if energy.tets is not None:
+        # The local step on tets that share no vertex: P = Σ f_a (X_a - X_0)ᵀ / V from the nodes' forces f = V P ∇N.
+        apart = energy.tets.separate()
+        forces = np.zeros((4 * len(apart.tets), 3))
+        apart.add_to(u[scene.tets[apart.tets]].reshape(-1, 3), forces)
+        X = scene.vertices[scene.tets[apart.tets]]
+        rows = np.einsum("rai,raj->rij", forces.reshape(-1, 4, 3)[:, 1:], (X - X[:, :1])[:, 1:])
+        np.add.at(P, apart.tets, rows / scene.volumes[apart.tets, None, None])
+    return Stresses.from_points(P[:, None], F[:, None], scene.volumes[:, None], reactions)

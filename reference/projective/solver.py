@@ -14,7 +14,7 @@ from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.geometry.cholesky import LinearSolver
 from ...lhm.base.mesh import Floats
-from ..compiling import Clock, Spent
+from ..clock import Clock, Seconds
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
 from ..terms import (
@@ -34,14 +34,13 @@ from ..terms import (
 )
 from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
-from .energy import Energy
+from .energy import Energy, recover
 from .memory import Memory
-from .recovery import recover
 from .system import System
 from .tangent import Pattern, Tangent
 
 if TYPE_CHECKING:
-    from .contact import Following
+    from .contact import ContactSolver
 
 Method = Literal["lbfgs", "anderson", "plain"]
 METHODS: dict[str, Descent] = {
@@ -114,8 +113,8 @@ class ProjectivePrepared:
     method: Method
     energy: Energy
     system: System
-    contact: Following | None
-    spent: Spent
+    contact: ContactSolver | None
+    spent: Seconds
 
     @check_arguments
     def solve(
@@ -194,7 +193,7 @@ class ProjectivePrepared:
         """The exact Hessian at a scene's solution, factored: for responses, and as a metric of scenes near by.
 
         Where it is not positive definite, which no minimum without a flat direction is, each element's
-        eigenvalues are raised to 0, and `Tangent.exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
+        eigenvalues are raised to 0, and `Tangent.is_exact` is False. scene as of `solve`; linear_solver None is CHOLMOD
         where the system has it (see `factorise_definite`); `like`, another tangent of the same
         topology, such as of another identity, lends its analysis. Raises SceneError for a scene with Contact.
         """
@@ -203,7 +202,7 @@ class ProjectivePrepared:
         held, values = scene.dirichlet()
         place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
         known = (scene, self.energy.for_scene(scene), self.system.coordinates, place)
-        return Tangent.of(*known, linear_solver=linear_solver, like=like)
+        return Tangent.from_scene(*known, linear_solver=linear_solver, like=like)
 
     def _problem(
         self, work: _Work, scene: Scene, energy: Energy, metric: Tangent | None, memory: Memory | None
@@ -238,10 +237,9 @@ def prepare(
     method is "lbfgs", "anderson" (both accelerated) or "plain" (local/global). linear_solver is "cholespy" (the
     default; BSD-3), "superlu" (SciPy's, BSD-3) or "cholmod" (the system's, LGPL and GPL): see
     `lhm.base.geometry.cholesky`. With "cholmod", a scene prepared `like` another of the same topology, such as another
-    identity, takes over its symbolic factorisation. `threads` share the local step. Terms: Strain, Volume,
-    SurfaceStrain, Bending, Target, Fixed, RigidBody, Gravity, Traction, Inertia, Contact. Raises SceneError for another
-    term, method or count, InputError for another linear solver and MissingDependencyError for one that is not
-    installed.
+    identity, takes over its symbolic factorisation. `threads` share the local step. Raises SceneError for a term that
+    is none of TERMS, another method or count, InputError for another linear solver and MissingDependencyError for one
+    that is not installed.
     """
     if method not in get_args(Method):
         raise SceneError(f"projective: unknown method {method!r}; there are {', '.join(get_args(Method))}")
@@ -249,24 +247,26 @@ def prepare(
     if isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS:
         raise SceneError(f"projective: threads must be from 1 to {MOST_THREADS}, got {threads!r:.40}")
     clock = Clock()
-    energy = Energy.of(scene, threads)
+    energy = Energy.from_scene(scene, threads)
     matrix, anchored = energy.matrix(scene, volume_share=VOLUME_SHARE[method])
     known = None if like is None else like.system
-    system = System.of(matrix, anchored, Coordinates.of(scene), linear_solver=linear_solver, like=known)
+    system = System.from_matrix(
+        matrix, anchored, Coordinates.from_scene(scene), linear_solver=linear_solver, like=known
+    )
     following = _following(scene, system)
-    return ProjectivePrepared(scene, method, energy, system, following, clock.spent())
+    return ProjectivePrepared(scene, method, energy, system, following, clock.read())
 
 
-def _following(scene: Scene, system: System) -> Following | None:
+def _following(scene: Scene, system: System) -> ContactSolver | None:
     """What solves for contact, where the scene has any."""
     if not scene.of(Contact):
         return None
-    from .contact import Following
+    from .contact import ContactSolver
 
-    return Following.of(scene, system)
+    return ContactSolver.of(scene, system)
 
 
-def local_step_seconds(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
+def time_local_step(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
     """Median processor time [s] of one energy and gradient of all tets (the fused local step), slightly deformed."""
     tets = prepared.energy.tets
     if tets is None:

@@ -17,8 +17,8 @@ from ..scene import Scene
 from .bending import Rings
 from .coordinates import Coordinates, Place
 from .energy import Energy
-from .tet_tangent import PAIRS as TET_PAIRS
-from .triangle_tangent import PAIRS as TRIANGLE_PAIRS
+from .tets import PAIRS as TET_PAIRS
+from .triangles import PAIRS as TRIANGLE_PAIRS
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Sparsity:
     source: Ints
 
     @classmethod
-    def of(cls, scene: Scene, energy: Energy, coordinates: Coordinates) -> Sparsity:
+    def from_scene(cls, scene: Scene, energy: Energy, coordinates: Coordinates) -> Sparsity:
         """The pattern of a scene's energy over its unknowns."""
         n = len(scene.vertices)
         tets = np.zeros((0, 4), np.int64) if energy.tets is None else scene.tets[energy.tets.tets]

@@ -44,7 +44,7 @@ class System:
     groups: tuple[Group, ...]
 
     @classmethod
-    def of(
+    def from_matrix(
         cls,
         matrix: csr_matrix,
         anchored: np.ndarray,

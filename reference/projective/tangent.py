@@ -14,13 +14,12 @@ from ...lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definit
 from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..terms import Bending, Contact, Strain, SurfaceStrain, Target, Volume
-from .bending import Rings
-from .bending_tangent import add_bending_bound, add_bending_tangent
+from .bending import Rings, add_bending_bound, add_bending_tangent
 from .coordinates import Coordinates, Place
 from .energy import Energy
 from .sparsity import Sparsity, body_rows, elements_of
-from .tet_tangent import add_tet_tangent
-from .triangle_tangent import add_triangle_tangent
+from .tets import add_tet_tangent
+from .triangles import add_triangle_tangent
 
 EXACT = -1.0
 """Of `least`: no eigenvalue is raised."""
@@ -74,7 +73,7 @@ class Pattern:
 class Tangent:
     """The Hessian of a scene's energy at a place, factored.
 
-    `exact` is False where the exact one is not positive definite, or was not asked for: then its eigenvalues are
+    `is_exact` is False where the exact one is not positive definite, or was not asked for: then its eigenvalues are
     raised element by element, which makes a metric for a descent, but no derivative.
     """
 
@@ -83,11 +82,11 @@ class Tangent:
     coordinates: Coordinates
     sparsity: Sparsity
     place: Place
-    exact: bool
+    is_exact: bool
     factor: Solve
 
     @classmethod
-    def of(
+    def from_scene(
         cls,
         scene: Scene,
         energy: Energy,
@@ -103,7 +102,7 @@ class Tangent:
             raise SceneError("a tangent knows no Contact: take the scene without it")
         pattern = like.pattern if isinstance(like, Tangent) else like
         if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy, coordinates)):
-            pattern = Pattern(Sparsity.of(scene, energy, coordinates), None)
+            pattern = Pattern(Sparsity.from_scene(scene, energy, coordinates), None)
         sparsity, before = pattern.sparsity, pattern.analysis
         if least < 0.0:
             matrix = hessian(scene, energy, coordinates, sparsity, place, least=EXACT)
@@ -127,7 +126,7 @@ class Tangent:
         """The inverse Hessian times gradients [mN] over the unknowns, shape (size,) or (size, k): steps [mm]."""
         return self.factor(right.reshape(len(right), -1)).reshape(right.shape)
 
-    def of_targets(self, moved: Floats) -> Floats:
+    def vertices_by_targets(self, moved: Floats) -> Floats:
         """How vertices move, shape (k, n, 3), where the first Target's positions move by `moved`, (k, targets, 3)."""
         if not self.scene.of(Target):
             raise SceneError("the scene has no Target that could move")
@@ -142,7 +141,7 @@ class Tangent:
             right[:, k] = self.coordinates.pull(force, self.place)
         return np.stack([self._moved(step) for step in self.solve(right).T])
 
-    def of_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
+    def vertices_by_scenes(self, changes: Iterable[Iterable[tuple[Scene, float]]]) -> Floats:
         """How vertices move, shape (k, n, 3), where the scene changes; by implicit differentiation.
 
         Each change is a difference quotient: scenes near by, each with its weight [1/unit of the change], such as
@@ -165,7 +164,7 @@ class Tangent:
 
     def _gradient_in(self, scene: Scene) -> tuple[Floats, Floats]:
         """Gradient [mN] over the unknowns in another scene, and the displacement [mm], where the unknowns stay."""
-        coordinates = Coordinates.of(scene)
+        coordinates = Coordinates.from_scene(scene)
         mine = (self.scene.vertices, self.scene.tets, self.coordinates.index)
         same = all(map(np.array_equal, mine, (scene.vertices, scene.tets, coordinates.index)))
         bodies = [body.vertices for body in self.coordinates.bodies]
@@ -184,9 +183,9 @@ class Tangent:
         mine, its = ([term for kind in kinds for term in which.of(kind)] for which in (self.scene, scene))
         same = [type(term) for term in mine] == [type(term) for term in its]
         if not same or any(isinstance(t, SurfaceStrain) and t.rest is not None for t in its):
-            return Energy.of(scene)
+            return Energy.from_scene(scene)
         energy = self.energy.for_scene(scene)
-        return energy if energy.bending is None else replace(energy, bending=Rings.of(scene))
+        return energy if energy.bending is None else replace(energy, bending=Rings.from_scene(scene))
 
     def _moved(self, step: Floats) -> Floats:
         """The displacement [mm], shape (n, 3), that a small step over the unknowns makes."""

@@ -1,20 +1,141 @@
-"""Linear or quadratic tets over a scene's mesh, in scikit-fem's numbering of degrees of freedom."""
+"""Linear or quadratic tets over a scene's mesh: points, elements, and scikit-fem's numbering of degrees of freedom.
+
+All weights of the rules are positive: with a negative one, semi-definite tangents at the points would not add up to a
+semi-definite one of the element.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
 from skfem import Basis, ElementTetP1, ElementTetP2, ElementTriP1, ElementTriP2, ElementVector, MeshTet
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTet, RefTri
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
-from .elements import Elements
-from .membrane import rest_gradients
-from .quadrature import tet_rule, triangle_rule
 
 DEGREES = {"P1": 1, "P2": 2}
 TETS = {1: ElementTetP1(), 2: ElementTetP2()}
 TRIANGLES = {1: ElementTriP1(), 2: ElementTriP2()}
+
+# Keast (1986), the rule of 14 points and degree 4: six edges' middles, then twice four points (1 - 3a, a, a, a) in
+# barycentric coordinates. scikit-fem's own rule of that degree has a negative weight.
+EDGE_WEIGHT = 2 / 105
+ORBITS = ((0.10052676522520447, 0.08858982474298065), (0.31437287349319220, 0.13283874668559070))
+
+
+def tet_rule(degree: int) -> tuple[Floats, Floats]:
+    """Points (3, q) and weights (q,) for tets of degree 1 or 2: exact for polynomials of degree 1 or 4."""
+    if degree == 1:
+        return get_quadrature(RefTet, 1)
+    barycentric = [0.5 * (np.eye(4)[i] + np.eye(4)[j]) for i in range(4) for j in range(i)]
+    weights = [EDGE_WEIGHT] * 6
+    for a, weight in ORBITS:
+        barycentric += list(a + (1 - 4 * a) * np.eye(4))
+        weights += [weight] * 4
+    return np.array(barycentric).T[1:], np.array(weights) / 6
+
+
+def triangle_rule(degree: int) -> tuple[Floats, Floats]:
+    """Points (2, q) and weights (q,) for triangles of degree 1 or 2: exact for polynomials of degree 1 or 4."""
+    if degree == 1:
+        return np.full((2, 1), 1 / 3), np.array([1 / 2])
+    return get_quadrature(RefTri, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """m elements of k nodes and q points in d dimensions.
+
+    rest [mm], shape (size,), are all nodes' places by degree of freedom; dofs (m, k, 3); weights (m, q) [mm^d], what
+    each point stands for; shape functions (q, k) and their gradients (m, q, k, d) [1/mm]. Points are counted element by
+    element.
+    """
+
+    rest: Floats
+    dofs: Ints
+    weights: Floats
+    shapes: Floats
+    gradients: Floats
+
+    def points(self, elements: Ints) -> Ints:
+        """The points of some elements (e,), shape (e q,)."""
+        q = self.weights.shape[1]
+        return (q * elements[:, None] + np.arange(q)).ravel()
+
+    def at_points(self, values) -> Floats:
+        """One number, or one per element, as one per point, shape (m q,)."""
+        m, q = self.weights.shape
+        return np.repeat(np.broadcast_to(values, (m,)).astype(np.float64), q)
+
+    def deformation_gradients(self, x: Floats) -> Floats:
+        """F at the points, shape (m q, 3, d); from displacements, whose rounding is less than that of places."""
+        return self._at_rest + self._gradient(x - self.rest)
+
+    @cached_property
+    def _at_rest(self) -> Floats:
+        return self._gradient(self.rest)
+
+    def _gradient(self, values: Floats) -> Floats:
+        gradient = values[self.dofs].transpose(0, 2, 1)[:, None] @ self.gradients
+        return gradient.reshape(-1, 3, gradient.shape[-1])
+
+    def integral(self, psi: Floats) -> float:
+        """Of a density at the points, shape (m q,)."""
+        return float(self.weights.ravel() @ psi)
+
+    def forces(self, stress: Floats) -> Floats:
+        """The integral of P : grad v by degree of freedom, shape (size,), from P at the points (m q, 3, d)."""
+        k, d = self.gradients.shape[2:]
+        weighted = (self.weights.reshape(-1, 1, 1) * stress).reshape(len(self.dofs), -1, 3, d)
+        forces = self._by_node() @ weighted.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, 3)
+        return self._gathered(forces.reshape(-1, 3 * k))
+
+    def stiffness(self, tangent: Floats) -> csr_matrix:
+        """The integral of grad v : C : grad u, shape (size, size), from C at the points (m q, 3, d, 3, d)."""
+        m = len(self.dofs)
+        q, k, d = self.gradients.shape[1:]
+        weighted = (self.weights.reshape(-1, 1, 1) * tangent.reshape(m * q, -1, d)).reshape(m, q, -1, d)
+        # Axes: element, point, component and direction of v, component and node of u.
+        of_u = (weighted @ self.gradients.transpose(0, 1, 3, 2)).reshape(m, q, 3, d, 3 * k)
+        blocks = self._by_node() @ of_u.transpose(0, 1, 3, 2, 4).reshape(m, q * d, -1)
+        blocks = blocks.reshape(m, 3 * k, 3, k).transpose(0, 1, 3, 2)
+        rows = np.broadcast_to(self.dofs.reshape(m, 3 * k, 1, 1), blocks.shape)
+        columns = np.broadcast_to(self.dofs[:, None], blocks.shape)
+        shape = (len(self.rest), len(self.rest))
+        return coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
+
+    def loads(self, force: Floats) -> Floats:
+        """Nodal forces [mN], shape (size,), of one force per weight and element, shape (m, 3)."""
+        shares = self.weights @ self.shapes
+        return self._gathered(shares[:, :, None] * force[:, None, :])
+
+    def _gathered(self, parts: Floats) -> Floats:
+        """The sum over the elements by degree of freedom, shape (size,), of parts (m, k, 3)."""
+        return np.bincount(self.dofs.ravel(), parts.ravel(), minlength=len(self.rest)).astype(np.float64, copy=False)
+
+    def _by_node(self) -> Floats:
+        """Gradients, shape (m, k, q d)."""
+        m, q, k, d = self.gradients.shape
+        return self.gradients.transpose(0, 2, 1, 3).reshape(m, k, q * d)
+
+
+def rest_gradients(X: Floats, triangles: Ints) -> tuple[Floats, Floats]:
+    """Gradients G (m, 3 corners, 2) [1/mm] of the shape functions in each triangle's plane, and areas [mm²], (m,).
+
+    F = sum over corners of x_corner ⊗ G_corner.
+    """
+    origin, first, second = (X[triangles[:, k]] for k in range(3))
+    edges = np.stack([first - origin, second - origin], axis=2)
+    # A QR factorisation gives the two edges in an orthonormal frame of the plane.
+    in_plane = np.linalg.qr(edges)[1]
+    inverse = np.linalg.inv(in_plane)
+    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), abs(np.linalg.det(in_plane)) / 2
 
 
 class Discretisation:
@@ -79,11 +200,11 @@ class Discretisation:
         if self._degree == 1:
             return triangles
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [0, 2]]], axis=2) @ [len(self.vertex_dofs), 1]
-        found = np.minimum(np.searchsorted(self._keys, sides), len(self._keys) - 1)
-        missing = np.flatnonzero((self._keys[found] != sides).any(axis=1))
+        edge = np.minimum(np.searchsorted(self._keys, sides), len(self._keys) - 1)
+        missing = np.flatnonzero((self._keys[edge] != sides).any(axis=1))
         if missing.size:
             raise SceneError(f"{name}: triangle {missing[0]} is no face of a tet; quadratic elements need its edges")
-        return np.concatenate([triangles, len(self.vertex_dofs) + self._order[found]], axis=1)
+        return np.concatenate([triangles, len(self.vertex_dofs) + self._order[edge]], axis=1)
 
     def triangles(self, name: str, triangles: Ints, rest: Floats | None = None) -> Elements:
         """Triangles (k, 3) of vertices as elements; gradients are by the plane of `rest` [mm], default the scene's.

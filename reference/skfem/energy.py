@@ -1,30 +1,121 @@
-"""A scene's total energy, the sum of its parts."""
+"""A scene's total energy, the sum of its terms' parts over scikit-fem's degrees of freedom.
+
+Every part has `value(x)` [µJ], `gradient(x)` [mN], shape (size,), and `hessian(x, treat)` [mN/mm], where `treat` is
+applied to the tangent at each point. x holds positions [mm] by degree of freedom.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.sparse import csc_matrix
+from collections.abc import Callable
+from typing import Protocol
 
-from ...lhm.base.mesh import Floats
+import numpy as np
+from scipy.sparse import csc_matrix, csr_matrix, diags
+
+from ...lhm.base.mesh import Floats, Ints
 from .. import terms
 from ..scene import Scene
-from .bending import Bends
 from .discretisation import Discretisation
-from .laws import project_spd
-from .parts import DeadLoads, Membranes, Part, Springs, Tets, Treatment
+from .solids import Tets, Treatment, project_spd
+from .surfaces import Bends, Membranes
+
+
+class Part(Protocol):
+    """One part of the energy; see the module."""
+
+    def value(self, x: Floats) -> float:
+        """Energy [µJ]; infinite where a law does not hold."""
+        ...
+
+    def gradient(self, x: Floats) -> Floats:
+        """Gradient [mN], shape (size,), where the energy is finite."""
+        ...
+
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
+        """Hessian [mN/mm], shape (size, size), where the energy is finite."""
+        ...
+
+
+class Springs:
+    """Springs that pull vertices (k,) to positions [mm], shape (k, 3), with stiffness [mN/mm], one or (k,)."""
+
+    def __init__(self, vertices: Ints, positions: Floats, stiffness, at: Discretisation):
+        self._dofs = at.dofs[vertices]
+        self._positions = positions
+        self._stiffness = np.zeros(at.size)
+        self._stiffness[self._dofs] = np.broadcast_to(stiffness, (len(vertices),))[:, None]
+
+    def _stretch(self, x: Floats) -> Floats:
+        stretch = np.zeros(len(x))
+        stretch[self._dofs] = x[self._dofs] - self._positions
+        return stretch
+
+    def value(self, x: Floats) -> float:
+        """See Part."""
+        return 0.5 * float(self._stiffness @ self._stretch(x) ** 2)
+
+    def gradient(self, x: Floats) -> Floats:
+        """See Part."""
+        return self._stiffness * self._stretch(x)
+
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
+        """See Part; a spring's tangent is positive and needs no treatment."""
+        return diags(self._stiffness, format="csr")
+
+
+class DeadLoads:
+    """The potential of all Gravity and Traction terms, zero at rest."""
+
+    def __init__(self, scene: Scene, at: Discretisation):
+        self._forces = np.zeros(at.size)
+        for term in scene.of(terms.Gravity):
+            tets = scene.tets_of(term)
+            force = np.zeros(scene.tets.shape[:1])
+            force[tets] = term.density
+            self._forces += at.tets.loads(force[:, None] * term.acceleration)
+        for term in scene.of(terms.Traction):
+            faces = at.triangles(term.name, term.triangles)
+            self._forces += faces.loads(np.broadcast_to(term.vector, (len(term.triangles), 3)))
+        self._rest = at.flat(scene.vertices)
+
+    def value(self, x: Floats) -> float:
+        """See Part."""
+        return -float(self._forces @ (x - self._rest))
+
+    def gradient(self, x: Floats) -> Floats:
+        """See Part."""
+        return -self._forces
+
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
+        """See Part; a dead load has none."""
+        return csr_matrix((len(x), len(x)))
+
+
+def _inertia(scene: Scene, at: Discretisation) -> list[Part]:
+    stiffness, places = scene.inertia()
+    return [Springs(np.arange(len(places)), places, stiffness, at)] if scene.of(terms.Inertia) else []
+
+
+PARTS: dict[tuple[type[terms.Term], ...], Callable[[Scene, Discretisation], list[Part]]] = {
+    (terms.Hyperelastic, terms.Strain, terms.Volume): lambda scene, at: [Tets(scene, at)],
+    (terms.Gravity, terms.Traction): lambda scene, at: [DeadLoads(scene, at)],
+    (terms.SurfaceStrain,): lambda scene, at: [Membranes(scene, term, at) for term in scene.of(terms.SurfaceStrain)],
+    (terms.Bending,): lambda scene, at: [Bends(scene, term, at) for term in scene.of(terms.Bending)],
+    (terms.Target,): lambda scene, at: [
+        Springs(term.vertices, term.positions, term.stiffness, at) for term in scene.of(terms.Target)
+    ],
+    (terms.Inertia,): _inertia,
+}
+"""The parts of a scene's terms, by kind of term."""
+TERMS = (*(kind for kinds in PARTS for kind in kinds), terms.Fixed, terms.RigidBody)
+"""The terms that this solver models; the last two restrict `unknowns`."""
 
 
 class Energy:
     """The energy [µJ] that a scene's positions minimise; x holds positions [mm] by degree of freedom, shape (size,)."""
 
     def __init__(self, scene: Scene, at: Discretisation):
-        self._parts: list[Part] = [Tets(scene, at), DeadLoads(scene, at)]
-        self._parts += [Membranes(scene, term, at) for term in scene.of(terms.SurfaceStrain)]
-        self._parts += [Bends(scene, term, at) for term in scene.of(terms.Bending)]
-        self._parts += [Springs(t.vertices, t.positions, t.stiffness, at) for t in scene.of(terms.Target)]
-        if scene.of(terms.Inertia):
-            stiffness, places = scene.inertia()
-            self._parts.append(Springs(np.arange(len(places)), places, stiffness, at))
+        self._parts = [part for parts_of in PARTS.values() for part in parts_of(scene, at)]
 
     def value(self, x: Floats) -> float:
         """The energy [µJ]; infinite where a law does not hold."""
@@ -36,7 +127,7 @@ class Energy:
 
     def exact_hessian(self, x: Floats) -> csc_matrix:
         """The Hessian [mN/mm] at positions of finite energy; it need not be definite."""
-        return self._hessian(x, _as_it_is)
+        return self._hessian(x, lambda tangent: tangent)
 
     def projected_hessian(self, x: Floats) -> csc_matrix:
         """The Hessian [mN/mm] with the tangent at each point made positive semi-definite."""
@@ -45,7 +136,3 @@ class Energy:
     def _hessian(self, x: Floats, treat: Treatment) -> csc_matrix:
         others = (part.hessian(x, treat) for part in self._parts[1:])
         return sum(others, self._parts[0].hessian(x, treat)).tocsc()
-
-
-def _as_it_is(tangent: Floats) -> Floats:
-    return tangent

@@ -9,35 +9,18 @@ import numpy as np
 
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
-from ...lhm.base.mesh import Floats, Ints
-from .. import terms
-from ..compiling import Clock, Spent
-from ..materials import EnergyLaw
+from ...lhm.base.mesh import Floats
+from ..clock import Clock, Seconds
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
-from ..solution import Limits, OnIteration, Recorder, Solution, first_positions, volume_ratio
-from .carry import carry
-from .descent import Descent
+from ..solution import Limits, OnIteration, Recorder, Solution, Stresses, first_positions, volume_ratio
+from .descent import Descent, carry
 from .discretisation import DEGREES, Discretisation
-from .energy import Energy
+from .energy import TERMS, Energy
 from .newton import Scales
-from .parts import MATERIALS
-from .recovery import recover
+from .solids import LAWS, Tets
 from .unknowns import Body, Unknowns
 
-KNOWN = (
-    terms.Hyperelastic,
-    terms.Strain,
-    terms.Volume,
-    terms.SurfaceStrain,
-    terms.Bending,
-    terms.Target,
-    terms.Fixed,
-    terms.RigidBody,
-    terms.Gravity,
-    terms.Traction,
-    terms.Inertia,
-)
 MAX_ITERATIONS = 200
 
 
@@ -47,7 +30,7 @@ class Prepared:
 
     scene: Scene
     discretisation: Discretisation
-    spent: Spent
+    spent: Seconds
 
     @check_arguments
     def solve(
@@ -77,7 +60,8 @@ class Prepared:
         limits = Limits(tolerance, absolute, max_iterations)
         limit = MAX_ITERATIONS if max_iterations is None else max_iterations
         at = self.discretisation
-        energy, scales = Energy(scene, at), _scales(scene)
+        energy, size = Energy(scene, at), float(np.ptp(scene.vertices, axis=0).max())
+        scales = Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
         check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
         begin, at_rest = first_positions(scene, start, warm), start is None and warm is None
@@ -87,7 +71,9 @@ class Prepared:
         for body in bodies:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
-        x, forces = _begin(energy, at.flat(begin), goal, np.flatnonzero(free), scales)
+        x = at.flat(begin)
+        carried = carry(energy, x, goal, free=free, scales=scales) if np.isfinite(energy.value(x)) else None
+        x, forces = (goal, 0.0) if carried is None else carried
         unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
         descent = Descent(scene, at, energy, unknowns, scales, recorder)
         x, reason, iterations = descent.run(x, forces=forces, limits=limits, limit=limit)
@@ -115,24 +101,22 @@ def prepare(scene: Scene, *, element: str = "P1") -> Prepared:
 
     Raises SceneError for a term or an element that this solver does not model.
     """
-    refuse_unknown(scene, "skfem", KNOWN, (*MATERIALS, EnergyLaw))  # type: ignore[type-abstract]
+    refuse_unknown(scene, "skfem", TERMS, LAWS)
     if element not in DEGREES:
         raise SceneError(f"solver 'skfem': unknown element {element!r}; there are {', '.join(DEGREES)}")
     if not len(scene.tets):
         raise SceneError("solver 'skfem': the scene has no tets")
     clock = Clock()
-    return Prepared(scene, Discretisation(scene, element), clock.spent())
+    return Prepared(scene, Discretisation(scene, element), clock.read())
 
 
-def _begin(energy: Energy, start: Floats, goal: Floats, free: Ints, scales: Scales) -> tuple[Floats, float]:
-    """The start with its held components at `goal`, and the norm [mN] of the forces that this motion causes."""
-    carried = None
-    if np.isfinite(energy.value(start)):
-        held = np.setdiff1d(np.arange(len(start)), free)
-        carried = carry(energy, start, goal, held=held, free=free, scales=scales)
-    return (goal, 0.0) if carried is None else carried
-
-
-def _scales(scene: Scene) -> Scales:
-    size = float(np.ptp(scene.vertices, axis=0).max())
-    return Scales(size, scene.force_scale() / float(np.cbrt(scene.volumes).mean()))
+def recover(scene: Scene, element: str, x: Floats) -> Stresses:
+    """The stresses at scikit-fem's points and the reactions of positions by degree of freedom [mm], shape (size,)."""
+    at = Discretisation(scene, element)
+    F, P = Tets(scene, at).stress(x)
+    volume = at.tets.weights
+    forces = np.where(at.held(scene.dirichlet()[0]), Energy(scene, at).gradient(x), 0.0)[at.dofs]
+    reactions = np.zeros(scene.vertices.shape)
+    for end in at.ends.T:  # an edge's node gives half to each of its ends
+        np.add.at(reactions, end, 0.5 * forces)
+    return Stresses.from_points(P.reshape(*volume.shape, 3, 3), F.reshape(*volume.shape, 3, 3), volume, reactions)

@@ -18,7 +18,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.files.cache import load_or_make
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.base.progress import OnProgress, silent
-from ...lhm.expressions import ARKIT, personalised, sample_weights, transfer_expressions
+from ...lhm.expressions import ARKIT, personalise, sample_weights, transfer_expressions
 from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.registration import register
@@ -80,7 +80,7 @@ class External:
         shapes = np.tensordot(expressed, self.other.expression_deltas(code), axes=1)
         scans = neutral.vertices + np.stack([self.weights @ motion for motion in shapes])
         generic = transfer_expressions(self.mean, self.own.expressions, neutral)
-        rig = personalised(neutral, generic, scans, expressed)
+        rig = personalise(neutral, generic, scans, expressed)
         return Person(nearest_code(self.own, neutral), neutral, rig.deltas, personal=True)
 
     def head(self, person: Person) -> LayeredHead:

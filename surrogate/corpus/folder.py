@@ -18,7 +18,7 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import check_manifest, lock_folder
 from ...lhm.base.progress import OnProgress, silent
-from ...reference.face.velocities import Velocities
+from ...reference.face.sequence import Velocities
 from ..schedule import Schedule, results_of
 from ..surface_hash import surface_hash
 from .intact import REMEDY, check_person, read_intact

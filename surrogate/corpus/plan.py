@@ -28,7 +28,7 @@ from ...lhm.base.limits import (
 )
 from ...lhm.base.mesh import Floats32
 from ...lhm.expressions.recordings import Recording, recordings, starts
-from ...lhm.expressions.take import Take
+from ...lhm.expressions.takes import Take
 from .mixture import KINDS, ParameterSet, draw
 
 Split = Literal["train", "test"]

@@ -9,8 +9,8 @@ import numpy as np
 from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.mesh import Floats
 from ...reference import prepare
+from ...reference.face.derivatives import spring_norm
 from ...reference.face.facial import PD_ENERGY
-from ...reference.face.linearised import spring_norm
 from .shard import ACCEPTED
 from .simulator import Answer, FaceSimulator
 

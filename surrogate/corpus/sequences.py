@@ -14,10 +14,9 @@ from ...lhm.base.mesh import Floats
 from ...lhm.base.progress import OnProgress, silent
 from ...lhm.expressions import Take, conversation, rotations
 from ...lhm.head import LayeredHead
-from ...reference import Parameters, Sequence, settled
-from ...reference.face.base import turns_before
-from ...reference.face.velocities import Velocities, plausible
-from ...reference.face.velocities import run as run_velocities
+from ...reference import Parameters, Sequence, settle
+from ...reference.face.dynamics import extrapolate_turns
+from ...reference.face.sequence import Velocities, is_plausible
 from .people import People, Person
 from .plan import LENGTH, RATE, VELOCITIES, CorpusPlan
 from .shard import ACCEPTED
@@ -60,9 +59,9 @@ def rolled(
     weights, turned = _driven(take, first)
     try:
         velocity = _velocity(face.head, velocities, rng)
-        running = Sequence.of(face.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
+        running = Sequence.from_face(face.neutral, time_step=1.0 / RATE, dynamic=True, tolerance=plan.tolerance)
         expressions = [face.expression(w) for w in weights]
-        begun = running.begin(expressions[0], velocity=velocity, base=turns_before(turned))
+        begun = running.begin(expressions[0], velocity=velocity, base=extrapolate_turns(turned))
         at_rest = face.corrected(weights[0], begun.positions)
         frames = zip(weights, expressions, turned, strict=True)
         answers = [face.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
@@ -86,7 +85,7 @@ def _velocity(head: LayeredHead, velocities: Velocities, rng: np.random.Generato
     """One of the plausible velocities [mm/s], shape (n, 3); none of a hundred is none."""
     for _ in range(100):
         velocity = velocities.on(head, int(rng.integers(len(velocities))))
-        if plausible(velocity, 1.0 / RATE):
+        if is_plausible(velocity, 1.0 / RATE):
             return velocity
     return np.zeros(head.skin.vertices.shape)
 
@@ -128,8 +127,8 @@ def _checksum(local: np.ndarray) -> str:
 def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocities:
     person = people.person(plan.rng(VELOCITIES))
     weights = conversation(plan.rng(VELOCITIES, 1), plan.run, rate=RATE)
-    running = Sequence.of(
-        settled(people.head(person), Parameters()), time_step=1.0 / RATE, dynamic=True, tolerance=RUN_TOLERANCE
+    running = Sequence.from_face(
+        settle(people.head(person), Parameters()), time_step=1.0 / RATE, dynamic=True, tolerance=RUN_TOLERANCE
     )
 
     def expressions():
@@ -137,7 +136,7 @@ def _run(plan: CorpusPlan, people: People, on_progress: OnProgress) -> Velocitie
             yield _expression(person, w)
             on_progress(f"a long run: frame {number + 1} of {plan.run}", (number + 1) / plan.run)
 
-    return run_velocities(running, expressions())
+    return Velocities.from_sequence(running, expressions())
 
 
 def _expression(person: Person, weights: np.ndarray) -> np.ndarray:

@@ -141,7 +141,7 @@ class Sequences:
 
     before (Q, 2, n, 3) [mm]: the skins of the two frames before the first, less S of the first; rotations
     (Q, L, 3, 3): of the head in the room, by which its flesh was shaken (see `reference.face.base`; in the two frames
-    before by `turns_before` of these). A sequence is accepted as a whole.
+    before by `extrapolate_turns` of these). A sequence is accepted as a whole.
     """
 
     group: Numbers = column(np.int64, below="groups")

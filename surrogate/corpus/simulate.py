@@ -15,7 +15,7 @@ import numpy as np
 
 from ...lhm.base.errors import SoftdecaError
 from ...lhm.head import LayeredHead
-from ...reference.face.velocities import Velocities
+from ...reference.face.sequence import Velocities
 from .mixture import ParameterSet
 from .people import People, Person
 from .plan import IDENTITY, VELOCITIES, CorpusPlan

@@ -11,9 +11,9 @@ from ...lhm.base.errors import SceneError, SoftdecaError
 from ...lhm.base.geometry.bvh import TriangleTree
 from ...lhm.base.mesh import Floats, Floats32, Surface
 from ...lhm.head import LayeredHead
-from ...reference import Scene, Settled, Solution, settled
-from ...reference.face.linearised import DIRECT, Analysed, Linearised, linearised, spring_norm
-from ...reference.face.settling import FOR_TARGETS
+from ...reference import Scene, SettledFace, Solution, settle
+from ...reference.face.derivatives import QUICK_ACCURACY, Analysis, FaceDerivatives, differentiate, spring_norm
+from ...reference.face.settle import TARGET_OPTIONS
 from .face import Derivatives, Face
 from .mixture import INFOS, ParameterSet
 from .people import People, Person
@@ -42,9 +42,9 @@ class Answer:
         return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
 
 
-def settle_neutral(people: People, head: LayeredHead, parameters: ParameterSet) -> Settled:
+def settle_neutral(people: People, head: LayeredHead, parameters: ParameterSet) -> SettledFace:
     """Settle the neutral face under a parameter set; SceneError where it does not come to rest."""
-    neutral = settled(head, parameters.parameters(head, people.mean), **FOR_TARGETS)
+    neutral = settle(head, parameters.parameters(head, people.mean), **TARGET_OPTIONS)
     if not neutral.converged:
         raise SceneError(str(neutral.reason))
     return neutral
@@ -60,7 +60,7 @@ class FaceSimulator:
     plan: CorpusPlan
     person: Person
     parameters: ParameterSet
-    linear: Linearised
+    linear: FaceDerivatives
     first_order: Floats
 
     @classmethod
@@ -69,10 +69,10 @@ class FaceSimulator:
     ) -> FaceSimulator:
         """Settle and linearise a person's face; SceneError where it does not come to rest."""
         neutral = settle_neutral(people, head, parameters)
-        linear = linearised(neutral, accuracy=DIRECT, like=_last.get(people.name))
+        linear = differentiate(neutral, accuracy=QUICK_ACCURACY, like=_last.get(people.name))
         _last.clear()
-        _last[people.name] = linear.analysed
-        return cls(plan, person, parameters, linear, linear.first_order(person.shapes))
+        _last[people.name] = linear.analysis
+        return cls(plan, person, parameters, linear, linear.vertices_by_shapes(person.shapes))
 
     @property
     def head(self) -> LayeredHead:
@@ -80,26 +80,26 @@ class FaceSimulator:
         return self.linear.face.head
 
     @property
-    def neutral(self) -> Settled:
+    def neutral(self) -> SettledFace:
         """The settled face."""
         return self.linear.face
 
-    def neutral_under(self, law: str) -> Settled:
+    def neutral_under(self, law: str) -> SettledFace:
         """Settle the face by another law; each law once."""
         if law not in self._by_law:
-            self._by_law[law] = settled(self.head, self.neutral.parameters, law=law, **FOR_TARGETS)
+            self._by_law[law] = settle(self.head, self.neutral.parameters, law=law, **TARGET_OPTIONS)
         return self._by_law[law]
 
     @cached_property
-    def _by_law(self) -> dict[str, Settled]:
+    def _by_law(self) -> dict[str, SettledFace]:
         return {}
 
     @cached_property
     def derivatives(self) -> Derivatives:
         """Offset and responses of T - S."""
         offset = self.linear.offset + self.neutral.displacement
-        responses = self.linear.skin_moved(self.first_order, self.person.shapes) - self.person.shapes
-        return Derivatives(offset, responses, self.linear.exact)
+        responses = self.linear.skin_by_shapes(self.person.shapes, self.first_order) - self.person.shapes
+        return Derivatives(offset, responses, self.linear.is_exact)
 
     def face(self, identity: int) -> Face:
         """The face as a corpus keeps it, of person number `identity`."""
@@ -112,7 +112,7 @@ class FaceSimulator:
         But for the strain limit: where it is 1 the energy has kinks.
         """
         along = {name: self._along(name) for name in self.parameters.names if name not in UNDIFFERENTIATED}
-        return self.linear.of_parameters(along) if along else {}
+        return self.linear.skin_by_parameters(along) if along else {}
 
     def _along(self, name: str) -> float | Floats:
         """Change of a parameter [its unit] per unit of its value mapped to [-1, 1]."""
@@ -210,5 +210,5 @@ class FaceSimulator:
         return ACCEPTED
 
 
-_last: dict[str, Analysed] = {}
+_last: dict[str, Analysis] = {}
 """The last face of a process: what was analysed of its matrices, the same for all heads of a template, serves again."""

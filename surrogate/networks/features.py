@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 
 from ...lhm.base.mesh import Floats, Floats32, Ints, Surface
 from ...reference import Parameters
-from ...reference.face.palsy import kept_share, left_share
-from ...reference.face.settling import GROWING
+from ...reference.face.palsy import activation_share, left_share
+from ...reference.face.settle import GROWING
 from ..corpus.mixture import STATIC, basis
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class Features:
         soft = _INFOS["soft_stiffness"].denormalise(at_vertices[:, _SOFT])
         target = _INFOS["target_stiffness"].denormalise(at_vertices[:, _TARGET])
         paralyses = (_INFOS[STATIC[column]].denormalise(at_vertices[:, column]) for column in _PARALYSES)
-        return soft / (soft + DEPTH * target * kept_share(self._left, *paralyses))
+        return soft / (soft + DEPTH * target * activation_share(self._left, *paralyses))
 
     def effects(self, at_vertices: Floats, skin: Floats) -> Floats32:
         """How strong each effect is at each vertex, shape (n, EFFECTS), all zero at the defaults.

@@ -25,9 +25,18 @@ except ImportError as error:
     raise MissingDependencyError(f"training needs torch ({error}): pip install 'softdeca[train]'") from None
 
 __all__ = [
-    "ALONE", "Lesson", "Processes", "Trainer", "TrainerConfig", "draw_layers", "hold_out_people", "nn", "perceptron_layers", "start_processes",
+    "ALONE",
+    "Lesson",
+    "Processes",
+    "Trainer",
+    "TrainerConfig",
+    "draw_layers",
+    "hold_out_people",
+    "nn",
+    "perceptron_layers",
+    "start_processes",
     "torch",
-]  # fmt: skip
+]
 
 Precision = Literal["float32", "bfloat16"]
 Tensors = dict[str, torch.Tensor]

@@ -15,7 +15,7 @@ from softdeca.lhm.base.progress import silent
 from softdeca.lhm.base.provenance import list_missing
 from softdeca.lhm.head_file import save_head
 from softdeca.reference import Parameters
-from softdeca.reference.face.base import turned, turns_before
+from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
 from softdeca.surrogate import Surrogate
 
 
@@ -62,7 +62,7 @@ def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, 
         moving = served.rig.dynamic(1 / 60) if dynamic else served.rig
         bases = expressions.rotations(take.head)
         if dynamic:
-            moving.begin(take.weights[0], base=turns_before(bases))
+            moving.begin(take.weights[0], base=extrapolate_turns(bases))
         wanted = [
             moving.frame(w, base=base) if dynamic else moving.frame(w)
             for w, base in zip(take.weights, bases, strict=True)
@@ -70,7 +70,7 @@ def test_a_head_that_no_network_knows_takes_the_simulators_derivatives(network, 
         assert played(done.files[0]) == pytest.approx(np.array(wanted), abs=1e-4)
     room = animate(Output(tmp_path / "room", dynamic=True, turned=True), served, take, silent)
     for own, shown, base in zip(wanted, played(room.files[0]), bases, strict=True):
-        assert shown == pytest.approx(turned(sphere_head, own, base), abs=1e-3)
+        assert shown == pytest.approx(turn_skin(sphere_head, own, base), abs=1e-3)
     with pytest.raises(InputError, match="turned: the take has no head rotation"):
         animate(Output(tmp_path, turned=True), served, replace(take, head=None), silent)
 

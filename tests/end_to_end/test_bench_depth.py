@@ -11,8 +11,9 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.depth import BETTER, PUBLISHED, Depth
 from softdeca.lhm import Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.distance import SignedDistance
-from softdeca.lhm.regressor import DepthRegressor, inward_normals, moved_wrap, prior_pairs
-from softdeca.lhm.regressor.files import OUTSIDE, check_inside
+from softdeca.lhm.regressor.depths import DepthRegressor
+from softdeca.lhm.regressor.pairs import OUTSIDE, check_inside, inward_normals, move_wrap
+from softdeca.lhm.regressor.prior import prior_pairs
 
 DEEPER = 2.0
 BEATS = "error of the face's depths over that of one published depth everywhere"
@@ -45,7 +46,7 @@ def skin(person, tmp_path):
 
 def test_a_skull_deeper_than_predicted_by_so_much_gives_that_error(command, space, person, skin, tmp_path):
     template = load_template(space)
-    wrap = template.skin_wrap.with_vertices(moved_wrap(template, person.vertices))
+    wrap = template.skin_wrap.with_vertices(move_wrap(template, person.vertices))
     depths = template.regressor.predict(wrap.vertices) + DEEPER
     # Two files: what one skull is may come as several bones.
     bones, corners = wrap.vertices + depths[:, None] * inward_normals(wrap), wrap.triangles

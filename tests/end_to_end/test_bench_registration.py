@@ -10,7 +10,7 @@ from softdeca.benchmarks import registrations
 from softdeca.lhm import identities
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.provenance import list_missing
-from softdeca.lhm.registration import registered_by
+from softdeca.lhm.registration import register_by_mapping
 from softdeca.lhm.registration.registration import Registration
 
 
@@ -22,7 +22,7 @@ def space():
 def exactly(space, skin, vertices=None) -> Registration:
     """The template laid on a skin of its own triangles, by their numbers."""
     n = len(skin.vertices)
-    laid = registered_by(space.mean, space.parts, identity(n, format="csr"), skin)
+    laid = register_by_mapping(space.mean, space.parts, identity(n, format="csr"), skin)
     return laid if vertices is None else Registration(skin.with_vertices(vertices), *list(vars(laid).values())[1:])
 
 
@@ -59,7 +59,7 @@ def test_slides_and_shapes_are_measured_and_told(space, command, monkeypatch):
         for k in range(3):
             ids[template.triangles[:, k]] = skin.triangles[:, [k, (k + 1) % 3, (k + 2) % 3]]
         away = 0.0 if np.array_equal(skin.triangles, template.triangles) else 0.1
-        return registered_by(template, parts, (ids, np.tile([1 - 2 * away, away, away], (len(ids), 1))), skin)
+        return register_by_mapping(template, parts, (ids, np.tile([1 - 2 * away, away, away], (len(ids), 1))), skin)
 
     monkeypatch.setattr(registrations, "register", register)
     ended = command("bench", "registration", "--upon", "anny", "--json")

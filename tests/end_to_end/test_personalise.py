@@ -9,7 +9,7 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from softdeca.lhm import Surface, expressions, fit_head, load_template
-from softdeca.lhm.fit import own_first
+from softdeca.lhm.fit import add_own_expressions
 from softdeca.lhm.head_file import load_head, save_head
 from softdeca.lhm.scans import read_guesses
 
@@ -112,7 +112,7 @@ def test_a_head_with_morph_targets_of_its_own_keeps_those_that_no_scan_shows(per
     folder, head, shapes = person
     puff = expressions.index("cheekPuff")
     told = {"mouthSmileLeft": 0.7 * shapes[SMILE], "cheekPuff": 1.3 * head.rig.deltas[puff].astype(float)}
-    rigged = replace(head, rig=own_first(head.rig, told))
+    rigged = replace(head, rig=add_own_expressions(head.rig, told))
     save_head(folder / "rigged.npz", rigged)
     (folder / "smile.json").write_text(json.dumps({"smile.ply": {"mouthSmileLeft": 1}}))
     out = folder / "rigged_own.npz"

@@ -35,13 +35,20 @@ def ran(words: str, level: int | None = None) -> dict:
 
 def test_every_block_is_run_here():
     """A new block has to be put into one of the tests below."""
-    run = ("neo_hookean_scene(scene)", "heavier = settled", "Surrogate.load()", "meshio.read", "fit_scan", "read_scene")
+    run = (
+        'apply_law(scene, "neo-Hookean")',
+        "heavier = settle",
+        "Surrogate.load()",
+        "meshio.read",
+        "fit_scan",
+        "read_scene",
+    )
     assert {example(words) for words in run} == set(EXAMPLES) and len(EXAMPLES) == len(run)
 
 
 def test_a_face_by_three_solvers():
     pytest.importorskip("dolfinx")
-    names = ran("neo_hookean_scene(scene)", level=1)
+    names = ran('apply_law(scene, "neo-Hookean")', level=1)
     assert names["fast"].converged and names["exact"].converged and names["real"].converged
     moved = np.abs(names["exact"].positions - names["scene"].vertices).max()
     # At the default tolerance of 1e-6 projective dynamics ends within a thousandth of the displacement.
@@ -49,7 +56,7 @@ def test_a_face_by_three_solvers():
 
 
 def test_a_heavier_face():
-    names = ran("heavier = settled", level=1)
+    names = ran("heavier = settle", level=1)
     assert names["heavier"].solution.converged and names["answer"].converged
     # The README's picture: 40 % more soft tissue shows, as it does not by targets alone.
     head = names["head"]

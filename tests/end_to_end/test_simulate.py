@@ -17,9 +17,9 @@ from softdeca.animation.simulate import TakeConfig, run_take
 from softdeca.animation.takes import cut_take, take_from_text
 from softdeca.lhm import InputError, expressions
 from softdeca.lhm.base.progress import silent
-from softdeca.reference import Parameters, SceneError, Sequence, settled, solve
-from softdeca.reference.face.base import turned, turns_before
-from softdeca.reference.face.parameter_file import read_parameters
+from softdeca.reference import Parameters, SceneError, Sequence, settle, solve
+from softdeca.reference.face.dynamics import extrapolate_turns, turn_skin
+from softdeca.reference.face.parameters import read_parameters
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()")
 
@@ -87,12 +87,12 @@ def test_a_run_that_was_stopped_makes_the_same_bytes(sphere_head, deltas, tmp_pa
     with h5py.File(tmp_path / "whole" / "take.vtkhdf") as file:
         played = file["VTKHDF/Points"][()].reshape(8, -1, 3)
     assert np.array_equal(played, (sphere_head.skin.vertices + np.array(moved)).astype(np.float32))
-    sequence = Sequence.of(settled(sphere_head, p, bones=bones), dynamic=dynamic)
+    sequence = Sequence.from_face(settle(sphere_head, p, bones=bones), dynamic=dynamic)
     bases = expressions.rotations(np.zeros((8, 3)) if take().head is None else take().head)
     for k in range(8):
         targets = sphere_head.skin.vertices + np.tensordot(take().weights[k], deltas, axes=1)
         if not k:
-            sequence.begin(targets, base=turns_before(bases))
+            sequence.begin(targets, base=extrapolate_turns(bases))
         skin = sequence.skin(targets, sequence.frame(targets, base=bases[k]))
         assert moved[k] == pytest.approx(skin - sphere_head.skin.vertices, abs=1e-5)
 
@@ -108,7 +108,7 @@ def test_a_head_that_turns_shakes_the_face_and_is_written_in_its_own_frame_or_tu
     assert np.linalg.norm(own - still, axis=2).max() > 1.0
     room = played("own", nodding(), turned=True)  # of the same folder: nothing is simulated anew
     for k, base in enumerate(expressions.rotations(nodding().head)):
-        assert room[k] == pytest.approx(turned(sphere_head, own[k], base), abs=1e-4)
+        assert room[k] == pytest.approx(turn_skin(sphere_head, own[k], base), abs=1e-4)
     assert np.linalg.norm(room - own, axis=2).max() > 20.0
     with pytest.raises(InputError, match="another head rotation"):
         played("own", replace(nodding(), head=-nodding().head))
@@ -119,7 +119,7 @@ def test_a_head_that_turns_shakes_the_face_and_is_written_in_its_own_frame_or_tu
 def test_a_take_moves_the_face_that_p_makes(sphere_head, deltas, tmp_path):
     """At zero weights the skin is the settled neutral face's, which goes on from disk; a bad one fails."""
     p, still = Parameters(soft_volume=1.4), replace(take(2), weights=np.zeros((2, 52)))
-    neutral = settled(sphere_head, p, bones="prescribed")
+    neutral = settle(sphere_head, p, bones="prescribed")
     config = TakeConfig(tmp_path, choices={"bones": "prescribed"})
     assert run_take(config, sphere_head, deltas, still, p, silent).neutral == "CONVERGED"
     moved = np.load(tmp_path / "frames" / "000001.npz")["moved"]

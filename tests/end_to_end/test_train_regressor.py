@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import identities, load_template
-from softdeca.lhm.regressor import DepthRegressor, moved_wrap
+from softdeca.lhm.regressor.depths import DepthRegressor
+from softdeca.lhm.regressor.pairs import move_wrap
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def folder(tmp_path, space):
     out.mkdir()
     for seed in range(4):
         skin = space.sample(np.random.default_rng(seed))[1]
-        skull = moved_wrap(template, skin.vertices) + (0.8 + 0.1 * seed) * connectors(template)
+        skull = move_wrap(template, skin.vertices) + (0.8 + 0.1 * seed) * connectors(template)
         np.savez(out / f"p{seed}_skin.npz", vertices=skin.vertices, triangles=skin.triangles)
         np.savez(out / f"p{seed}_skull.npz", vertices=skull, triangles=template.skin_wrap.triangles)
     return out

@@ -31,13 +31,13 @@ from softdeca.lhm import Surface, expressions, head_file, identities, template_f
 from softdeca.lhm.base.errors import SoftdecaError
 from softdeca.lhm.base.files import surface_file, tet_file
 from softdeca.lhm.head_file import of_head
-from softdeca.reference.face import parameter_file
+from softdeca.reference.face import parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.plan import read_plan
 
 EXAMPLES = 500
 # What is right takes these too long to be tried by the hundred.
-SLOW = {"check_head", "load_template", "fit_head", "settled", "transfer_expressions", "personalised", "recordings"}
+SLOW = {"check_head", "load_template", "fit_head", "settle", "transfer_expressions", "personalised", "recordings"}
 NUMBERS = st.one_of(
     st.floats(width=64),
     st.integers(-(10**18), 10**18),
@@ -109,7 +109,7 @@ def any_values(data) -> None:
 @given(st.data())
 def any_texts(data) -> None:
     """What commands read from their words: expressions, takes, identities, counts."""
-    reads: list[Callable[[str], object]] = [expressions.parsed, identities.from_text, _counts, take_from_text]
+    reads: list[Callable[[str], object]] = [expressions.parse_weights, identities.from_text, _counts, take_from_text]
     read = data.draw(st.sampled_from(reads))
     part = st.sampled_from(
         ["jawOpen", "cheekPuff", "*", "+", ":", ",", "anny", "ict", "conversation", "speech", "nan", "1"]
@@ -179,7 +179,7 @@ def fill() -> None:
     live += [",".join([f"10:00:00:{k:02d}.000", "52", *["0.1"] * 52]) for k in range(3)]
     FILES.append(("take.json", take.encode(), expressions.read_take))
     FILES.append(("take.csv", "\n".join(live).encode(), expressions.read_take))
-    FILES.append(("p.toml", b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\n", parameter_file.read_parameters))
+    FILES.append(("p.toml", b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\n", parameters.read_parameters))
     FILES.append(("plan.toml", b'preset = "tiny"\nframes = 2\n[kinds]\nfew = 1.0\n', read_plan))
     folder = Path(tempfile.mkdtemp(prefix="softdeca-any-"))
     head_file.save_head(folder / "head.npz", bad_inputs.HEAD)

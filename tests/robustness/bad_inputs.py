@@ -38,7 +38,7 @@ from softdeca.cli.written_file import WrittenFile, WrittenFolder
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, TetMesh, expressions, head_file, identities, template_file
 from softdeca.lhm.base.files import surface_file, tet_file
 from softdeca.reference import Parameters, Scene, Sequence, facial_scene, materials, terms
-from softdeca.reference.face import parameter_file
+from softdeca.reference.face import parameters
 from softdeca.reference.problems.meshes import box
 
 SECONDS, PATIENCE = 10, 120
@@ -105,7 +105,7 @@ def why_accepted(function: str, argument: str, what: str) -> str:
         return "a direction, or suction in place of pressure"
     if (function, what) == ("Surrogate.load", "None"):
         return "the one that is shipped"
-    if (function, argument, what) == ("settled", "solver", "None"):
+    if (function, argument, what) == ("settle", "solver", "None"):
         return "the law's own"
     if (argument, what) in (("text", "a text"), ("acceleration", "a function")):
         return "what it takes"
@@ -174,7 +174,7 @@ def functions() -> Iterator[Function]:
     yield Function("weights_of", expressions.weights_of, {"named": {"jawOpen": 0.5}})
     yield Function("weights_of's weight", lambda weight: expressions.weights_of({"jawOpen": weight}), {"weight": 0.5})
     yield Function("expressions.index", expressions.index, {"name": "jawOpen"})
-    yield Function("checked_weights", expressions.checked_weights, {"weights": np.zeros(52)})
+    yield Function("checked_weights", expressions.check_weights, {"weights": np.zeros(52)})
     yield Function("blend", expressions.blend, {"space": SPACE, "code": code, "weights": np.zeros(52)})
     moved = {"source_neutral": HEAD.skin, "source_deltas": DELTAS, "target": HEAD.skin}
     yield Function("transfer_expressions", expressions.transfer_expressions, moved)
@@ -184,14 +184,14 @@ def functions() -> Iterator[Function]:
         "examples": HEAD.skin.vertices[None],
         "weights": np.ones((1, 52)),
     }
-    yield Function("personalised", expressions.personalised, scans | {"rounds": 1})
+    yield Function("personalised", expressions.personalise, scans | {"rounds": 1})
     for name in ("conversation", "combinations"):
         good = {"rng": np.random.default_rng(0), "frames": 60, "rate": 60.0}
         yield Function(name, getattr(expressions, name), good)
     yield Function("sample_weights", expressions.sample_weights, {"rng": np.random.default_rng(0)})
     yield Function("Take", expressions.Take, {"weights": np.zeros((3, 52)), "rate": 60.0, "times": np.arange(3) / 60})
     yield Function("read_take", expressions.read_take, {"path": "no/such.csv"})
-    yield Function("resampled", expressions.resampled, {"take": TAKE, "rate": 30.0})
+    yield Function("resampled", expressions.resample, {"take": TAKE, "rate": 30.0})
     yield Function(
         "recordings", expressions.recordings, {"folder": None, "conversations": 1, "random": 1, "seconds": 1.0}
     )
@@ -249,9 +249,9 @@ def functions() -> Iterator[Function]:
     choices = {"bones": "rigid", "layers": (1, 1), "without": (), "region": "lips", "contact": (), "attached": ()}
     yield Function("facial_scene", facial_scene, face | choices | {"rule": "clamp"})
     faces = facial_scene(**face)
-    yield Function("neo_hookean_scene", reference.neo_hookean_scene, {"scene": faces})
+    yield Function("apply_law", reference.apply_law, {"scene": faces})
     settling = {"head": HEAD, "parameters": Parameters(), "law": "PD", "solver": "projective", "tolerance": 1e-3}
-    yield Function("settled", reference.settled, settling)
+    yield Function("settle", reference.settle, settling)
     jaw = {"head": HEAD, "parameters": Parameters(), "angle": 5.0, "hinge": np.zeros(3)}
     yield Function("open_jaw_scene", reference.open_jaw_scene, jaw)
     push = {"pressure": 0.5, "radius": 80.0, "centre": HEAD.skin.vertices[0]}
@@ -269,7 +269,7 @@ def functions() -> Iterator[Function]:
     yield Function("read_template", template_file.read_template, {"path": "no/such.npz"})
     yield Function("load_head", head_file.load_head, {"path": "no/such.npz"})
     yield Function("save_head", head_file.save_head, {"path": file.with_suffix(".npz"), "head": HEAD})
-    yield Function("read_parameters", parameter_file.read_parameters, {"path": "no/such.toml"})
+    yield Function("read_parameters", parameters.read_parameters, {"path": "no/such.toml"})
     yield Function("Surrogate.load", surrogate.Surrogate.load, {"path": "no/such.npz"})
 
 

@@ -24,9 +24,8 @@ from softdeca.benchmarks.harness.compare import compared
 from softdeca.benchmarks.harness.report import read, write
 from softdeca.benchmarks.studies import study_of
 from softdeca.lhm import expressions
-from softdeca.lhm.expressions import ARKIT, resampled
-from softdeca.reference.face.parameter_file import read_parameters
-from softdeca.reference.face.parameters import Parameters
+from softdeca.lhm.expressions import ARKIT, resample
+from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus, status_of, verify_folder
 from softdeca.surrogate.corpus.manifest import read_manifest
@@ -170,7 +169,7 @@ def of_safetensors(content: bytes, rng: np.random.Generator) -> bytes:
 
 def read_take(path: Path) -> list[np.ndarray]:
     take = expressions.read_take(path)
-    again = resampled(take, 60.0)
+    again = resample(take, 60.0)
     return [take.weights, take.times, again.weights, *(() if again.head is None else (again.head,))]
 
 

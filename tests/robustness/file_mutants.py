@@ -35,7 +35,7 @@ from softdeca.lhm.base.files import moving_surface, surface_file, tet_file
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.head_file import of_head
 from softdeca.lhm.registration import read_landmarks
-from softdeca.lhm.regressor import DepthPairs, DepthRegressor
+from softdeca.lhm.regressor.depths import DepthPairs, DepthRegressor
 from softdeca.lhm.rig import Rig
 from softdeca.lhm.scans import read_guesses
 

@@ -94,7 +94,7 @@ def test_a_wrong_argument_is_named_in_one_line(command, tmp_path, monkeypatch, a
 
 
 def test_a_factor_scales_and_spaces_do_not_matter():
-    weights = expressions.parsed(" jawOpen * 0.5 + cheekPuff")
+    weights = expressions.parse_weights(" jawOpen * 0.5 + cheekPuff")
     assert sorted(weights[weights > 0]) == [0.5, 1.0]
 
 

@@ -16,7 +16,7 @@ from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.topology import find_openings
 from softdeca.lhm.head_file import check_file, load_head
-from softdeca.lhm.scans.repair import repaired
+from softdeca.lhm.scans.repair import repair_scan
 
 RNG = np.random.default_rng(0)
 
@@ -187,7 +187,7 @@ def written(path, content):
 @pytest.mark.parametrize("name", MENDED)
 def test_a_damage_is_mended(tmp_path, head, name):
     x, triangles = head
-    scan = repaired(read_scan(written(tmp_path / name, MENDED[name](x, triangles)))).scan
+    scan = repair_scan(read_scan(written(tmp_path / name, MENDED[name](x, triangles)))).scan
     found = scan.surface
     assert found.areas.sum() == pytest.approx(np.float64(areas(x, triangles)), rel=1e-3)
     edges = np.sort(scan.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)

@@ -6,14 +6,14 @@ import trimesh
 
 from softdeca.lhm import identities
 from softdeca.lhm.anatomy import bodyparts
-from softdeca.lhm.anatomy.connectors import connectors_to
 from softdeca.lhm.anatomy.envelope import bone_at, closed_envelope, muscle_surface, skull_surface
-from softdeca.lhm.anatomy.placement import THICKEST, part_of, place, without_pockets
+from softdeca.lhm.anatomy.placement import THICKEST, close_pockets, keep_triangles, place
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.distance import SignedDistance
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere, simplify, zero_surface
 from softdeca.lhm.base.mesh import Surface
+from softdeca.lhm.build import find_connectors
 from softdeca.lhm.head import CRANIUM, FREE, MANDIBLE
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
 
@@ -126,7 +126,7 @@ def test_cavity_with_an_opening_is_filled_where_a_ball_does_not_pass():
     """A bowl with an opening of 12 mm radius, in a sphere of 40 mm."""
     sphere = ball((0, 0, 0), 40.0, 24)
     up = sphere.vertices[sphere.triangles].mean(axis=1)[:, 1]
-    bowl = part_of(sphere, up < np.sqrt(40.0**2 - 12.0**2))
+    bowl = keep_triangles(sphere, up < np.sqrt(40.0**2 - 12.0**2))
     filled = closed_envelope([bowl], closing=5.0, spacing=1.5, cavity=20.0)
     assert as_trimesh(filled).volume > 0.95 * BALL * 40**3
     wide = closed_envelope([bowl], closing=5.0, spacing=1.5, cavity=8.0)
@@ -146,7 +146,7 @@ def test_connectors_between_spheres_and_where_there_is_no_bone():
     skin = ball((0, 0, 0), 30.0)
     normals = skin.vertex_normals
     bone = ball((0, 15, 0), 10.0, 20)
-    connectors, found = connectors_to(skin, normals, -normals, bone)
+    connectors, found = find_connectors(skin, normals, -normals, bone)
     assert np.isnan(connectors[~found]).all() and 0 < found.sum() < len(found)
     tips = skin.vertices[found] + connectors[found]
     assert abs(np.linalg.norm(tips - [0, 15, 0], axis=1) - 10.0).max() < 0.15
@@ -155,10 +155,10 @@ def test_connectors_between_spheres_and_where_there_is_no_bone():
     length = 30.0 - along - np.sqrt(np.maximum(along**2 - 225.0 + 100.0, 0.0))
     np.testing.assert_allclose(np.linalg.norm(connectors[found], axis=1), length, atol=0.5)
     # Outward directions fail, and the normals stand in for them.
-    again, same = connectors_to(skin, normals, normals, bone)
+    again, same = find_connectors(skin, normals, normals, bone)
     np.testing.assert_array_equal(same, found)
     np.testing.assert_allclose(again[found], connectors[found], atol=1e-9)
-    assert not connectors_to(skin, normals, -normals, bone, longest=3.0)[1].any()
+    assert not find_connectors(skin, normals, -normals, bone, longest=3.0)[1].any()
 
 
 @pytest.mark.parametrize("damage", ["missing", "text", "arrays", "parts"])
@@ -216,7 +216,7 @@ def test_bodyparts_hold_a_skull_with_28_teeth_and_muscles(bones):
 
 
 def test_skin_without_pockets_is_closed_and_holds_the_mouth(space):
-    outer = without_pockets(space.mean, space.parts)
+    outer = close_pockets(space.mean, space.parts)
     assert as_trimesh(outer).is_watertight
     bag = space.mean.vertices[space.parts == MOUTH]
     assert (SignedDistance(outer)(bag)[0] < 1.0).all()
@@ -235,7 +235,7 @@ def test_placed_bone_has_published_depth(placed):
 
 def test_placed_anatomy_lies_inside_and_its_joints_are_open(placed, space):
     anatomy = placed.anatomy
-    phi = SignedDistance(without_pockets(space.mean, space.parts))
+    phi = SignedDistance(close_pockets(space.mean, space.parts))
     mouth = space.mean.vertices[space.parts == MOUTH]
     front = mouth[:, 2].max() - 15.0
     for bone in (anatomy.cranium, anatomy.mandible):
@@ -281,7 +281,7 @@ def test_surfaces_of_the_placed_anatomy(placed, space, skull):
 def test_connectors_of_the_visible_skin_reach_the_skull(placed, space, skull):
     skin = space.mean
     normals = skin.vertex_normals
-    connectors, found = connectors_to(skin, normals, -normals, skull)
+    connectors, found = find_connectors(skin, normals, -normals, skull)
     scalp = (space.parts == OUTSIDE) & (skin.vertices[:, 1] > placed.anatomy.eyes[0, 1] + 30.0)
     assert found[scalp].mean() > 0.95
     length = np.linalg.norm(connectors[found & scalp], axis=1)

@@ -9,8 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, Sequence, facial_scene, solve
-from softdeca.reference.face.base import lag, pivot, turned, turns_before
-from softdeca.reference.face.dynamics import coefficients, implicit_euler
+from softdeca.reference.face.dynamics import (
+    Recurrence,
+    base_lag,
+    extrapolate_turns,
+    find_pivot,
+    turn_skin,
+)
 
 STEP = 1 / 60
 STILL = np.stack([np.eye(3)] * 2)
@@ -33,7 +38,7 @@ def rolled(recurrence, targets, rotations, last, before):
     """The recurrence alone, without tissue; rotations begin two frames before the targets."""
     frames = [before, last]
     for k, target in enumerate(targets):
-        behind = lag(rotations[k + 2], frames[-1], frames[-2], rotations[k : k + 2])
+        behind = base_lag(rotations[k + 2], frames[-1], frames[-2], rotations[k : k + 2])
         sought = recurrence.target(target, frames[-1], frames[-2])
         frames.append(sought if behind is None else sought + recurrence.driven_by(behind))
     return np.array(frames[2:])
@@ -49,9 +54,9 @@ def test_a_mass_on_a_spring_in_the_room_is_where_the_head_has_it():
     for target, base in zip(s, rotations[2:], strict=True):
         x.append((stiff * target @ base.T + 2 * x[-1] - x[-2]) / (stiff + 1))
     inside = np.einsum("fni,fij->fnj", x, rotations)
-    found = rolled(implicit_euler(f, STEP), s, rotations, inside[1], inside[0])
+    found = rolled(Recurrence.from_implicit_euler(f, STEP), s, rotations, inside[1], inside[0])
     assert found == pytest.approx(inside[2:], abs=1e-9)
-    without = rolled(implicit_euler(f, STEP), s, np.stack([np.eye(3)] * 42), inside[1], inside[0])
+    without = rolled(Recurrence.from_implicit_euler(f, STEP), s, np.stack([np.eye(3)] * 42), inside[1], inside[0])
     assert np.abs(without - inside[2:]).max() > 5.0
 
 
@@ -71,7 +76,9 @@ def test_the_motion_nears_that_of_the_differential_equation_as_frames_come_close
     assert np.linalg.norm(ends - rest) > 1.0
     for rate in (60, 120, 240, 480):
         rotations = nod(np.arange(-1, rate + 1) / rate)
-        end = rolled(coefficients(f, zeta, 1 / rate), [rest[None]] * rate, rotations, rest[None], rest[None])[-1, 0]
+        end = rolled(
+            Recurrence.from_oscillator(f, zeta, 1 / rate), [rest[None]] * rate, rotations, rest[None], rest[None]
+        )[-1, 0]
         off.append(np.linalg.norm(end - ends))
     assert np.log2(off[:-1]) - np.log2(off[1:]) == pytest.approx([1.0, 1.0, 1.0], abs=0.25)
 
@@ -82,7 +89,7 @@ def test_skin_that_is_spun_evenly_flies_out_to_its_closed_form(loose):
     f, rate, fine = 4.0, 5.0, 20
     rotations = Rotation.from_rotvec(np.arange(3000)[:, None] * [0.0, STEP / fine * rate, 0.0]).as_matrix()
     s = np.array([[40.0, 70.0, -30.0]])
-    found = rolled(coefficients(f, 0.3, STEP / fine, loose=loose), [s] * 2998, rotations, s, s)[-1, 0]
+    found = rolled(Recurrence.from_oscillator(f, 0.3, STEP / fine, loose=loose), [s] * 2998, rotations, s, s)[-1, 0]
     out = 1 / (1 - (rate * loose / (2 * np.pi * f)) ** 2)
     assert np.linalg.norm(found[[0, 2]]) == pytest.approx(50.0 * out, rel=1e-4)
     assert np.linalg.norm(found[[0, 2]] - s[0, [0, 2]] * out) < 2 * (out - 1) * 50.0 * rate * STEP / fine
@@ -90,19 +97,19 @@ def test_skin_that_is_spun_evenly_flies_out_to_its_closed_form(loose):
 
 
 def test_what_is_not_loose_stays_in_the_head():
-    none = coefficients(4.0, 0.3, STEP, loose=np.array([1.0, 0.01, 0.0]))
+    none = Recurrence.from_oscillator(4.0, 0.3, STEP, loose=np.array([1.0, 0.01, 0.0]))
     assert none.driven[0] == pytest.approx(none.gamma[0] / (8 * np.pi * STEP) ** 2, rel=1e-12)
     assert none.driven[1] == pytest.approx(1e-4 / (8 * np.pi * STEP) ** 2, rel=1e-6) and none.driven[2] == 0.0
-    euler = implicit_euler(4.0, STEP)
+    euler = Recurrence.from_implicit_euler(4.0, STEP)
     assert euler.driven == euler.beta
 
 
 def test_a_spun_face_rests_where_statics_have_it_with_targets_that_fly_out(sphere_head):
     """At rest D = -(1 - Qᵀ)² y of one frame's turn Q; the answer minimises the static energy for S + D/(ωh)²."""
     p, rotations = replace(P, frequency=3.0, damping=0.5), spin(4.0, 80)
-    rest, middle = sphere_head.skin.vertices, pivot(sphere_head)
+    rest, middle = sphere_head.skin.vertices, find_pivot(sphere_head)
     sequence = Sequence(sphere_head, p, dynamic=True, tolerance=1e-8)
-    sequence.begin(rest, base=turns_before(rotations))
+    sequence.begin(rest, base=extrapolate_turns(rotations))
     for base in rotations:
         moved = sequence.frame(rest, base=base).positions
     skin = moved[: len(rest)]
@@ -142,10 +149,10 @@ def test_only_how_a_head_turns_matters_not_where_it_looks(sphere_head):
 def test_a_motion_goes_on_into_its_first_frame(sphere_head):
     """Begun as if at rest, a head that turns already is jerked: skin is thrown back by far more than it flies out."""
     x, rotations = sphere_head.skin.vertices, spin(1.5, 9)
-    assert turns_before(rotations[2:]) == pytest.approx(rotations[:2], abs=1e-12)
-    assert np.array_equal(turns_before(rotations[4:5]), rotations[[4, 4]])
+    assert extrapolate_turns(rotations[2:]) == pytest.approx(rotations[:2], abs=1e-12)
+    assert np.array_equal(extrapolate_turns(rotations[4:5]), rotations[[4, 4]])
     thrown = []
-    for begun in (turns_before(rotations), rotations[0]):
+    for begun in (extrapolate_turns(rotations), rotations[0]):
         sequence = Sequence(sphere_head, P, dynamic=True)
         start = sequence.begin(x, base=begun).positions
         thrown.append(max(np.abs(sequence.frame(x, base=base).positions - start).max() for base in rotations))
@@ -173,12 +180,12 @@ def test_a_state_carries_how_the_head_turned(sphere_head):
 
 def test_a_head_turns_about_its_neck(sphere_head):
     x = sphere_head.skin_wrap.vertices
-    assert pivot(sphere_head) == pytest.approx(x.mean(axis=0))
+    assert find_pivot(sphere_head) == pytest.approx(x.mean(axis=0))
     low = replace(sphere_head, regions={"neck": x[:, 1] < -80})
-    assert pivot(low) == pytest.approx(x[x[:, 1] < -80].mean(axis=0))
+    assert find_pivot(low) == pytest.approx(x[x[:, 1] < -80].mean(axis=0))
     leant = Rotation.from_euler("x", 90, degrees=True).as_matrix()
-    there = turned(low, np.array([pivot(low), pivot(low) + [0.0, 10.0, 0.0]]), leant)
-    assert there == pytest.approx(pivot(low) + np.array([[0.0, 0, 0], [0, 0, 10]]))
+    there = turn_skin(low, np.array([find_pivot(low), find_pivot(low) + [0.0, 10.0, 0.0]]), leant)
+    assert there == pytest.approx(find_pivot(low) + np.array([[0.0, 0, 0], [0, 0, 10]]))
 
 
 @pytest.mark.parametrize(
@@ -203,7 +210,7 @@ def test_what_is_no_rotation_is_named_and_the_state_stays(sphere_head, base, mes
     assert sequence.state is before
     if np.shape(base) == (3, 3):
         with pytest.raises(InputError, match=message):
-            turns_before(np.stack([np.eye(3), base]))
+            extrapolate_turns(np.stack([np.eye(3), base]))
 
 
 def test_a_beginning_wants_one_rotation_or_two(sphere_head):

@@ -13,9 +13,9 @@ from softdeca.lhm.base.geometry.triangles import parting_shifts
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Scene, prepare, solve, terms
 from softdeca.reference.projective import system
-from softdeca.reference.projective.contact.following import ALLOWED
-from softdeca.reference.projective.contact.rows import Rows
-from softdeca.reference.projective.contact.surface import FACES
+from softdeca.reference.projective.contact.constraints import Constraints
+from softdeca.reference.projective.contact.detection import FACES
+from softdeca.reference.projective.contact.solver import ALLOWED_DEPTH
 
 
 def outside(tets):
@@ -70,11 +70,11 @@ def test_two_bars_meet_where_their_forces_balance(thickness, stiffness):
     solution = solve(scene, tolerance=1e-10)
     assert solution.converged
     assert solution.detail["contact_pairs_before"] > 0 and solution.detail["contact_depth_before"] > 1.1
-    assert solution.detail["contact_depth_after"] <= ALLOWED
+    assert solution.detail["contact_depth_after"] <= ALLOWED_DEPTH
     overlap = 1.7 - 0.5 + thickness
     y, rest = solution.positions[:, 1], scene.vertices[:, 1]
     # The method of multipliers leaves less of a gap with each round; the last round is judged by ALLOWED.
-    close = ALLOWED if stiffness < 10 else 1e-4
+    close = ALLOWED_DEPTH if stiffness < 10 else 1e-4
     np.testing.assert_allclose(y[lower][rest[lower] == 8.0], 8.0 - overlap / 3.0, atol=close)
     np.testing.assert_allclose(y[upper][rest[upper] == 8.5], 8.0 - overlap / 3.0 + thickness, atol=close)
     assert thickness == 0.0 or solution.detail["contact_pairs_after"] == 0
@@ -115,9 +115,9 @@ def test_two_equal_spheres_flatten_each_other_at_the_plane_between():
     solution = solve(scene, tolerance=1e-8)
     x = solution.positions
     assert solution.converged and solution.detail["contact_depth_before"] > 1.0
-    assert x[lower][:, 1].max() < 10.5 + ALLOWED and x[upper][:, 1].min() > 10.5 - ALLOWED
-    assert x[lower][:half, 1].max() > 10.5 - 2 * ALLOWED
-    np.testing.assert_allclose(x[upper] * [1, -1, 1] + [0, 21, 0], x[lower], atol=2 * ALLOWED)
+    assert x[lower][:, 1].max() < 10.5 + ALLOWED_DEPTH and x[upper][:, 1].min() > 10.5 - ALLOWED_DEPTH
+    assert x[lower][:half, 1].max() > 10.5 - 2 * ALLOWED_DEPTH
+    np.testing.assert_allclose(x[upper] * [1, -1, 1] + [0, 21, 0], x[lower], atol=2 * ALLOWED_DEPTH)
 
 
 def test_a_folded_sheet_does_not_go_through_itself():
@@ -136,8 +136,8 @@ def test_a_folded_sheet_does_not_go_through_itself():
     assert solution.converged and solution.detail["contact_pairs_before"] > 0
     low, high = np.flatnonzero((X[:, 1] == 1.0) & (X[:, 0] > 15)), np.flatnonzero((X[:, 1] == 4.0) & (X[:, 0] > 15))
     assert (free.positions[low, 1] > free.positions[high, 1] + 0.2).all()
-    assert (solution.positions[low, 1] < solution.positions[high, 1] + ALLOWED).all()
-    assert solution.detail["contact_depth_after"] <= ALLOWED
+    assert (solution.positions[low, 1] < solution.positions[high, 1] + ALLOWED_DEPTH).all()
+    assert solution.detail["contact_depth_after"] <= ALLOWED_DEPTH
 
 
 def tangled_rows(scene, rng, count=7):
@@ -146,7 +146,9 @@ def tangled_rows(scene, rng, count=7):
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     weights = np.column_stack([np.ones(count), -at])
-    return Rows(ids, weights, normals, rng.uniform(1, 50, count), rng.normal(size=count), rng.uniform(0, 9, count))
+    return Constraints(
+        ids, weights, normals, rng.uniform(1, 50, count), rng.normal(size=count), rng.uniform(0, 9, count)
+    )
 
 
 @pytest.mark.parametrize("bodies", [False, True])

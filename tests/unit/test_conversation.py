@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import find_peaks
 
 from softdeca.lhm import InputError
-from softdeca.lhm.expressions import ARKIT, conversation, index, read_take, resampled
+from softdeca.lhm.expressions import ARKIT, conversation, index, read_take, resample
 
 MINUTES = 2.0
 EXCLUSIVE = [
@@ -103,7 +103,7 @@ def test_the_jaw_opens_a_few_times_per_second_of_talk(talk):
 
 def test_range_and_speed_are_those_of_a_real_take(talk, data):
     """Against a recorded range of motion, which goes farther than talk: half to one time its spread, its speeds."""
-    real = resampled(read_take(data / "arkit_sequences" / "alex_rom_3.csv"), 60.0).weights
+    real = resample(read_take(data / "arkit_sequences" / "alex_rom_3.csv"), 60.0).weights
     face = [k for k, name in enumerate(ARKIT) if name.startswith(("mouth", "jaw", "brow"))]
     spread = talk.std(axis=0) / real.std(axis=0)
     fast_talk, fast_real = (np.percentile(60 * np.abs(np.diff(w, axis=0)), 99, axis=0) for w in (talk, real))

@@ -14,8 +14,8 @@ import pytest
 from softdeca.lhm import FitError, InputError
 from softdeca.lhm.expressions import conversation_take
 from softdeca.reference import Parameters, Sequence
-from softdeca.reference.face.base import turns_before
-from softdeca.reference.face.velocities import Velocities
+from softdeca.reference.face.dynamics import extrapolate_turns
+from softdeca.reference.face.sequence import Velocities
 from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.folder import Corpus, summed
 from softdeca.surrogate.corpus.mixture import NAMES
@@ -84,8 +84,8 @@ def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
     off = []
     for bases in (turned, np.tile(np.eye(3), (LENGTH, 1, 1))):
-        running = Sequence.of(face.neutral, dynamic=True, tolerance=PLAN.tolerance)
-        running.begin(face.expression(kept.weights[0]), base=turns_before(bases))
+        running = Sequence.from_face(face.neutral, dynamic=True, tolerance=PLAN.tolerance)
+        running.begin(face.expression(kept.weights[0]), base=extrapolate_turns(bases))
         again = [
             face.corrected(w, running.frame(face.expression(w), base=base).positions)
             for w, base in zip(kept.weights, bases, strict=True)
@@ -103,7 +103,7 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
         step[5] = 1e-2
 
         def tight(weights, face=face):
-            near = face.linear.start(face.expression(weights))
+            near = face.linear.predict(face.expression(weights))
             return face.corrected(
                 weights, face.linear.prepared.solve(face.scene(weights), start=near, tolerance=1e-7).positions
             )

@@ -8,7 +8,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters
-from softdeca.reference.face.settling import changes_neutral
+from softdeca.reference.face.settle import changes_neutral
 from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES, static_of
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan, read_plan
 from softdeca.surrogate.ruler import EFFECTS, kind_of_coefficients

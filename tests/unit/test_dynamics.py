@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, Scene, terms
-from softdeca.reference.face.dynamics import Recurrence, coefficients, implicit_euler
+from softdeca.reference.face.dynamics import Recurrence
 
 STEP = 1 / 60
 RANGE = [(Parameters.info(n).low, Parameters.info(n).high) for n in ("frequency", "damping")]
@@ -29,7 +29,7 @@ def rolled(recurrence, targets, last, before):
     [(3, 0.1, 0.9221, 0.9391, 0.0949), (5, 0.2, 0.7846, 0.8110, 0.2418), (8, 0.4, 0.5146, 0.5116, 0.4824)],
 )
 def test_coefficients_are_those_of_the_poles(frequency, damping, alpha, beta, gamma):
-    found = coefficients(frequency, damping, STEP)
+    found = Recurrence.from_oscillator(frequency, damping, STEP)
     assert [found.alpha, found.beta, found.gamma] == pytest.approx([alpha, beta, gamma], abs=5.1e-5)
     f, zeta = found.oscillation(STEP)
     assert (f, zeta) == (pytest.approx(frequency, rel=1e-12), pytest.approx(damping, rel=1e-12))
@@ -40,7 +40,9 @@ def test_release_shows_frequency_and_logarithmic_decrement(frequency, damping):
     """A skin let go swings as e^(-ζωt) cos(ω_d t): its crossings of zero and its peaks are measured off the motion."""
     fine = STEP / 64  # so that crossings and peaks are found well between samples
     n = int(4 / (frequency * fine))
-    x = rolled(coefficients(frequency, damping, fine), np.zeros((n, 1, 3)), np.ones((1, 3)), np.ones((1, 3)))[:, 0, 0]
+    x = rolled(
+        Recurrence.from_oscillator(frequency, damping, fine), np.zeros((n, 1, 3)), np.ones((1, 3)), np.ones((1, 3))
+    )[:, 0, 0]
     k = np.flatnonzero(x[:-1] * x[1:] < 0)
     crossings = k + x[k] / (x[k] - x[k + 1])
     damped = 1 / (2 * fine * np.diff(crossings).mean())
@@ -60,7 +62,9 @@ def test_the_free_skin_passes_through_the_continuous_motion_at_any_frame_rate():
 
     for rate in (24, 60, 240):
         times = np.arange(1, rate) / rate
-        found = rolled(coefficients(f, zeta, 1 / rate), np.zeros((len(times), 1, 3)), exact(0), exact(-1 / rate))
+        found = rolled(
+            Recurrence.from_oscillator(f, zeta, 1 / rate), np.zeros((len(times), 1, 3)), exact(0), exact(-1 / rate)
+        )
         assert found == pytest.approx(np.array([exact(t) for t in times]), abs=1e-12)
 
 
@@ -68,7 +72,7 @@ def test_a_shift_of_everything_shifts_the_motion():
     rng = np.random.default_rng(0)
     targets, last, before = rng.normal(size=(40, 5, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
     shift = np.array([120.0, -40.0, 7.0])
-    recurrence = coefficients(rng.uniform(2, 8, 5), rng.uniform(0.1, 0.7, 5), STEP)
+    recurrence = Recurrence.from_oscillator(rng.uniform(2, 8, 5), rng.uniform(0.1, 0.7, 5), STEP)
     moved = rolled(recurrence, targets + shift, last + shift, before + shift)
     assert moved - shift == pytest.approx(rolled(recurrence, targets, last, before), abs=1e-11)
 
@@ -76,7 +80,7 @@ def test_a_shift_of_everything_shifts_the_motion():
 def test_at_rest_the_target_is_the_expression_exactly():
     x = np.random.default_rng(1).normal(scale=100, size=(50, 3))
     for f, zeta in CORNERS:
-        assert coefficients(f, zeta, STEP).target(x, x, x) == pytest.approx(x, abs=1e-12)
+        assert Recurrence.from_oscillator(f, zeta, STEP).target(x, x, x) == pytest.approx(x, abs=1e-12)
 
 
 def test_no_range_of_p_grows_over_2048_frames_of_the_worst_input():
@@ -86,7 +90,7 @@ def test_no_range_of_p_grows_over_2048_frames_of_the_worst_input():
     k = np.arange(2048)[:, None]
     response = r**k * np.sin((k + 1) * angle) / np.sin(angle)
     worst = np.repeat(np.sign(response[::-1])[:, :, None], 3, axis=2)
-    recurrence = coefficients(f, zeta, STEP)
+    recurrence = Recurrence.from_oscillator(f, zeta, STEP)
     motion = np.abs(rolled(recurrence, worst, np.zeros((len(f), 3)), np.zeros((len(f), 3))))
     bound = recurrence.gamma * np.abs(response).sum(axis=0)
     assert bound.max() < 7
@@ -99,7 +103,7 @@ def test_no_range_of_p_grows_over_2048_frames_of_the_worst_input():
     [(2, 0.042, 0.103, 0.99), (4, 0.149, 0.200, 0.97), (8, 0.412, 0.356, 0.89)],
 )
 def test_implicit_euler_damps_and_slows(frequency, gamma, damping, slower):
-    euler = implicit_euler(frequency, STEP)
+    euler = Recurrence.from_implicit_euler(frequency, STEP)
     found, ratio = euler.oscillation(STEP)
     assert euler.gamma == pytest.approx(gamma, abs=6e-4)
     assert ratio == pytest.approx(damping, abs=6e-4)
@@ -116,7 +120,7 @@ def test_implicit_euler_is_what_an_inertia_term_over_springs_does():
     mass = density * 1000 / 6 / 4
     k = mass * (2 * np.pi * f) ** 2
     pulled = corners + [3.0, 0, 0]
-    euler = implicit_euler(f, STEP)
+    euler = Recurrence.from_implicit_euler(f, STEP)
     last, before = corners, corners - [0.1, 0.2, 0]
     for _ in range(30):
         inertia = terms.Inertia(density, STEP, positions=last, velocities=(last - before) / STEP)
@@ -140,7 +144,7 @@ def test_implicit_euler_is_what_an_inertia_term_over_springs_does():
 )
 def test_coefficients_out_of_range_are_named(arguments, message):
     with pytest.raises(InputError, match=message):
-        coefficients(*arguments)
+        Recurrence.from_oscillator(*arguments)
 
 
 def test_a_recurrence_that_grows_or_drifts_is_refused():
@@ -153,11 +157,14 @@ def test_a_recurrence_that_grows_or_drifts_is_refused():
 def test_skin_that_is_loose_in_part_swings_faster_and_nearer_to_critical_until_it_only_follows():
     """At a share s: frequency f/s, damping 1 - s (1 - ζ); at 1 what it was to the bit, at 0 the target itself."""
     share = np.array([1.0, 0.5, 0.25])
-    found = coefficients(4.0, 0.3, STEP / 8, loose=share)  # at 480 Hz 16 Hz is well resolved
+    found = Recurrence.from_oscillator(4.0, 0.3, STEP / 8, loose=share)  # at 480 Hz 16 Hz is well resolved
     frequency, damping = found.oscillation(STEP / 8)
     assert frequency == pytest.approx([4.0, 8.0, 16.0], rel=1e-9)
     assert damping == pytest.approx([0.3, 0.65, 0.825], rel=1e-9)
-    whole, none = coefficients(4.0, 0.3, STEP), coefficients(4.0, 0.3, STEP, loose=np.array([1.0, 0.0]))
+    whole, none = (
+        Recurrence.from_oscillator(4.0, 0.3, STEP),
+        Recurrence.from_oscillator(4.0, 0.3, STEP, loose=np.array([1.0, 0.0])),
+    )
     assert none.alpha[0] == whole.alpha and none.beta[0] == whole.beta and none.gamma[0] == whole.gamma
     assert (none.alpha[1], none.beta[1], none.gamma[1]) == (0.0, 0.0, 1.0)
 
@@ -167,7 +174,9 @@ def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_i
     """By 2 (α - β) / γ frames at every corner of p's range; not at all where nothing is loose."""
     share = np.linspace(0.0, 1.0, 201)
     for f, zeta in CORNERS:
-        found = coefficients(f, zeta, 1 / rate, loose=share)  # Recurrence itself refuses what grows or drifts
+        found = Recurrence.from_oscillator(
+            f, zeta, 1 / rate, loose=share
+        )  # Recurrence itself refuses what grows or drifts
         assert np.abs(found.gamma + 2 * found.alpha - found.beta - 1).max() < 1e-14
         lag = 2 * (found.alpha - found.beta) / found.gamma
         assert lag[0] == 0.0
@@ -177,14 +186,14 @@ def test_no_share_makes_the_recurrence_unstable_and_a_target_that_moves_evenly_i
 
 
 def test_a_recurrence_at_other_vertices_is_the_mean():
-    found = coefficients(np.array([2.0, 8.0]), 0.3, STEP)
+    found = Recurrence.from_oscillator(np.array([2.0, 8.0]), 0.3, STEP)
     between = found.at(csr_matrix([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]))
     assert between.alpha == pytest.approx(np.array([[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]) @ found.alpha, abs=1e-15)
     assert between.gamma[[0, 2]] == pytest.approx(found.gamma, abs=1e-15)
-    assert coefficients(4.0, 0.3, STEP).at(csr_matrix(np.eye(3))).beta.shape == (3,)
+    assert Recurrence.from_oscillator(4.0, 0.3, STEP).at(csr_matrix(np.eye(3))).beta.shape == (3,)
 
 
 @pytest.mark.parametrize("loose", [-0.1, 1.1, np.nan])
 def test_a_share_out_of_range_is_refused(loose):
     with pytest.raises(InputError, match="loose: expected shares"):
-        coefficients(4.0, 0.3, STEP, loose=np.array([0.5, loose]))
+        Recurrence.from_oscillator(4.0, 0.3, STEP, loose=np.array([0.5, loose]))

@@ -15,11 +15,10 @@ from softdeca.benchmarks.effect_run import run_effect, with_effect
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.effects import STARTS, Effects
 from softdeca.lhm.base.errors import InputError
-from softdeca.lhm.flesh import FADE, cheeks, fleshy, on_triangles
-from softdeca.reference import Parameters, Reason, facial_scene, settled, solve, terms
-from softdeca.reference.face import settling
-from softdeca.reference.face.bones import scaled_skull
-from softdeca.reference.face.settling import carried_by_bones, neutral_scene
+from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
+from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms
+from softdeca.reference.face.bones import scale_skull
+from softdeca.reference.face.settle import carry_by_bones, neutral_scene
 
 OTHERS = ("lids", "mouth", "eyes", "teeth", "ears")
 
@@ -45,7 +44,7 @@ def head(spheres):
 
 
 def test_flesh_fades_in_along_the_skin(fine_head):
-    x, share = fine_head.skin_wrap.vertices, fleshy(fine_head)
+    x, share = fine_head.skin_wrap.vertices, flesh_share(fine_head)
     brow = x[fine_head.regions["lids"], 1].max() + 10.0
     none = (x[:, 1] >= brow) | fine_head.regions["lips"] | fine_head.regions["lids"]
     none |= ~(fine_head.regions["face"] | fine_head.regions["neck"])
@@ -57,7 +56,7 @@ def test_flesh_fades_in_along_the_skin(fine_head):
 
 
 def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
-    x, share = fine_head.skin_wrap.vertices, cheeks(fine_head)
+    x, share = fine_head.skin_wrap.vertices, cheek_share(fine_head)
     mirrored = np.argmin(cdist(x * [-1, 1, 1], x), axis=1)
     np.testing.assert_allclose(share[mirrored], share, atol=1e-9)
     lips, lids = (x[fine_head.regions[name]] for name in ("lips", "lids"))
@@ -68,12 +67,12 @@ def test_cheeks_are_two_beside_and_above_the_mouth(fine_head):
 
 def test_a_head_without_regions_is_named(sphere_head):
     with pytest.raises(InputError, match="'lids'|'face'"):
-        fleshy(sphere_head)
+        flesh_share(sphere_head)
 
 
 def test_a_share_per_triangle_is_the_mean_of_its_corners(head):
     y = head.skin_wrap.vertices[:, 1]
-    np.testing.assert_allclose(on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)
+    np.testing.assert_allclose(mean_on_triangles(head, y), y[head.skin_wrap.triangles].sum(axis=1) / 3)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
@@ -94,7 +93,7 @@ def test_effects_by_name():
 def test_wraps_are_carried_by_a_scaled_mandible(head):
     parameters = Parameters(mandible_scale_y=1.1)
     n = len(head.bone)
-    moved = (carried_by_bones(head, parameters) - head.vertices).reshape(3, n, 3)
+    moved = (carry_by_bones(head, parameters) - head.vertices).reshape(3, n, 3)
     np.testing.assert_allclose(moved[0], moved[2], atol=1e-12)
     jaw, cranium = moved[0][head.bone == 2, 1], moved[0][head.bone == 1]
     y = head.skull_wrap.vertices[head.bone == 2, 1]
@@ -108,20 +107,20 @@ def test_wraps_are_carried_by_a_scaled_mandible(head):
         rings[c] |= {a, b}
     for vertex in np.flatnonzero(head.bone == 0):
         np.testing.assert_allclose(moved[0][vertex], moved[0][list(rings[vertex])].mean(axis=0), atol=1e-9)
-    np.testing.assert_array_equal(carried_by_bones(head, Parameters()), head.vertices)
+    np.testing.assert_array_equal(carry_by_bones(head, Parameters()), head.vertices)
 
 
 def test_a_face_settles_about_bones_at_their_scaled_rest(head):
     parameters = Parameters(mandible_scale_y=1.15)
     fixed = neutral_scene(head, parameters).of(terms.Fixed)[0]
     bone = head.bone > 0
-    np.testing.assert_allclose(fixed.values, scaled_skull(head, parameters)[bone], atol=1e-12)
+    np.testing.assert_allclose(fixed.values, scale_skull(head, parameters)[bone], atol=1e-12)
     # A mandible that is prescribed stays there as long as the settled skin over it does.
-    face = settled(head, parameters)
+    face = settle(head, parameters)
     still = face.scene(head.skin.vertices).of(terms.Fixed) + face.scene(head.skin.vertices, bones="prescribed").of(
         terms.Fixed
     )
-    np.testing.assert_allclose(still[-1].values, scaled_skull(head, parameters)[bone], atol=1e-9)
+    np.testing.assert_allclose(still[-1].values, scale_skull(head, parameters)[bone], atol=1e-9)
 
 
 def test_a_neutral_face_without_an_effect_is_at_rest(head):
@@ -131,7 +130,7 @@ def test_a_neutral_face_without_an_effect_is_at_rest(head):
 
 
 def test_flesh_that_grows_is_not_held_by_the_old_surface(head):
-    parameters = Parameters(soft_volume=1.0 + 0.2 * on_triangles(head, fleshy(head)))
+    parameters = Parameters(soft_volume=1.0 + 0.2 * mean_on_triangles(head, flesh_share(head)))
     held = solve(facial_scene(head, parameters, head.skin.vertices, bones="prescribed"))
     free = solve(neutral_scene(head, parameters))
     grown = parameters.soft_volume.repeat(3) > 1.19
@@ -142,7 +141,7 @@ def test_flesh_that_grows_is_not_held_by_the_old_surface(head):
 
 @pytest.mark.parametrize("changes", [{}, {"soft_stiffness": 2.0, "paralysis_left": 1.0}, {"strain_limit": 1.1}])
 def test_what_leaves_the_neutral_face_alone_costs_no_solve(head, changes):
-    at_rest = settled(head, Parameters(**changes))
+    at_rest = settle(head, Parameters(**changes))
     assert at_rest.solution is None and at_rest.converged and at_rest.reason is Reason.CONVERGED
     np.testing.assert_array_equal(at_rest.skin, head.skin.vertices)
     np.testing.assert_array_equal(at_rest.positions, at_rest.scene(head.skin.vertices).vertices)
@@ -150,12 +149,14 @@ def test_what_leaves_the_neutral_face_alone_costs_no_solve(head, changes):
 
 @pytest.mark.parametrize("layers", [(1, 1), (2, 1)])
 def test_the_settled_face_moves_with_its_flesh_and_bones(head, layers):
-    heavier = settled(head, Parameters(soft_volume=1.0 + 0.2 * on_triangles(head, fleshy(head))), layers=layers)
+    heavier = settle(
+        head, Parameters(soft_volume=1.0 + 0.2 * mean_on_triangles(head, flesh_share(head))), layers=layers
+    )
     out = np.einsum("ij,ij->i", heavier.displacement, head.skin.vertices) / 100.0
-    share = head.skin_from_wrap @ fleshy(head)
+    share = head.skin_from_wrap @ flesh_share(head)
     assert heavier.converged and out[share > 0.9].mean() > 0.2
     assert np.abs(heavier.displacement[share == 0.0]).max() < 0.3 * out.max()
-    longer = settled(head, Parameters(mandible_scale_y=1.15), layers=layers)
+    longer = settle(head, Parameters(mandible_scale_y=1.15), layers=layers)
     jaw = head.bone == 2
     lower = longer.scene(head.skin.vertices).vertices, longer.positions
     n, first = len(head.bone), sum(layers) * len(head.bone)
@@ -166,12 +167,12 @@ def test_the_settled_face_moves_with_its_flesh_and_bones(head, layers):
 def test_a_head_without_regions_is_held_everywhere(sphere_head):
     scene = facial_scene(sphere_head, Parameters(soft_volume=1.2), sphere_head.skin.vertices, bones="prescribed")
     held = solve(scene, tolerance=1e-6).positions
-    np.testing.assert_allclose(settled(sphere_head, Parameters(soft_volume=1.2)).positions, held, atol=1e-3)
+    np.testing.assert_allclose(settle(sphere_head, Parameters(soft_volume=1.2)).positions, held, atol=1e-3)
 
 
 def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkeypatch):
     # Where all targets let go, and no bone is free, the settled face is in balance with targets that follow it.
-    monkeypatch.setattr(settling, "fleshy", lambda head: np.ones(len(head.bone)))
+    monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
     effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
     at_rest, ended = with_effect(toothless, effect, head.skin.vertices)
@@ -300,7 +301,7 @@ def test_an_effect_by_both_laws(head):
     np.testing.assert_allclose(others[BLENDED], shape + result.at_rest.displacement)
     found = compare_laws(head, effect, shape, result, "fenicsx", others)
     assert found["done"] and found["same_mm"] < 1e-3 and found["another_minimum_mm"] is None
-    neutral = settled(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)
+    neutral = settle(head, Parameters(soft_volume=1.3), law="neo-Hookean", solver="skfem", tolerance=1e-9)
     other = solve(neutral.scene(shape), solver="skfem", start=result.solution.positions, tolerance=1e-9)
     apart = np.linalg.norm(neutral.skin_after(shape, other.positions) - result.with_it, axis=1)
     law = found["to_pd"][LAW]

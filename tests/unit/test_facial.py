@@ -8,12 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, Surface, fit_head, identities, load_template
 from softdeca.lhm.base.geometry.warp import rigid_motion
-from softdeca.lhm.refine import refined_head
-from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, terms
-from softdeca.reference.face.bones import carried
-from softdeca.reference.face.connecting import Attached, bone_points, connecting_tets, eyeballs
+from softdeca.lhm.remesh import refine_head
+from softdeca.reference import Parameters, SceneError, apply_law, facial_scene, terms
+from softdeca.reference.face.bones import carry_wraps
 from softdeca.reference.face.palsy import Springs
-from softdeca.reference.face.stack import Stack
+from softdeca.reference.face.tissue import Attachment, Stack, bone_points, connecting_tets, eyeballs
 
 
 def test_parameters_name_what_is_out_of_range():
@@ -50,7 +49,7 @@ def test_mandible_follows_the_skin_over_it_and_the_cranium_stays(sphere_head):
     rotation = Rotation.from_euler("x", 0.2).as_matrix()
     targets[jaw] = targets[jaw] @ rotation.T
     n = len(head.bone)
-    placed = carried(head, Parameters(), head.skin_wrap.vertices, targets)[2]
+    placed = carry_wraps(head, Parameters(), head.skin_wrap.vertices, targets)[2]
     skull = head.skull_wrap.vertices
     expected = np.where(jaw[:, None], skull @ rotation.T, skull)
     assert placed[head.bone > 0] == pytest.approx(expected[head.bone > 0], abs=1e-10)
@@ -73,14 +72,14 @@ def test_the_scene_has_only_what_it_needs(sphere_head):
 
 def test_neo_hookean_counterpart_has_the_same_small_strain_moduli(sphere_head):
     scene = facial_scene(sphere_head, Parameters(soft_stiffness=4.0, volume_ratio=15.0), sphere_head.skin.vertices)
-    soft, muscle = neo_hookean_scene(scene).of(terms.Hyperelastic)
+    soft, muscle = apply_law(scene, "neo-Hookean").of(terms.Hyperelastic)
     assert (soft.material.mu, soft.material.lmbda) == (2.0, 20.0)
     assert muscle.material.mu == pytest.approx(0.3 * 2.0)
     grown = facial_scene(sphere_head, Parameters(soft_volume=1.2), sphere_head.skin.vertices)
-    assert [np.max(law.growth) for law in neo_hookean_scene(grown).of(terms.Hyperelastic)] == [1.2, 1.0]
+    assert [np.max(law.growth) for law in apply_law(grown, "neo-Hookean").of(terms.Hyperelastic)] == [1.2, 1.0]
     limited = facial_scene(sphere_head, Parameters(strain_limit=1.1), sphere_head.skin.vertices)
     with pytest.raises(SceneError, match="no counterpart"):
-        neo_hookean_scene(limited)
+        apply_law(limited, "neo-Hookean")
 
 
 def test_targets_of_another_skin_are_refused(sphere_head):
@@ -144,14 +143,14 @@ def test_parameters_may_vary_over_the_face(sphere_head):
 
 def test_a_paralysed_half_lets_go_of_its_targets(sphere_head):
     palsied = Parameters(paralysis_left=1.0)
-    whole = Springs.of(sphere_head, Parameters()).stiffness
-    kept = Springs.of(sphere_head, palsied).stiffness / whole
+    whole = Springs.from_head(sphere_head, Parameters()).stiffness
+    kept = Springs.from_head(sphere_head, palsied).stiffness / whole
     x, _, z = sphere_head.skin_wrap.vertices.T
     assert np.all(kept[x > 10.0] == 0.0) and np.all(kept[x < -10.0] == 1.0)
     assert kept[np.argmin(np.abs(x))] == pytest.approx(0.5, abs=0.2)
     # What is not face stays tied.
     faced = replace(sphere_head, regions={"face": z > 0.0})
-    kept = Springs.of(faced, palsied).stiffness / whole
+    kept = Springs.from_head(faced, palsied).stiffness / whole
     assert np.all(kept[z <= 0.0] == 1.0) and np.all(kept[x < -10.0] == 1.0)
     assert kept[(x > 10.0) & (z > 60.0)].max() < 0.1
 
@@ -167,13 +166,13 @@ def test_what_lines_a_paralysed_eye_stays_with_the_face_at_rest_and_a_mouths_lin
     far, left = x[:, 2] > 92.0, x[:, 0] > 12.0
     smile = x + np.array([1.0, 2.0, 0.0])
     for head, drawn in ((eyed, x), (mouthed, smile)):
-        whole, springs = (Springs.of(head, Parameters(paralysis_left=share)) for share in (0.0, 1.0))
+        whole, springs = (Springs.from_head(head, Parameters(paralysis_left=share)) for share in (0.0, 1.0))
         assert (far & left).any() and np.allclose(springs.stiffness[far & left], whole.stiffness[far & left])
         assert np.all(springs.stiffness[rim & left] < 1e-9 * whole.stiffness[rim & left])
         assert np.allclose(springs.positions(smile, x)[far & left], drawn[far & left])
         assert np.array_equal(springs.positions(smile, x)[x[:, 0] < -12.0], smile[x[:, 0] < -12.0])
-        assert np.array_equal(springs.moved(smile - x), springs.positions(smile, x) - x)
-    half = Springs.of(eyed, Parameters(paralysis_left=0.5))
+        assert np.array_equal(springs.move(smile - x), springs.positions(smile, x) - x)
+    half = Springs.from_head(eyed, Parameters(paralysis_left=0.5))
     assert np.allclose(half.positions(smile, x)[far & left], 0.5 * (smile + x)[far & left])
 
 
@@ -224,7 +223,7 @@ def test_layers_that_are_left_out_cost_nothing(sphere_head):
     literal = facial_scene(head, Parameters(strain_limit=1.05), head.skin.vertices, rule="indicator")
     assert [strain.rule for strain in literal.of(terms.Strain)] == ["indicator", "clamp"]
     with pytest.raises(SceneError, match="no counterpart"):
-        neo_hookean_scene(facial_scene(head, Parameters(), head.skin.vertices, rule="indicator"))
+        apply_law(facial_scene(head, Parameters(), head.skin.vertices, rule="indicator"), "neo-Hookean")
     with pytest.raises(SceneError, match="bones 'hard'"):
         facial_scene(head, Parameters(), head.skin.vertices, bones="hard")
 
@@ -258,7 +257,7 @@ def test_an_attached_skull_takes_the_place_of_its_bone(sphere_head):
     with pytest.raises(SceneError, match="lids"):
         eyeballs(head)
     with pytest.raises(SceneError, match="bone 7"):
-        Attached(np.zeros((4, 3)), 7)
+        Attachment(np.zeros((4, 3)), 7)
 
 
 def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
@@ -276,7 +275,7 @@ def test_a_head_of_a_volume_mesh_has_the_same_scene(sphere_head):
 
 
 def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
-    head = refined_head(sphere_head)
+    head = refine_head(sphere_head)
     rest = head.skin.vertices
     with pytest.raises(SceneError, match="layers"):
         facial_scene(head, Parameters(), rest, layers=(2, 1))
@@ -290,12 +289,12 @@ def test_a_volume_mesh_is_whole_and_of_one_value(sphere_head):
 
 
 def test_a_volume_mesh_is_carried_with_its_wraps(sphere_head):
-    head = refined_head(sphere_head)
-    stack = Stack.of(head, (1, 1), ())
+    head = refine_head(sphere_head)
+    stack = Stack.from_head(head, (1, 1), ())
     wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
-    assert stack.between(*wraps) == pytest.approx(head.vertices)
+    assert stack.interpolate(*wraps) == pytest.approx(head.vertices)
     shift = np.array([1.0, -2.0, 3.0])
-    assert stack.between(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
+    assert stack.interpolate(*(wrap + shift for wrap in wraps)) == pytest.approx(head.vertices + shift)
     assert stack.first_of_skull == 2 * len(head.bone)
 
 

@@ -10,15 +10,13 @@ from softdeca.reference import Scene, materials, prepare, terms
 from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx import principal
 from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms, density
-from softdeca.reference.fenicsx.laws import (
-    CorotatedLaw,
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.solids import (
     Grown,
-    NeoHookeanLaw,
     StrainLaw,
     VolumeLaw,
     nearest_with_determinant,
 )
-from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.problems import meshes
 
 from .tangents import tangent
@@ -36,7 +34,7 @@ class Principal:
 
     def _at(self, F):
         U, s, V = principal.signed_svd(np.ascontiguousarray(F))
-        return U, s, V, *self.make(len(F)).evaluate(s)
+        return U, s, V, *self.make(len(F)).by_stretches(s)
 
     def energy(self, F):
         return self._at(F)[3]
@@ -102,9 +100,10 @@ class ByUfl:
 MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
 GROWTH = 1.4
 ISOTROPIC = {
-    "corotated": Principal(CorotatedLaw, MU, LMBDA),
-    "neo-hooke, principal": Principal(NeoHookeanLaw, MU, LMBDA),
+    "corotated": Principal(lambda: materials.Corotated(MU, LMBDA)),
+    "neo-hooke, principal": Principal(lambda: materials.NeoHookean(MU, LMBDA)),
     "neo-hooke": ByUfl(materials.NeoHookean(MU, LMBDA)),
+    "stable neo-hooke, principal": Principal(lambda: materials.StableNeoHookean(MU, LMBDA)),
     "stable neo-hooke": ByUfl(materials.StableNeoHookean(MU, LMBDA)),
     "St. Venant-Kirchhoff": ByUfl(materials.StVenantKirchhoff(MU, LMBDA)),
     "isochoric, quadratic": ByUfl(materials.IsochoricNeoHookean(MU, KAPPA)),
@@ -119,12 +118,12 @@ LAWS = {
     "volume target": Principal(VolumeLaw, 3.0, 1.4),
     **ISOTROPIC,
     "Guccione": ByUfl(materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRE, KAPPA)),
-    "corotated growth": Principal(lambda mu, lmbda, g: Grown(CorotatedLaw(mu, lmbda), g), MU, LMBDA, GROWTH),
+    "corotated growth": Principal(lambda growth: Grown(materials.Corotated(MU, LMBDA), growth), GROWTH),
     "neo-hooke growth": ByUfl(materials.NeoHookean(MU, LMBDA), GROWTH),
 }
 GROWN = ["volume target", "strain growth", "corotated growth", "neo-hooke growth"]
 FINITE = ["strain", "strain limit", "volume", "volume target", "corotated", "stable neo-hooke", "St. Venant-Kirchhoff"]
-FINITE += ["strain growth", "corotated growth"]
+FINITE += ["strain growth", "corotated growth", "stable neo-hooke, principal"]
 INFINITE = [name for name in LAWS if name not in FINITE]
 
 
@@ -286,6 +285,7 @@ def test_densities_against_their_formulas():
         "Mooney-Rivlin": 0.3 * (i1 - 3) + 0.2 * (i2 - 3) + 0.4 * (i1 - 3) ** 2 + volume,
         "Guccione": np.exp(Q) - 1 + volume,
         "neo-hooke": LAWS["neo-hooke, principal"].energy(F),
+        "stable neo-hooke, principal": stable(s2.sum(1), J) - stable(3.0, 1.0),
     }
     for name, values in expected.items():
         assert_close(LAWS[name].energy(F), values, 1e-12)

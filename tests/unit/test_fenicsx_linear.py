@@ -8,9 +8,9 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, materials, terms
 from softdeca.reference.fenicsx.linear import LINEAR_SOLVERS, SETUP, hold
-from softdeca.reference.fenicsx.membrane import _planar_svd
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
+from softdeca.reference.fenicsx.surface_strain import _planar_svd
 from softdeca.reference.problems import meshes
 
 

@@ -20,7 +20,7 @@ from softdeca.benchmarks.studies.ranks import PHASES, Ranks, compared
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
 from softdeca.reference.materials import Corotated, Guccione, Incompressible, NeoHookean, StableNeoHookean
-from softdeca.reference.problems import stretched_bars
+from softdeca.reference.problems import bars
 from softdeca.reference.problems.meshes import box, triangles_at, vertices_at
 from softdeca.reference.terms import (
     Bending,
@@ -64,9 +64,9 @@ def on_part(scene, law):
 def pulled_far(cells):
     """A bar to five times its length: by load steps, as elements beside its held end snap."""
     X, tets = box(cells, (6.0, 1.0, 1.0))
-    stress = stretched_bars.neo_hookean(5.0)[1]
+    stress = bars.neo_hookean_law(5.0)[1]
     pull = Traction(triangles_at(X, tets, 0, 6.0), stress * np.eye(3)[0])
-    law = NeoHookean.from_young(stretched_bars.YOUNG, stretched_bars.POISSON)
+    law = NeoHookean.from_young(bars.YOUNG, bars.POISSON)
     return Scene(X, tets, (Hyperelastic(law), Fixed(vertices_at(X, 0, 0.0)), pull))
 
 

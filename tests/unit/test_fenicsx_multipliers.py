@@ -9,7 +9,7 @@ from petsc4py import PETSc
 from scipy.sparse import csr_matrix, random
 
 from softdeca.reference import Reason, Scene, materials, prepare, solve, terms
-from softdeca.reference.compiling import Spent
+from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx import prepared
 from softdeca.reference.fenicsx.linear import Factorisation
 from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
@@ -40,7 +40,7 @@ def descend(scene, *, start=None, tolerance=1e-9, max_iterations=None, on_iterat
     condensed = Condensed(problem)
     begin = scene.vertices if start is None else start
     run = Run(scene, problem.numbering, begin, Limits(tolerance), Record(max_iterations, on_iteration))
-    return run.solution(MultiplierDescent(run, condensed).attempt(), Spent(0.0, 0.0)), condensed
+    return run.solution(MultiplierDescent(run, condensed).attempt(), Seconds(0.0, 0.0)), condensed
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)

@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
-from softdeca.reference.compiling import Spent
+from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx import prepared, saddle
 from softdeca.reference.fenicsx.linear import hold
 from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
@@ -184,7 +184,7 @@ def test_a_column_buckles_as_by_factors():
         condensed = Condensed(problem)
         run = Run(scene, problem.numbering, X, Limits(1e-8), Record(None, None))
         descent = MultiplierDescent(run, condensed, linear_solver=kind)
-        found[kind] = run.solution(descent.attempt(), Spent(0.0, 0.0))
+        found[kind] = run.solution(descent.attempt(), Seconds(0.0, 0.0))
         assert found[kind].converged, found[kind].reason
     sideways = np.abs(found["block"].positions - X)[:, :2].max()
     assert sideways > 1.0

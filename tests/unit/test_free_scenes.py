@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.base.errors import InputError
-from softdeca.reference import Parameters, SceneError, neo_hookean_scene, solve, terms
+from softdeca.reference import Parameters, SceneError, apply_law, solve, terms
 from softdeca.reference.face.free_scenes import jaw_hinge, open_jaw_scene, push_cheek_scene
 from softdeca.reference.face.parameters import TISSUE_DENSITY
 
@@ -77,7 +77,7 @@ def test_solvers_agree_where_laws_differ(head, build):
     """PD is FEniCSx on its energy, scikit-fem is FEniCSx on the law; the law is far from PD beside both."""
     pytest.importorskip("dolfinx")
     scene = build(head, Parameters(gravity=2.0), **({"radius": 30.0} if build is push_cheek_scene else {}))
-    law = neo_hookean_scene(scene)
+    law = apply_law(scene, "neo-Hookean")
     by_pd = solve(scene, tolerance=1e-10)
     same = solve(scene, solver="fenicsx", tolerance=1e-10)
     real, checked = (

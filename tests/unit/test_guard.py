@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from softdeca.reference import Parameters, Scene, facial_scene, neo_hookean_scene, solve, terms
-from softdeca.reference.face.guard import STIFFNESS, THIN, guard, is_guard
+from softdeca.reference import Parameters, Scene, apply_law, facial_scene, solve, terms
+from softdeca.reference.face.tissue import GUARD_STIFFNESS, GUARDED_HEIGHT, guard, is_guard
 
 # The heights of a corner cut off a cube: its legs are a long, and the one over the slanted face is a / sqrt(3).
 CORNER = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def test_stiffness_grows_as_tets_get_thinner():
-    scales = np.sqrt(3.0) * np.array([0.5 * THIN, 2.0 * THIN, 0.1 * THIN])
+    scales = np.sqrt(3.0) * np.array([0.5 * GUARDED_HEIGHT, 2.0 * GUARDED_HEIGHT, 0.1 * GUARDED_HEIGHT])
     vertices = np.vstack([scale * CORNER for scale in scales])
     strain = guard(vertices, np.arange(12).reshape(3, 4), np.array([2.0, 2.0, 3.0]))
     assert strain.tets.tolist() == [0, 2] and is_guard(strain)
-    assert strain.stiffness == pytest.approx([2.0 * STIFFNESS, 27.0 * STIFFNESS])
-    assert guard(10.0 * THIN * CORNER, np.arange(4)[None], 1.0) is None
+    assert strain.stiffness == pytest.approx([2.0 * GUARD_STIFFNESS, 27.0 * GUARD_STIFFNESS])
+    assert guard(10.0 * GUARDED_HEIGHT * CORNER, np.arange(4)[None], 1.0) is None
 
 
 def test_what_no_guard_is_for_stays_as_it_was(spheres):
@@ -25,7 +25,9 @@ def test_what_no_guard_is_for_stays_as_it_was(spheres):
     scene = _dragged(spheres, 3.0)
     guarded, plain = (solve(one, tolerance=1e-9) for one in (scene, _unguarded(scene)))
     assert np.abs(guarded.positions - plain.positions).max() < 1e-6
-    assert _unguarded(scene).of(terms.Volume) and not any(map(is_guard, neo_hookean_scene(scene).of(terms.Strain)))
+    assert _unguarded(scene).of(terms.Volume) and not any(
+        map(is_guard, apply_law(scene, "neo-Hookean").of(terms.Strain))
+    )
 
 
 @pytest.mark.parametrize("solver", ["fenicsx", "skfem"])

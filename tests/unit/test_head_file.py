@@ -4,7 +4,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.lhm.head_file import export_vtk, load_head, save_head
-from softdeca.lhm.refine import refined_head
+from softdeca.lhm.remesh import refine_head
 
 
 def test_a_head_survives_the_file(tmp_path, sphere_head):
@@ -18,7 +18,7 @@ def test_a_head_survives_the_file(tmp_path, sphere_head):
 
 
 def test_a_volume_mesh_survives_the_file(tmp_path, spheres):
-    finer = refined_head(spheres(1))
+    finer = refine_head(spheres(1))
     save_head(tmp_path / "head.npz", finer)
     again = load_head(tmp_path / "head.npz")
     assert again.volume is not None and len(again.vertices) > 3 * len(again.bone)

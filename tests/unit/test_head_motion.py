@@ -5,7 +5,7 @@ import pytest
 
 from softdeca.lhm import InputError
 from softdeca.lhm.expressions import conversation, conversation_take, head_motion
-from softdeca.lhm.expressions.head_motion import BEATS, POSTURE
+from softdeca.lhm.expressions.made_up import BEATS, POSTURE
 
 
 @pytest.mark.parametrize("rate", [24.0, 60.0])

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from softdeca.lhm import InputError, expressions, identities
-from softdeca.lhm.anatomy import bodyparts, bodyparts_folder
+from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-from softdeca.lhm.identities import ict, ict_folder
+from softdeca.lhm.identities import ict
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
 
 NOTICE = "Copyright (c) somebody"
@@ -52,8 +52,8 @@ def facekit(tmp_path_factory):
 @pytest.fixture
 def small(facekit, monkeypatch):
     folder, vertices, parts = facekit
-    monkeypatch.setattr(ict_folder, "VERTICES", vertices)
-    monkeypatch.setattr(ict_folder, "PARTS", parts)
+    monkeypatch.setattr(ict, "KIT_VERTICES", vertices)
+    monkeypatch.setattr(ict, "KIT_PARTS", parts)
     monkeypatch.setattr(ict, "CODE_SIZE", 2)
     return folder
 
@@ -78,37 +78,37 @@ def test_a_folder_of_facekits_form_becomes_a_space(small, command, tmp_path):
 
 def test_facekits_folders_that_are_wrong_are_refused_by_name(small, tmp_path):
     with pytest.raises(InputError, match=r"nowhere: no such folder"):
-        ict_folder.read_folder(tmp_path / "nowhere")
+        ict.read_folder(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"no generic_neutral_mesh\.obj in it"):
-        ict_folder.read_folder(tmp_path)
+        ict.read_folder(tmp_path)
     copy = tmp_path / "copy"
     copy.mkdir()
     for file in small.glob("*.obj"):
         (copy / file.name).write_bytes(file.read_bytes())
     (copy / "identity001.obj").unlink()
     with pytest.raises(InputError, match=r"identity001\.obj: no such file"):
-        ict_folder.read_folder(copy)
+        ict.read_folder(copy)
     (copy / "identity001.obj").write_text("v 0 0 zero\n")
     with pytest.raises(InputError, match=r"identity001\.obj: line 1 is none of an OBJ file"):
-        ict_folder.read_folder(copy)
+        ict.read_folder(copy)
     text = (copy / "jawOpen.obj").read_text()
     (copy / "jawOpen.obj").write_text(text[: text.rindex("f ")])
     with pytest.raises(InputError, match=r"jawOpen\.obj: another topology than generic_neutral_mesh\.obj"):
-        ict_folder.read_folder(copy)
+        ict.read_folder(copy)
     (copy / "jawOpen.obj").write_text(text.replace("v ", "v nan ", 1))
     with pytest.raises(InputError, match=r"jawOpen\.obj: vertices: 1 rows are not finite"):
-        ict_folder.read_folder(copy)
+        ict.read_folder(copy)
 
 
 def test_another_model_is_told_by_its_size(facekit):
     with pytest.raises(InputError, match=r"expected 26719 vertices and 52220 triangles, found"):
-        ict_folder.read_folder(facekit[0])
+        ict.read_folder(facekit[0])
 
 
 def parts_of_a_body():
-    """A box per part of `bodyparts_folder`, the left ones at x > 0, in the body's coordinates [mm]."""
-    for group, text in bodyparts_folder.PARTS.items():
-        for row, (number, name) in enumerate(bodyparts_folder._named(text)):
+    """A box per part of `bodyparts.FMA_PARTS`, the left ones at x > 0, in the body's coordinates [mm]."""
+    for group, text in bodyparts.FMA_PARTS.items():
+        for row, (number, name) in enumerate(bodyparts._named(text)):
             side = -1 if name.startswith("right") else 1 if name.startswith("left") else 0
             height = 1480.0 + row + 20.0 * ("upper" in name) + 60.0 * (group == "other")
             box = trimesh.creation.box((4.0, 4.0, 4.0))
@@ -155,21 +155,21 @@ def test_a_folder_of_bodyparts_becomes_anatomy(body, command, tmp_path):
 
 
 def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path):
-    arrays = bodyparts_folder.read_folder(body)
+    arrays = bodyparts.read_folder(body)
     file = next(f for f in body.glob("*.obj") if f.stem == "FMA9710" or "FMA9710\n" in f.read_text())
     text = file.read_text()
     file.unlink()
-    assert bodyparts_folder.left_out(bodyparts_folder.read_folder(body)) == ["vomer"]
+    assert bodyparts.missing_parts(bodyparts.read_folder(body)) == ["vomer"]
     ended = command("head", "import-bodyparts3d", body, "--out", tmp_path / "bones.npz")
     assert ended.status == 0 and "without vomer" in ended.out
     file.write_text(text.replace("f 1/1", "f 99/1"))
     with pytest.raises(InputError, match=rf"{file.name}: triangles: 1 refer to vertices outside"):
-        bodyparts_folder.read_folder(body)
+        bodyparts.read_folder(body)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no OBJ file of a head's part in it"):
-        bodyparts_folder.read_folder(tmp_path / "empty")
+        bodyparts.read_folder(tmp_path / "empty")
     with pytest.raises(InputError, match="no such folder"):
-        bodyparts_folder.read_folder(tmp_path / "nowhere")
+        bodyparts.read_folder(tmp_path / "nowhere")
     file.write_text(text)
     for file in body.glob("*.obj"):
         if "FMA52748" in file.stem or "FMA52748\n" in file.read_text():

@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from softdeca.lhm import expressions, fit_head, identities, load_template
-from softdeca.lhm.flesh import fleshy
+from softdeca.lhm.flesh import flesh_share
 from softdeca.reference import Parameters, SceneError, Sequence
-from softdeca.reference.face.dynamics import coefficients
-from softdeca.reference.face.inertia import CLOSE, DEEP, RING, loose, recurrence
+from softdeca.reference.face.dynamics import CLOSE, DEEP, RING, Recurrence, measure_looseness
 
 STEP = 1 / 60
 
@@ -25,7 +24,7 @@ def default():
 
 def test_lips_lids_and_skin_close_to_bone_follow_and_cheeks_are_loose(default):
     head, _ = default
-    x, share = head.skin_wrap.vertices, loose(head)
+    x, share = head.skin_wrap.vertices, measure_looseness(head)
     bone = cdist(x, head.skull_wrap.vertices[head.bone != 0]).min(axis=1)
     assert np.all(share[head.regions["lips"] | head.regions["lids"] | (bone <= CLOSE)] == 0.0)
     assert share.min() >= 0.0 and share.max() == 1.0
@@ -38,24 +37,25 @@ def test_lips_lids_and_skin_close_to_bone_follow_and_cheeks_are_loose(default):
 def test_the_recurrence_of_a_head_is_one_call(default, sphere_head):
     head, _ = default
     p = Parameters(frequency=3.0, damping=0.2)
-    found, share = recurrence(head, p, STEP), loose(head)
-    uniform = coefficients(3.0, 0.2, STEP)
+    found, share = Recurrence.from_head(head, p, STEP), measure_looseness(head)
+    uniform = Recurrence.from_oscillator(3.0, 0.2, STEP)
     flesh, follows = share == 1.0, share == 0.0
     assert flesh.any() and np.all(found.alpha[flesh] == uniform.alpha) and np.all(found.beta[flesh] == uniform.beta)
     assert np.all(found.gamma[follows] == 1.0) and np.all(found.alpha[follows] == 0.0)
     skin = found.at(head.skin_from_wrap)
     assert skin.gamma.shape == (len(head.skin.vertices),)
-    everywhere = recurrence(sphere_head, p, STEP)  # without regions
+    everywhere = Recurrence.from_head(sphere_head, p, STEP)  # without regions
     assert np.ptp(everywhere.gamma) == 0.0 and everywhere.gamma[0] == uniform.gamma
     with pytest.raises(SceneError, match="parameter damping: 7 values for"):
-        recurrence(head, Parameters(damping=np.full(7, 0.3)), STEP)
+        Recurrence.from_head(head, Parameters(damping=np.full(7, 0.3)), STEP)
 
 
 def test_without_bone_all_flesh_is_loose(default):
     head, _ = default
     boneless = replace(head, bone=np.zeros_like(head.bone))
-    assert np.array_equal(loose(boneless), fleshy(head, fade=RING))
-    assert np.all(loose(boneless) >= loose(head)) and loose(boneless).sum() > 1.2 * loose(head).sum()
+    loose, whole = measure_looseness(boneless), measure_looseness(head)
+    assert np.array_equal(loose, flesh_share(head, fade=RING))
+    assert np.all(loose >= whole) and loose.sum() > 1.2 * whole.sum()
 
 
 def test_closed_lips_of_fast_speech_stay_closed(default):
@@ -64,7 +64,7 @@ def test_closed_lips_of_fast_speech_stay_closed(default):
     take = expressions.speech("Bob, pop my puppy.", pace=18.0)
     frames = [head.skin.vertices + np.tensordot(w, deltas, axes=1) for w in take.weights[10:28]]
     still, lagging, uniform = (Sequence(head, Parameters(), dynamic=d, tolerance=1e-4) for d in (False, True, True))
-    uniform.recurrence = coefficients(4.0, 0.3, STEP)
+    uniform.recurrence = Recurrence.from_oscillator(4.0, 0.3, STEP)
     n = len(head.bone)
     lips = np.flatnonzero(head.regions["lips"])
     below = (head.wrap_from_skin @ deltas[expressions.index("jawOpen")])[lips, 1]
@@ -81,5 +81,5 @@ def test_closed_lips_of_fast_speech_stay_closed(default):
     assert 3 < closed.sum() < len(frames)
     off = [np.linalg.norm(x[closed][:, lips] - skins[closed][:, lips], axis=2).max() for x in (now, before)]
     assert off[0] < 1.0 and off[1] > 4.0
-    cheeks = loose(head) > 0.9
+    cheeks = measure_looseness(head) > 0.9
     assert np.linalg.norm(now[:, cheeks] - skins[:, cheeks], axis=2).max() > 1.0

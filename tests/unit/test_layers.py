@@ -8,8 +8,8 @@ import pytest
 from softdeca.lhm import InputError, MeshError
 from softdeca.lhm.base.geometry.tets import untangle
 from softdeca.lhm.base.mesh import tet_volumes
-from softdeca.lhm.layers import prism_tets, stacked
-from softdeca.reference.face.stack import Stack
+from softdeca.lhm.layers import prism_tets, stack_wraps
+from softdeca.reference.face.tissue import Stack
 
 
 def outer_faces(tets):
@@ -50,7 +50,7 @@ def test_sub_layers_of_twisted_prisms_are_upright(spheres):
     head = replace(head, skull_wrap=head.skull_wrap.with_vertices(head.skull_wrap.vertices + rough))
     wraps = [wrap.vertices for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)]
     n, triangles = len(head.bone), head.skin_wrap.triangles
-    even = stacked(wraps, (1, 4))
+    even = stack_wraps(wraps, (1, 4))
     inverted = [tet_volumes(even, prism_tets(triangles, k * n, (k + 1) * n)).min() <= 0 for k in range(5)]
     assert any(inverted)
     soft, muscle = head.sub_layers(1, 4)
@@ -59,7 +59,7 @@ def test_sub_layers_of_twisted_prisms_are_upright(spheres):
     for k, wrap in ((0, 0), (1, 1), (5, 2)):
         assert np.array_equal(soft.vertices[k * n : (k + 1) * n], wraps[wrap])
     # A scene's start at rest is the rest of the mesh, not the even one.
-    assert Stack.of(head, (1, 4), ()).between(*wraps) == pytest.approx(soft.vertices)
+    assert Stack.from_head(head, (1, 4), ()).interpolate(*wraps) == pytest.approx(soft.vertices)
 
 
 def test_a_tet_that_nothing_may_move_stays_and_is_told():

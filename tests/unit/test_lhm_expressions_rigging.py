@@ -8,7 +8,7 @@ import trimesh
 from scipy.optimize import lsq_linear
 
 from softdeca.lhm import InputError, MeshError, Surface, identities
-from softdeca.lhm.expressions import ARKIT, personalised, weights_of
+from softdeca.lhm.expressions import ARKIT, personalise, weights_of
 
 EXAMPLES, USED, AT_ONCE = 20, 15, 5
 
@@ -52,7 +52,7 @@ def guess(person):
 
 @pytest.fixture(scope="module")
 def rig(person, guess):
-    return personalised(person.neutral, person.generic, person.examples, guess)
+    return personalise(person.neutral, person.generic, person.examples, guess)
 
 
 def test_examples_are_met_better_than_by_the_generic_shapes(person, rig):
@@ -83,7 +83,7 @@ def test_shapes_that_examples_show_are_recovered(person, rig):
 def test_weights_are_found_where_the_shapes_are_right(person, guess):
     """Where they are not, weights and shapes share what is to be explained, and neither is the one answer."""
     examples = person.neutral.vertices + np.tensordot(person.weights, person.generic, axes=1)
-    rig = personalised(person.neutral, person.generic, examples, guess)
+    rig = personalise(person.neutral, person.generic, examples, guess)
     assert rig.weights.min() >= 0.0 and rig.weights.max() <= 1.0
     assert np.linalg.norm(rig.weights - person.weights) < 0.7 * np.linalg.norm(guess - person.weights)
     assert rig.history[-1] < 0.25 * rig.history[0]
@@ -98,7 +98,7 @@ def test_shapes_that_no_example_shows_stay(person, rig):
 
 def test_generic_examples_leave_the_generic_shapes(person):
     examples = person.neutral.vertices + np.tensordot(person.weights, person.generic, axes=1)
-    rig = personalised(person.neutral, person.generic, examples, person.weights, rounds=2)
+    rig = personalise(person.neutral, person.generic, examples, person.weights, rounds=2)
     np.testing.assert_allclose(rig.deltas, person.generic, atol=1e-9)
     np.testing.assert_allclose(rig.weights, person.weights, atol=1e-9)
     assert rig.history.max() < 1e-9
@@ -107,7 +107,7 @@ def test_generic_examples_leave_the_generic_shapes(person):
 def test_one_scan_changes_what_it_shows(person):
     shown = weights_of({"jawOpen": 1.0})
     example = person.neutral.vertices + person.true[ARKIT.index("jawOpen")]
-    rig = personalised(person.neutral, person.generic, example[None], shown)
+    rig = personalise(person.neutral, person.generic, example[None], shown)
     k = ARKIT.index("jawOpen")
     before, after = (np.linalg.norm(deltas[k] - person.true[k]) for deltas in (person.generic, rig.deltas))
     assert after < 0.3 * before
@@ -121,7 +121,7 @@ def test_a_part_without_rest_keeps_its_mean_motion():
     rng = np.random.default_rng(3)
     generic = np.cross(rng.normal(size=(52, 1, 3)) * 0.1, ball.vertices) + rng.normal(size=(52, 1, 3))
     examples = ball.vertices + 1.3 * generic[:2]
-    rig = personalised(ball, generic, examples, np.eye(52)[:2])
+    rig = personalise(ball, generic, examples, np.eye(52)[:2])
     np.testing.assert_allclose(rig.deltas.mean(axis=1), generic.mean(axis=1), atol=1e-9)
     turned = [np.abs(rig.deltas[k] - rig.deltas[k].mean(axis=0)).max() for k in (0, 1)]
     before = [np.abs(generic[k] - generic[k].mean(axis=0)).max() for k in (0, 1)]
@@ -131,22 +131,22 @@ def test_a_part_without_rest_keeps_its_mean_motion():
 def test_bad_input_is_named(person, guess):
     neutral, generic, examples = person.neutral, person.generic, person.examples
     with pytest.raises(MeshError, match=r"examples: expected shape \(k, 4463, 3\), got \(20, 4462, 3\)"):
-        personalised(neutral, generic, examples[:, 1:], guess)
+        personalise(neutral, generic, examples[:, 1:], guess)
     with pytest.raises(MeshError, match="examples: expected shape"):
-        personalised(neutral, generic, examples[:0], guess[:0])
+        personalise(neutral, generic, examples[:0], guess[:0])
     with pytest.raises(MeshError, match="examples: expected numbers"):
-        personalised(neutral, generic, "scans", guess)
+        personalise(neutral, generic, "scans", guess)
     broken = examples.copy()
     broken[3, 17, 2] = np.inf
     with pytest.raises(MeshError, match="examples: 1 rows are not finite, the first is vertex 17 of example 3"):
-        personalised(neutral, generic, broken, guess)
+        personalise(neutral, generic, broken, guess)
     with pytest.raises(MeshError, match="deltas: expected shape"):
-        personalised(neutral, generic[:, :-1], examples, guess)
+        personalise(neutral, generic[:, :-1], examples, guess)
     with pytest.raises(InputError, match="weights: 19 rows for 20 examples"):
-        personalised(neutral, generic, examples, guess[:-1])
+        personalise(neutral, generic, examples, guess[:-1])
     with pytest.raises(InputError, match="weights: 1 are not finite, the first is browDownLeft in frame 2"):
-        personalised(neutral, generic, examples, np.where(np.arange(20 * 52).reshape(20, 52) == 104, np.nan, guess))
+        personalise(neutral, generic, examples, np.where(np.arange(20 * 52).reshape(20, 52) == 104, np.nan, guess))
     with pytest.raises(InputError, match="rounds: 0"):
-        personalised(neutral, generic, examples, guess, rounds=0)
+        personalise(neutral, generic, examples, guess, rounds=0)
     with pytest.raises(InputError, match="weights: all are zero"):
-        personalised(neutral, generic, examples, np.zeros((20, 52)))
+        personalise(neutral, generic, examples, np.zeros((20, 52)))

@@ -15,7 +15,7 @@ from softdeca.lhm.base.geometry.warp import TriharmonicWarp, farthest_points, ri
 from softdeca.lhm.base.mesh import Surface
 from softdeca.lhm.identities.cut import boundary_loops, cut_and_close
 from softdeca.lhm.wraps.depth import inscribed_radius
-from softdeca.lhm.wraps.labels import jaw_share
+from softdeca.lhm.wraps.landmarks import jaw_share
 
 FLAT = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 

@@ -10,10 +10,9 @@ pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.release import Release
 from softdeca.reference import Reason, Scene, SceneError, prepare, solve, terms
-from softdeca.reference.march import march
+from softdeca.reference.march import Scheme, march
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems.meshes import box, vertices_at
-from softdeca.reference.schemes import scheme
 
 H, DENSITY = 1 / 60, 1e-6
 TISSUE = (terms.Strain(5.0), terms.Volume(67.5))
@@ -400,7 +399,8 @@ def test_bad_input_is_named(choices, why):
 
 def test_coefficients_by_the_spectral_radius():
     """Newmark's are those of generalised-alpha that average nothing; at radius 1 the latter has γ = β·2 = 1/2."""
-    plain, half, one = scheme("Newmark"), *(scheme("generalised-alpha", spectral_radius=r) for r in (0.5, 1.0))
+    plain = Scheme.from_name("Newmark")
+    half, one = (Scheme.from_name("generalised-alpha", spectral_radius=r) for r in (0.5, 1.0))
     assert (plain.by_acceleration, plain.to_velocity) == ((0.25, 0.25), (0.5, 0.5))
     assert (half.alpha_m, half.alpha_f) == (0.0, pytest.approx(1 / 3))
     assert half.to_velocity[1] == pytest.approx(5 / 6) and half.by_acceleration[1] == pytest.approx(4 / 9)

@@ -15,7 +15,7 @@ from softdeca.reference import (
     solve,
     terms,
 )
-from softdeca.reference.face.minimal import smallest
+from softdeca.reference.face.minimal import find_smallest
 
 
 def test_pieces_go_as_long_as_all_together_are_within():
@@ -27,12 +27,12 @@ def test_pieces_go_as_long_as_all_together_are_within():
         return np.array([[sum(size[piece] for piece in model), 0.0, 0.0]])
 
     pieces = {name: lambda model, name=name: (*model, name) for name in (*size, "bad")}
-    found = smallest((), pieces, answer, within=0.1)
+    found = find_smallest((), pieces, answer, within=0.1)
     # 0.04 + 0.05 is within a tenth, and 0.06 more is not.
     assert found.without == ("a", "b") == found.model and found.change == pytest.approx(0.09)
     assert found.changes["d"] == pytest.approx(3.0) and found.changes["bad"] is None
     with pytest.raises(InputError, match="within: must be above 0"):
-        smallest((), pieces, answer, within=0.0)
+        find_smallest((), pieces, answer, within=0.0)
 
 
 def test_a_term_that_does_nothing_leaves_a_scene_of_ones_own(sphere_head):

@@ -15,8 +15,8 @@ import torch
 from softdeca.benchmarks.studies.agreement import Face
 from softdeca.benchmarks.studies.person import Person
 from softdeca.lhm import InputError, Surface
-from softdeca.reference import Parameters, settled
-from softdeca.reference.face.linearised import linearised
+from softdeca.reference import Parameters, settle
+from softdeca.reference.face.derivatives import differentiate
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.mixture import STATIC, WAVES
@@ -301,12 +301,12 @@ def test_exact_is_the_linearised_simulator_and_the_remainder(surrogate):
     skin, parameters = SPACE.mean, Parameters(soft_volume=1.2, soft_stiffness=3.0)
     head = SPACE.fit(skin)
     rig = bound(surrogate, parameters=parameters, exact=True, head=head)
-    face = settled(head, parameters)
-    linear = linearised(face)
+    face = settle(head, parameters)
+    linear = differentiate(face)
     assert np.abs(rig.neutral - (face.skin + linear.offset)).max() < 1e-2
     weights = np.zeros(52)
     weights[7] = 0.5
-    response = linear.of_expressions(shapes())[7]
+    response = linear.skin_by_shapes(shapes())[7]
     expected = face.skin + linear.offset + 0.5 * response + rig.modes.remainder(weights)
     assert np.abs(rig.frame(weights) - expected).max() < 1e-2
     with pytest.raises(InputError, match="head: none is fitted"):

@@ -9,8 +9,8 @@ from scipy.sparse import identity
 from softdeca.lhm.base.geometry.topology import subdivide
 from softdeca.lhm.base.mesh import Surface, tet_volumes
 from softdeca.lhm.head import LayeredHead
-from softdeca.lhm.refine import refined_head
-from softdeca.reference import Parameters, SceneError, facial_scene, neo_hookean_scene, nested_start, solve
+from softdeca.lhm.remesh import refine_head
+from softdeca.reference import Parameters, SceneError, apply_law, facial_scene, nested_start, solve
 
 LAYERS = (2, 3)
 
@@ -34,7 +34,7 @@ def pulled(head):
 
 
 def scene_of(head, layers=(1, 1)):
-    return neo_hookean_scene(facial_scene(head, Parameters(), pulled(head), bones="prescribed", layers=layers))
+    return apply_law(facial_scene(head, Parameters(), pulled(head), bones="prescribed", layers=layers), "neo-Hookean")
 
 
 def test_displacements_are_carried_over(heads):
@@ -82,4 +82,4 @@ def test_what_is_not_nested_is_refused(heads):
     with pytest.raises(SceneError, match="scene: expected"):
         nested_start(scene, fine, coarse.vertices, coarse, layers=LAYERS)
     with pytest.raises(SceneError, match="volume mesh"):
-        nested_start(scene, fine, coarse.vertices, refined_head(replace(coarse)))
+        nested_start(scene, fine, coarse.vertices, refine_head(replace(coarse)))

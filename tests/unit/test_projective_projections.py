@@ -11,9 +11,7 @@ from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.reference import Scene, terms
 from softdeca.reference import prepare as prepare_by
 from softdeca.reference.projective import prepare
-from softdeca.reference.projective.lanes import F00, LANES, ROWS, S0, U00, V00
-from softdeca.reference.projective.singular_values import decompose
-from softdeca.reference.projective.volume_projection import nearest_of_determinant
+from softdeca.reference.projective.projections import F00, LANES, ROWS, S0, U00, V00, decompose, nearest_of_determinant
 
 # Dm = I and V = 1/6, so that positions F X have the deformation gradient F, and E = F's squared distance / 12.
 CORNER = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)

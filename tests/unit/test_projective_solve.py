@@ -11,7 +11,7 @@ from softdeca.lhm.base.errors import SceneError
 from softdeca.lhm.base.geometry import cholesky
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Reason, Scene, prepare, solve, terms
-from softdeca.reference.projective import local_step_seconds, solver, system
+from softdeca.reference.projective import solver, system, time_local_step
 from softdeca.reference.projective.energy import Energy
 
 
@@ -97,9 +97,9 @@ def test_less_of_the_volume_in_the_matrix_saves_iterations(scene, monkeypatch):
     np.testing.assert_allclose(few.positions, many.positions, atol=1e-5)
     strains = [terms.Strain(term.stiffness, tets=term.tets) for term in scene.of(terms.Volume)]
     as_strain = replace(scene, terms=[term for term in scene.terms if not isinstance(term, terms.Volume)] + strains)
-    half, whole = (Energy.of(scene).matrix(scene, volume_share=share)[0] for share in (0.5, 1.0))
-    added = Energy.of(as_strain).matrix(as_strain)[0]
-    none = Energy.of(scene).matrix(scene, volume_share=0.0)[0]
+    half, whole = (Energy.from_scene(scene).matrix(scene, volume_share=share)[0] for share in (0.5, 1.0))
+    added = Energy.from_scene(as_strain).matrix(as_strain)[0]
+    none = Energy.from_scene(scene).matrix(scene, volume_share=0.0)[0]
     assert abs(whole - added).max() <= 1e-12 * abs(added).max()
     assert abs(2.0 * half - whole - none).max() <= 1e-12 * abs(added).max()
 
@@ -146,7 +146,7 @@ def test_a_scene_without_tet_terms_builds_none():
     assert solution.converged and solution.iterations == 1
     np.testing.assert_allclose(solution.positions, X + 1.0, atol=1e-12)
     with pytest.raises(SceneError, match="no Strain or Volume"):
-        local_step_seconds(prepared)
+        time_local_step(prepared)
 
 
 def geodesic(frequency):
@@ -184,5 +184,5 @@ def test_local_step_takes_a_sixth_of_as_many_singular_value_decompositions():
         np.linalg.svd(matrices)
         return time.perf_counter() - begin
 
-    ratios = [local_step_seconds(prepared) / decomposed() for _ in range(5)]
+    ratios = [time_local_step(prepared) / decomposed() for _ in range(5)]
     assert min(ratios) < 1 / 6, ratios

@@ -46,7 +46,7 @@ def moved(parts, size):
 
 def of(prepared, place, least=EXACT):
     coordinates = prepared.system.coordinates
-    sparsity = Sparsity.of(prepared.scene, prepared.energy, coordinates)
+    sparsity = Sparsity.from_scene(prepared.scene, prepared.energy, coordinates)
     return hessian(prepared.scene, prepared.energy, coordinates, sparsity, place, least=least).toarray()
 
 
@@ -86,7 +86,7 @@ def test_a_tangent_is_factored_and_reused_like_another():
     prepared = prepare(FACE)
     answer = prepared.solve(tolerance=1e-10)
     tangent = prepared.tangent(answer)
-    assert tangent.exact
+    assert tangent.is_exact
     matrix = of(prepared, tangent.place)
     right = np.random.default_rng(0).normal(size=(len(matrix), 3))
     np.testing.assert_allclose(matrix @ tangent.solve(right), right, atol=1e-8)
@@ -106,10 +106,10 @@ def test_indefinite_tangents_are_raised_and_say_so(linear_solver, capfd):
     prepared = prepare(FACE)
     squeezed = prepared.solve(start=0.7 * X, max_iterations=0, untangle=False)
     tangent = prepared.tangent(squeezed, linear_solver=linear_solver)
-    assert not tangent.exact
+    assert not tangent.is_exact
     right = np.random.default_rng(0).normal(size=tangent.coordinates.size)
     np.testing.assert_allclose(of(prepared, tangent.place, 0.0) @ tangent.solve(right), right, atol=1e-5)
-    assert prepared.tangent(prepared.solve(tolerance=1e-9), linear_solver=linear_solver).exact
+    assert prepared.tangent(prepared.solve(tolerance=1e-9), linear_solver=linear_solver).is_exact
 
 
 def test_without_cholmod_tangents_are_the_same(monkeypatch):
@@ -151,9 +151,9 @@ def test_wrong_use_is_named():
         with pytest.raises(SceneError, match="absolute: expected a gradient norm above 0 mN"):
             prepared.solve(absolute=bad)
     with pytest.raises(SceneError, match=r"moved targets: expected finite values of shape \(k, 42, 3\)"):
-        tangent.of_targets(np.zeros((42, 3)))
+        tangent.vertices_by_targets(np.zeros((42, 3)))
     with pytest.raises(SceneError, match="other vertices, tets, bodies or held components"):
-        tangent.of_scenes([[(other.scene, 1.0)]])
+        tangent.vertices_by_scenes([[(other.scene, 1.0)]])
     touching = replace(FACE, terms=(*FACE.terms, terms.Contact(TRIANGLES)))
     with pytest.raises(SceneError, match="knows no Contact"):
         prepare(touching).tangent(answer)

@@ -8,9 +8,8 @@ from scipy.signal import find_peaks
 
 from softdeca.lhm import InputError
 from softdeca.lhm.expressions import ARKIT, combinations, index, recordings, sample_weights, speech, starts
-from softdeca.lhm.expressions.combinations import contradict, hard_expressions
-from softdeca.lhm.expressions.speech import texts
-from softdeca.lhm.expressions.take import Take, resampled
+from softdeca.lhm.expressions.made_up import contradict, hard_expressions, shipped_sentences
+from softdeca.lhm.expressions.takes import Take, resample
 
 fx = pytest.importorskip("openfacefx")
 CLOSED = ("mouthPressLeft", "mouthPressRight", "mouthRollUpper", "mouthRollLower")
@@ -62,19 +61,19 @@ def test_speech_closes_the_lips_at_every_bilabial():
 
 
 def test_speech_is_the_same_twice_and_faster_where_asked():
-    text = texts()[0]
+    text = shipped_sentences()[0]
     first, second, fast = speech(text), speech(text), speech(text, pace=24.0)
     np.testing.assert_array_equal(first.weights, second.weights)
     assert 0.5 < fast.duration / first.duration < 0.7  # sounds take half as long, pauses as long
 
 
 def test_the_sentences_are_varied_and_every_visem_occurs():
-    weights = np.concatenate([speech(text).weights for text in texts()])
-    assert len(set(texts())) == len(texts()) == 40
+    weights = np.concatenate([speech(text).weights for text in shipped_sentences()])
+    assert len(set(shipped_sentences())) == len(shipped_sentences()) == 40
     moved = weights.max(axis=0)
     for name in ("jawOpen", "mouthFunnel", "mouthPucker", "mouthStretchLeft", "mouthShrugLower", "tongueOut", *CLOSED):
         assert moved[index(name)] > 0.15, name
-    assert column(speech(texts()[0]), "eyeBlinkLeft").max() > 0.9
+    assert column(speech(shipped_sentences()[0]), "eyeBlinkLeft").max() > 0.9
 
 
 @pytest.mark.parametrize(
@@ -106,7 +105,7 @@ def test_without_openfacefx_its_extra_is_named(monkeypatch):
 
 
 def test_the_pool_names_each_recording_and_gives_it_again(data, tmp_path):
-    pool = recordings(data / "arkit_sequences", spoken=texts()[:3], conversations=2, random=2, seconds=5.0)
+    pool = recordings(data / "arkit_sequences", spoken=shipped_sentences()[:3], conversations=2, random=2, seconds=5.0)
     kinds = [recording.kind for recording in pool.values()]
     assert kinds == ["real"] * 2 + ["speech"] * 3 + ["conversation"] * 2 + ["random"] * 2
     for name, recording in pool.items():
@@ -153,7 +152,7 @@ def test_files_that_are_no_takes_are_left_out_by_name(tmp_path):
 def test_sequences_are_not_drawn_across_a_gap():
     """Frames 0 to 9 and 40 to 49 at 30 Hz: of 99 at 60 Hz those between 0.3 and 1.333 s are made up."""
     times = np.r_[0:10, 40:50] / 30
-    take = resampled(Take(np.zeros((20, 52)), 30.0, times), 60.0)
+    take = resample(Take(np.zeros((20, 52)), 30.0, times), 60.0)
     assert len(take.times) == 99 and take.gaps.shape == (1, 2)
     np.testing.assert_array_equal(starts(take, 16), [*range(0, 4), *range(80, 84)])
     assert len(starts(take, 100)) == 0

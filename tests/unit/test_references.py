@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from softdeca.reference import Parameters, settled, solve, terms
-from softdeca.reference.face.facial import scene_under
-from softdeca.reference.face.linearised import DIRECT, linearised
+from softdeca.reference import Parameters, settle, solve, terms
+from softdeca.reference.face.derivatives import QUICK_ACCURACY, differentiate
+from softdeca.reference.face.facial import apply_law
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import PRESETS
 from softdeca.surrogate.corpus.references import FEM_LAWS, references
@@ -23,8 +23,8 @@ def face():
     space = Spheres(2)
     people = OfSpace(space, space.mean, space.fit)
     person = people.person(PLAN.rng(0, 0))
-    linear = linearised(settled(people.head(person), P), accuracy=DIRECT)
-    return FaceSimulator(PLAN, person, PLAN.parameter_set(0), linear, linear.first_order(person.shapes))
+    linear = differentiate(settle(people.head(person), P), accuracy=QUICK_ACCURACY)
+    return FaceSimulator(PLAN, person, PLAN.parameter_set(0), linear, linear.vertices_by_shapes(person.shapes))
 
 
 def test_each_law_settles_the_face_itself(face):
@@ -40,10 +40,10 @@ def test_each_law_settles_the_face_itself(face):
     def by_scikit_fem(neutral):
         """The neo-Hookean answer of another implementation on this neutral face."""
         scene = neutral.scene(expression)
-        scene = scene if scene.of(terms.Hyperelastic) else scene_under(scene, "neo-Hookean")
+        scene = scene if scene.of(terms.Hyperelastic) else apply_law(scene, "neo-Hookean")
         return neutral.skin_after(expression, solve(scene, solver="skfem").positions) - expression
 
-    by_law = settled(face.head, P, law="neo-Hookean", solver="skfem")
+    by_law = settle(face.head, P, law="neo-Hookean", solver="skfem")
     alone, shared = by_scikit_fem(by_law), by_scikit_fem(face.neutral)
     to_alone, to_shared = (np.abs(own.corrected - other).max() for other in (alone, shared))
     assert to_alone < 0.02 and to_shared > 4.0 * to_alone

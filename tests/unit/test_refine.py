@@ -9,7 +9,7 @@ import pytest
 from softdeca.lhm import TetMesh
 from softdeca.lhm.base.errors import MeshError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
-from softdeca.lhm.refine import refined_head, refined_tets
+from softdeca.lhm.remesh import refine_head, refine_tets
 
 
 def test_a_tet_is_split_into_eight_of_its_volume():
@@ -20,27 +20,27 @@ def test_a_tet_is_split_into_eight_of_its_volume():
         if np.linalg.det(x[1:] - x[0]) < 0:
             tets = tets[:, [0, 2, 1, 3]]
         mesh = TetMesh(x, tets)
-        finer, parent = refined_tets(mesh)
+        finer, parent = refine_tets(mesh)
         assert finer.volumes == pytest.approx(np.full(8, mesh.volumes[0] / 8))
         assert np.array_equal(parent, np.zeros(8))
 
 
 def test_refinement_conforms_and_keeps_its_shape(sphere_head):
     mesh = TetMesh(sphere_head.vertices, sphere_head.tets)
-    finer, parent = refined_tets(mesh)
+    finer, parent = refine_tets(mesh)
     assert np.bincount(parent, finer.volumes) == pytest.approx(mesh.volumes)
     faces = np.sort(finer.tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3), axis=1)
     count = np.unique(faces, axis=0, return_counts=True)[1]
     # Inner faces are shared by two tets, and the border's are four times as many as the two spheres'.
     assert count.max() == 2 and np.count_nonzero(count == 1) == 4 * 2 * len(sphere_head.skin.triangles)
-    again, _ = refined_tets(finer)
+    again, _ = refine_tets(finer)
     assert (
         smallest_dihedrals(again.vertices, again.tets).min() > 0.4 * smallest_dihedrals(mesh.vertices, mesh.tets).min()
     )
 
 
 def test_a_refined_head_has_the_same_surfaces_and_ties(sphere_head):
-    head = refined_head(sphere_head)
+    head = refine_head(sphere_head)
     n = len(sphere_head.bone)
     assert len(head.skin_wrap.triangles) == 4 * len(sphere_head.skin_wrap.triangles)
     assert head.skin_wrap.areas.sum() == pytest.approx(sphere_head.skin_wrap.areas.sum())
@@ -60,7 +60,7 @@ def test_a_head_of_twisted_prisms_is_refined_all_the_same(spheres):
     head = spheres(1, (100.0, 80.0, 60.0))
     rough = 6.0 * np.random.default_rng(8).normal(size=head.skull_wrap.vertices.shape)
     twisted = replace(head, skull_wrap=head.skull_wrap.with_vertices(head.skull_wrap.vertices + rough))
-    finer = refined_head(twisted)
+    finer = refine_head(twisted)
     with pytest.raises(MeshError, match="inverted"):
         replace(finer, volume=None)
     assert len(finer.tets) == 8 * len(twisted.tets)

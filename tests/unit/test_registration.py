@@ -12,12 +12,11 @@ from softdeca.lhm.base.files.surface_file import read_surface
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities.space import MOUTH, OUTSIDE
-from softdeca.lhm.registration import landmark_ids, named_landmarks, read_landmarks, register, registered_by
-from softdeca.lhm.registration.affine import SmoothAffine
-from softdeca.lhm.registration.matching import Target
-from softdeca.lhm.registration.start import similarity
-from softdeca.lhm.registration.ties import on_skin
-from softdeca.lhm.wraps.landmarks import landmarks
+from softdeca.lhm.registration import landmark_ids, pair_landmarks, read_landmarks, register, register_by_mapping
+from softdeca.lhm.registration.alignment import Target, fit_similarity
+from softdeca.lhm.registration.nonrigid import SmoothAffine
+from softdeca.lhm.registration.registration import template_ties
+from softdeca.lhm.wraps.landmarks import find_landmarks
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +40,7 @@ def turned(degrees: float, axis: int) -> np.ndarray:
 def test_similarity_is_recovered():
     points = np.random.default_rng(0).normal(size=(20, 3))
     moved = 1.3 * points @ turned(40, 1).T + [5, -2, 1]
-    found = similarity(points, moved)
+    found = fit_similarity(points, moved)
     assert found.scale == pytest.approx(1.3)
     np.testing.assert_allclose(found(points), moved, atol=1e-12)
 
@@ -107,12 +106,12 @@ def test_below_an_open_neck_displacements_fade_to_those_of_the_crown():
     tube = Surface(x, np.vstack([np.stack([a, b, b + around], axis=1), np.stack([a, b + around, a + around], axis=1)]))
     open_at = 8
     skin = Surface(x, tube.triangles[(ring[tube.triangles] >= open_at).all(axis=1)])
-    weights = on_skin(tube, skin, ring == 0)
+    weights = template_ties(tube, skin, ring == 0)
     np.testing.assert_allclose(np.asarray(weights.sum(axis=1)).ravel(), 1.0)
     moved = (rings - 1 - ring) / (rings - 1 - open_at)
     np.testing.assert_allclose(weights @ moved, np.where(ring < open_at, ring / open_at, moved), atol=1e-6)
     # Without a lid all that is below goes with the opening's edge.
-    loose = on_skin(tube, skin, np.zeros(len(x), bool))
+    loose = template_ties(tube, skin, np.zeros(len(x), bool))
     np.testing.assert_allclose(loose @ moved, np.minimum(moved, 1.0), atol=1e-6)
 
 
@@ -143,7 +142,7 @@ def test_an_open_face_at_any_angle_is_registered_by_its_landmarks(space, person)
     points = {name: moved[vertex] for name, vertex in names.items()}
     front = person.vertices[person.triangles][:, :, 2].min(axis=1) > 70
     skin = Surface(moved, person.triangles[front])
-    found = register(space.mean, space.parts, skin, landmarks=named_landmarks(space.mean, space.parts, points))
+    found = register(space.mean, space.parts, skin, landmarks=pair_landmarks(space.mean, space.parts, points))
     off = np.linalg.norm(found.vertices - moved, axis=1)
     assert off[list(names.values())].max() < 3.0
     # Mouth and eye sockets go along, and the missing back keeps a head's size.
@@ -181,7 +180,7 @@ def _lips_and_lids_in_order(space, found):
     assert across == sorted(across)
     # Facing points of the lips keep their order along the template's gap.
     rest = space.mean.vertices
-    rim = landmarks(space.mean, space.parts).rim
+    rim = find_landmarks(space.mean, space.parts).rim
     middle = rim[np.abs(rest[rim, 0]) < 15]
     upper, lower = (middle[side] for side in (rest[middle, 1] > np.median(rest[middle, 1]), rest[middle, 1] < -43.0))
     assert x[upper, 1].mean() > x[lower, 1].mean() - 0.1
@@ -200,17 +199,17 @@ def test_a_given_mapping_is_taken_as_it_is(space, person):
     shuffled = np.random.default_rng(4).permutation(n)
     skin = Surface(person.vertices[shuffled], np.argsort(shuffled)[person.triangles])
     ids = np.argsort(shuffled)[:, None].repeat(3, axis=1)
-    found = registered_by(space.mean, space.parts, (ids, np.tile([0.5, 0.25, 0.25], (n, 1))), skin)
+    found = register_by_mapping(space.mean, space.parts, (ids, np.tile([0.5, 0.25, 0.25], (n, 1))), skin)
     np.testing.assert_allclose(found.vertices, person.vertices, atol=1e-12)
     assert found.residual.max < 1e-9 and found.crossings == 0
     sparse = csr_matrix((np.ones(n), (np.arange(n), ids[:, 0])), shape=(n, n))
-    assert np.array_equal(registered_by(space.mean, space.parts, sparse, skin).vertices, found.vertices)
+    assert np.array_equal(register_by_mapping(space.mean, space.parts, sparse, skin).vertices, found.vertices)
     with pytest.raises(InputError, match="row 0 names skin vertices outside"):
-        registered_by(space.mean, space.parts, (ids + n, np.ones((n, 3)) / 3), skin)
+        register_by_mapping(space.mean, space.parts, (ids + n, np.ones((n, 3)) / 3), skin)
     with pytest.raises(InputError, match="do not sum to one, the first is 0"):
-        registered_by(space.mean, space.parts, 0.5 * sparse, skin)
+        register_by_mapping(space.mean, space.parts, 0.5 * sparse, skin)
     with pytest.raises(InputError, match="expected shape"):
-        registered_by(space.mean, space.parts, sparse[1:], skin)
+        register_by_mapping(space.mean, space.parts, sparse[1:], skin)
 
 
 def _one_edge_too_many(skin):
@@ -258,9 +257,9 @@ def test_bad_landmarks_are_named(space, person, tmp_path):
         with pytest.raises(InputError, match=message):
             given(*bad)
     with pytest.raises(InputError, match="'nose'.*nose tip"):
-        named_landmarks(space.mean, space.parts, {"nose": [0, 0, 0]})
+        pair_landmarks(space.mean, space.parts, {"nose": [0, 0, 0]})
     with pytest.raises(InputError, match="'chin'.*three finite"):
-        named_landmarks(space.mean, space.parts, {"chin": [0, 0]})
+        pair_landmarks(space.mean, space.parts, {"chin": [0, 0]})
     with pytest.raises(InputError, match="eye sockets"):
         register(space.mean, np.full(len(space.parts), OUTSIDE), person)
 

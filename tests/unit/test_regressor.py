@@ -11,19 +11,9 @@ from softdeca.lhm import FitError, InputError, Surface, identities, load_templat
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.registration import Registration, Residual
-from softdeca.lhm.regressor import (
-    DepthErrors,
-    DepthPairs,
-    DepthRegressor,
-    default_regressor,
-    inward_normals,
-    leave_one_out,
-    measured_depths,
-    moved_wrap,
-    prior_pairs,
-    read_pairs,
-)
-from softdeca.lhm.regressor.depths import _left_out
+from softdeca.lhm.regressor.depths import DepthErrors, DepthPairs, DepthRegressor, _left_out, leave_one_out
+from softdeca.lhm.regressor.pairs import inward_normals, measure_depths, move_wrap, read_pairs
+from softdeca.lhm.regressor.prior import default_regressor, prior_pairs
 from softdeca.lhm.wraps import depth
 
 BALL = trimesh.creation.icosphere(3)
@@ -81,7 +71,7 @@ def test_no_ray_slips_through_a_closed_surface():
 
 def test_depth_between_spheres_is_the_difference_of_their_radii():
     skin = ball(100.0)
-    measured = measured_depths(skin.vertices, inward_normals(skin), [ball(92.0)])
+    measured = measure_depths(skin.vertices, inward_normals(skin), [ball(92.0)])
     assert measured.missed == 0
     # Flat triangles lie inside their sphere by edge² / 8 r, here up to .35 mm.
     assert 7.99 < measured.depths.min() and measured.depths.max() < 8.4
@@ -89,21 +79,21 @@ def test_depth_between_spheres_is_the_difference_of_their_radii():
 
 def test_where_no_ray_meets_bone_the_closest_point_counts_within_the_plausible_range():
     skin, half = ball(100.0), FACES[(UNIT[FACES][:, :, 1] > 0).all(axis=1)]
-    measured = measured_depths(skin.vertices, inward_normals(skin), [Surface(92.0 * UNIT, half)])
+    measured = measure_depths(skin.vertices, inward_normals(skin), [Surface(92.0 * UNIT, half)])
     below, above = UNIT[:, 1] < -0.1, UNIT[:, 1] > 0.25
     assert measured.met[above].all() and not measured.met[below].any()
     assert measured.depths[below].min() > 8.0 and measured.depths.max() == 40.0
     lowest = UNIT[:, 1].argmin()
     assert measured.depths[lowest] == 40.0
     # Bone that touches the skin leaves the least depth, not none.
-    assert measured_depths(skin.vertices, inward_normals(skin), [ball(99.99)]).depths.min() == 1.0
+    assert measure_depths(skin.vertices, inward_normals(skin), [ball(99.99)]).depths.min() == 1.0
 
 
 def test_a_ray_that_slips_through_a_hole_does_not_measure_the_wall_behind():
     highest = UNIT[:, 1].argmax()
     around = (FACES == highest).any(axis=1)
     skin, holed = ball(100.0), Surface(92.0 * UNIT, FACES[~around])
-    measured = measured_depths(skin.vertices, inward_normals(skin), [holed, ball(62.0)])
+    measured = measure_depths(skin.vertices, inward_normals(skin), [holed, ball(62.0)])
     assert not measured.met[highest] and measured.met[UNIT[:, 1] < 0.98].all()
     # The hole's rim is one edge of 8 degrees off the axis: 8 mm below the vertex and 92 sin 8° = 13 mm beside it.
     assert 12 < measured.depths[highest] < 18
@@ -215,8 +205,8 @@ def test_the_prior_has_the_published_means_and_spread(template, space):
     pairs = prior_pairs(template, space, np.random.default_rng(1), 200)
     wrap, marks, regions = template.skin_wrap.vertices, template.marks, template.regions
     outside = ~(regions["mouth"] | regions["eyes"])
-    wanted = depth.wanted_depth(wrap, marks.eyes, marks.mouth)
-    spread = depth.wanted_spread(wrap, marks.eyes, marks.mouth)
+    wanted = depth.mean_depth(wrap, marks.eyes, marks.mouth)
+    spread = depth.depth_spread(wrap, marks.eyes, marks.mouth)
     # 200 heads know a mean of spread .3 to .3 / sqrt(200) = 2 %; landmarks also lie elsewhere on each face.
     ratio = pairs.depths.mean(axis=0) / wanted
     assert abs(np.median(ratio[outside]) - 1) < 0.03 and np.quantile(abs(ratio[outside] - 1), 0.9) < 0.1
@@ -238,7 +228,7 @@ def test_the_default_regressor_is_the_same_each_time_and_fast(template, space, t
     assert made.label.startswith("synthetic prior") and "not anatomy" in made.label and made.pairs == 60
     made.check(template.skin_wrap)
     skin = space.sample(np.random.default_rng(5))[1]
-    wrap = moved_wrap(template, skin.vertices)
+    wrap = move_wrap(template, skin.vertices)
     depths = made.predict(wrap)
     np.testing.assert_array_equal(read.predict(wrap), depths)
     assert depths.shape == (4842,) and 2 < depths.min() and depths.max() < 25
@@ -264,7 +254,7 @@ def write(folder, name, skin, skull):
 def head(template, space, seed: int, factor: float = 1.0) -> tuple[Surface, Surface]:
     """A skin of the space and a skull wrap under it, by the template's connectors times a factor."""
     skin = space.sample(np.random.default_rng(seed))[1]
-    wrap = moved_wrap(template, skin.vertices)
+    wrap = move_wrap(template, skin.vertices)
     return skin, template.skin_wrap.with_vertices(wrap + factor * connectors(template))
 
 
@@ -329,7 +319,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
 
     monkeypatch.setattr("softdeca.lhm.registration.register", registered)
     pairs, reports = read_pairs(folder, template, space)
-    np.testing.assert_allclose(pairs.wraps[1], moved_wrap(template, skin.vertices))
+    np.testing.assert_allclose(pairs.wraps[1], move_wrap(template, skin.vertices))
     assert [r.off for r in reports] == [0, 0.25, 0, 0]
 
     def failing(template_skin, parts, given, *, progress):

@@ -9,7 +9,7 @@ import pytest
 from softdeca.lhm import InputError, MeshError, TetMesh
 from softdeca.lhm.base.errors import MissingDependencyError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
-from softdeca.lhm.remesh import remeshed
+from softdeca.lhm.remesh import remesh
 from softdeca.reference import Parameters, facial_scene, solve, terms
 
 
@@ -20,7 +20,7 @@ def gmsh():
 
 def test_the_layers_are_filled_between_unchanged_wraps(gmsh, spheres):
     sphere_head = spheres(2, (100.0, 60.0, 25.0))
-    coarse, fine = remeshed(sphere_head, 100.0), remeshed(sphere_head, 8.0)
+    coarse, fine = remesh(sphere_head, 100.0), remesh(sphere_head, 8.0)
     n = len(sphere_head.bone)
     for mesh in (coarse, fine):
         assert np.array_equal(mesh.vertices[: 3 * n], sphere_head.vertices)
@@ -36,7 +36,7 @@ def test_the_layers_are_filled_between_unchanged_wraps(gmsh, spheres):
 def test_a_scene_on_it_moves_as_on_prisms(gmsh, sphere_head):
     targets = sphere_head.skin.vertices * [1.0, 1.0, 1.03]
     skins = []
-    for head in (sphere_head, remeshed(sphere_head, 10.0)):
+    for head in (sphere_head, remesh(sphere_head, 10.0)):
         scene = facial_scene(head, Parameters(), targets, bones="prescribed")
         # Besides, a guard of the few tets that gmsh may leave flat.
         assert {len(head.soft.tets), len(head.muscle.tets)} <= {len(strain.tets) for strain in scene.of(terms.Strain)}
@@ -51,19 +51,19 @@ def test_a_scene_on_it_moves_as_on_prisms(gmsh, sphere_head):
 def test_what_cannot_be_meshed_is_told_in_a_line(gmsh, sphere_head):
     for size in (0.0, 0.1, np.nan, 2000.0):
         with pytest.raises(InputError, match="size: expected 0.2 to 1000 mm"):
-            remeshed(sphere_head, size)
+            remesh(sphere_head, size)
     # A muscle wrap that comes out of the skin; its prisms would be inverted, so a head must be told a volume.
     crossing = sphere_head.muscle_wrap.with_vertices(sphere_head.muscle_wrap.vertices + [0.0, 0.0, 20.0])
     stack = np.vstack([sphere_head.skin_wrap.vertices, crossing.vertices, sphere_head.skull_wrap.vertices])
     soft = TetMesh(stack, sphere_head.muscle.tets[:0])
     with pytest.raises(MeshError, match="gmsh") as told:
-        remeshed(replace(sphere_head, muscle_wrap=crossing, volume=(soft, soft)), 10.0)
+        remesh(replace(sphere_head, muscle_wrap=crossing, volume=(soft, soft)), 10.0)
     assert "\n" not in str(told.value)
     # gmsh is as before for the next one.
-    assert remeshed(sphere_head, 100.0).volume is not None
+    assert remesh(sphere_head, 100.0).volume is not None
 
 
 def test_without_gmsh_the_extra_is_named(monkeypatch, sphere_head):
     monkeypatch.setitem(sys.modules, "gmsh", None)
     with pytest.raises(MissingDependencyError, match=r"pip install softdeca\[mesh\]"):
-        remeshed(sphere_head, 10.0)
+        remesh(sphere_head, 10.0)

@@ -11,8 +11,8 @@ from softdeca.benchmarks.surrogate_gates import BOUNDS, HYBRID, LINEARISED, NETW
 from softdeca.benchmarks.surrogates import told_first
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
-from softdeca.reference.face.bones import scaled_skull
-from softdeca.reference.face.settling import carry_skin
+from softdeca.reference.face.bones import scale_skull
+from softdeca.reference.face.settle import carry_skin
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.mixture import STATIC, ParameterSet, static_of
 from softdeca.surrogate.corpus.people import people_of
@@ -56,7 +56,7 @@ def test_bones_alone_explain_nothing_of_the_ruler_s_motion(sphere_head):
     assert measure_skin(truth, truth, skin, sphere_head, parameters).largest == 0.0
     assert measure_skin(skin, truth, skin, sphere_head, parameters).share > 1.05
     on_bone = sphere_head.bone == 2
-    moved = scaled_skull(sphere_head, parameters) - sphere_head.skull_wrap.vertices
+    moved = scale_skull(sphere_head, parameters) - sphere_head.skull_wrap.vertices
     np.testing.assert_allclose(carried[on_bone], moved[on_bone], atol=1e-9)
     assert np.abs(moved[on_bone]).max() > 0.5
 

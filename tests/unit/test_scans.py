@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from softdeca.lhm import FitError, InputError, MeshError, Surface, identities, load_template, scans
-from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.arkit import ARKIT, arkit_name, find_arkit_morphs
 from softdeca.lhm.base.files.surface_file import Scan, read_scan
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.expressions.naming import arkit_name, arkit_named
-from softdeca.lhm.registration.registration import face_of
-from softdeca.lhm.scans.repair import repaired
+from softdeca.lhm.registration.registration import find_face
+from softdeca.lhm.scans.repair import repair_scan
 
 X, TRIANGLES = geodesic_sphere(4)
 
@@ -134,7 +133,7 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
         np.testing.assert_allclose(scan.vertices[half], 2 * X @ turn.T + [1, 2, 3], atol=1e-4)
         np.testing.assert_allclose(scan.morphs["smirk"][half], 4 * wave @ turn.T, atol=1e-6)
     # Two primitives over the same vertices become one surface again.
-    done = repaired(scan)
+    done = repair_scan(scan)
     assert len(done.scan.vertices) == len(X) and is_closed(done.scan.triangles)
     np.testing.assert_allclose(done.scan.morphs["jawOpen"], (2 * wave @ turn.T)[done.origin % len(X)], atol=1e-6)
 
@@ -155,7 +154,7 @@ def test_gltf_is_read_with_transforms_and_morph_targets(tmp_path, quantized):
 
 def test_a_draco_file_is_read(data):
     pytest.importorskip("DracoPy")
-    done = repaired(read_scan(data / "heads" / "lee_perry_smith.glb"))
+    done = repair_scan(read_scan(data / "heads" / "lee_perry_smith.glb"))
     assert len(done.scan.vertices) == 8844 and len(find_openings(done.scan.triangles)) == 4
     assert any("379 vertices" in note for note in done.notes)
 
@@ -191,7 +190,7 @@ def spoilt(name):
 @pytest.mark.parametrize("name", ["torn", "doubled", "flat", "fin", "turned", "inwards", "pieces", "touching"])
 def test_a_defect_is_repaired_and_told(name):
     vertices, triangles, words = spoilt(name)
-    done = repaired(Scan(vertices, triangles))
+    done = repair_scan(Scan(vertices, triangles))
     assert any(words in note for note in done.notes)
     assert volume(done.scan) == pytest.approx(volume(Scan(X, TRIANGLES)), rel=1e-3)
     assert len(done.scan.triangles) == len(TRIANGLES)
@@ -202,7 +201,7 @@ def test_a_defect_is_repaired_and_told(name):
 def test_a_sound_surface_is_left_as_it_is_open_or_not():
     for triangles in (TRIANGLES, TRIANGLES[X[TRIANGLES][:, :, 1].min(axis=1) > -0.5]):
         scan = Scan(X, triangles)
-        done = repaired(scan)
+        done = repair_scan(scan)
         assert done.scan.triangles.shape == triangles.shape
         assert done.notes == () and len(done.scan.vertices) == len(np.unique(triangles))
 
@@ -213,8 +212,8 @@ def test_lips_that_touch_are_not_sewn_together_where_a_morph_target_opens_them()
     triangles = np.array([[0, 1, 2], [0, 2, 3], [5, 4, 7], [5, 7, 6]])
     lift = np.zeros_like(x)
     lift[:4, 1] = 0.5
-    assert len(repaired(Scan(x, triangles)).scan.vertices) == 6
-    assert any("2 separate pieces" in note for note in repaired(Scan(x, triangles, {"jawOpen": lift})).notes)
+    assert len(repair_scan(Scan(x, triangles)).scan.vertices) == 6
+    assert any("2 separate pieces" in note for note in repair_scan(Scan(x, triangles, {"jawOpen": lift})).notes)
 
 
 def test_a_moebius_strip_and_a_mesh_of_nothing_are_refused():
@@ -228,9 +227,9 @@ def test_a_moebius_strip_and_a_mesh_of_nothing_are_refused():
     next_up, next_down = np.where(b == 0, 12, b), np.where(b == 0, 0, b + 12)
     triangles = np.vstack([np.stack([up, down, next_up], 1), np.stack([down, next_down, next_up], 1)])
     with pytest.raises(MeshError, match="one side only"):
-        repaired(Scan(x.reshape(-1, 3), triangles))
+        repair_scan(Scan(x.reshape(-1, 3), triangles))
     with pytest.raises(MeshError, match="none of its triangles has an area"):
-        repaired(Scan(np.zeros((3, 3)), [[0, 1, 2]]))
+        repair_scan(Scan(np.zeros((3, 3)), [[0, 1, 2]]))
 
 
 def test_openings_are_closed_where_the_boundary_touches_itself_too():
@@ -272,7 +271,9 @@ def test_names_are_known_however_they_are_written(name, meant):
 
 
 def test_halves_are_added():
-    found = arkit_named({"browInnerUp_L": np.ones((2, 3)), "browInnerUp_R": 2 * np.ones((2, 3)), "x": np.ones((2, 3))})
+    found = find_arkit_morphs(
+        {"browInnerUp_L": np.ones((2, 3)), "browInnerUp_R": 2 * np.ones((2, 3)), "x": np.ones((2, 3))}
+    )
     assert list(found) == ["browInnerUp"] and (found["browInnerUp"] == 3).all()
 
 
@@ -286,7 +287,7 @@ def template():
 
 @pytest.fixture(scope="module")
 def face(template):
-    mask = face_of(template.skin, template.parts)[1]
+    mask = find_face(template.skin, template.parts)[1]
     return template.skin.vertices[mask], template.skin.vertex_normals[mask]
 
 
@@ -312,7 +313,7 @@ BACK = np.diag([-1.0, 1, -1])
 )
 def test_a_face_is_found_in_any_orientation_and_unit(face, person, turn, size, told, way):
     moved = Surface(size * person.vertices @ turn.T + [5, 6, 7], person.triangles)
-    found = scans.placed(moved, face)
+    found = scans.find_placement(moved, face)
     assert told in found.notes[0] and way in found.notes[1]
     upright = found.motion(moved.vertices)
     # What is left is a shift, a little tilt where the head was turned, and some scale where the unit is not known.
@@ -324,7 +325,7 @@ def test_a_face_is_found_in_any_orientation_and_unit(face, person, turn, size, t
 
 def test_what_is_said_of_axes_and_unit_is_taken_or_refused(face, person):
     moved = Surface(person.vertices @ STATUE.T, person.triangles)
-    found = scans.placed(moved, face, up="z", front="-y", unit="1.02")
+    found = scans.find_placement(moved, face, up="z", front="-y", unit="1.02")
     assert found.motion.scale == 1.02 and "as said" in found.notes[0]
     for options, error, message in (
         ({"up": "z", "front": "x"}, FitError, "no face found"),
@@ -335,12 +336,12 @@ def test_what_is_said_of_axes_and_unit_is_taken_or_refused(face, person):
         ({"up": "w"}, InputError, "up 'w': expected one of x"),
     ):
         with pytest.raises(error, match=message):
-            scans.placed(moved, face, **options)
+            scans.find_placement(moved, face, **options)
 
 
 def test_a_sphere_has_no_face(face):
     with pytest.raises(FitError, match="no face found"):
-        scans.placed(Surface(100 * X, TRIANGLES), face)
+        scans.find_placement(Surface(100 * X, TRIANGLES), face)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("cm", 0.1), ("in", 1 / 25.4)])
@@ -353,14 +354,14 @@ def test_a_skin_of_the_templates_triangles_is_found_in_any_unit_and_orientation(
         np.savez(tmp_path / "skin.npz", vertices=vertices, triangles=rest.triangles)
         return tmp_path / "skin.npz"
 
-    skin, notes = scans.topology_of(written(factor * rest.vertices @ turn.T), template)
+    skin, notes = scans.read_same_topology(written(factor * rest.vertices @ turn.T), template)
     np.testing.assert_allclose(skin.vertices, rest.vertices, atol=1e-9)
     assert f"taken for {unit}," in notes[0] and notes[1] == "axes: z is up, x the front"
     # As it stands where it stands as a head does, a child's too.
-    skin, notes = scans.topology_of(written(0.6 * rest.vertices), template)
+    skin, notes = scans.read_same_topology(written(0.6 * rest.vertices), template)
     np.testing.assert_array_equal(skin.vertices, 0.6 * rest.vertices)
     assert notes == ()
     with pytest.raises(InputError, match="skin.npz: skin: in that unit its face is 0.0+1 times .* another --unit"):
-        scans.topology_of(written(1e-3 * rest.vertices), template, scans.Said(unit="mm"))
+        scans.read_same_topology(written(1e-3 * rest.vertices), template, scans.Hints(unit="mm"))
     with pytest.raises(InputError, match="skin.npz: skin: all its vertices are in one place"):
-        scans.topology_of(written(0 * rest.vertices), template)
+        scans.read_same_topology(written(0 * rest.vertices), template)

@@ -13,16 +13,15 @@ from softdeca.lhm.base.geometry.deformation import greatest_stretches, torn_area
 from softdeca.lhm.base.geometry.rays import first_hits
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.geometry.topology import close_openings, find_openings, is_closed
-from softdeca.lhm.fit import fit_registered, space_rig
+from softdeca.lhm.fit import fit_registered, rig_from_space
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH
 from softdeca.lhm.openings import lid_path, lip_path
-from softdeca.lhm.registration import registered_by
-from softdeca.lhm.registration.ties import on_skin, on_template
+from softdeca.lhm.registration import register_by_mapping
+from softdeca.lhm.registration.registration import skin_ties, template_ties
 from softdeca.lhm.rig import Rig
 from softdeca.lhm.scans import lips, mouth, seals
-from softdeca.lhm.scans.cutting import slit
-from softdeca.lhm.scans.eyes import Eyes, eyes_of
-from softdeca.lhm.scans.still import REACH, carried_along
+from softdeca.lhm.scans.eyes import REACH, Eyes, calm_lids, classify_eyes
+from softdeca.lhm.scans.slit import cut_slit
 from softdeca.lhm.wraps.landmarks import distance_to
 
 
@@ -52,7 +51,7 @@ def sealed(template):
     """The template's skin as a scanner sees it: its lips sewn together where one vanishes behind the other."""
     parts = visible_parts(template)
     x, triangles = template.skin.vertices, template.skin.triangles
-    upper, lower = lips.rims(triangles, x, parts)
+    upper, lower = lips.split_rim(triangles, x, parts)
     kept = triangles[~(parts[triangles] == MOUTH).any(axis=1)]
     sewn = mouth._strip(upper, lower, x, kept)
     return Surface(x, np.vstack([kept, sewn[(sewn != np.roll(sewn, 1, axis=1)).all(axis=1)]]))
@@ -61,12 +60,12 @@ def sealed(template):
 @pytest.fixture(scope="module")
 def laid(template, sealed):
     n = len(template.skin.vertices)
-    return registered_by(template.skin, template.parts, identity(n, format="csr"), sealed)
+    return register_by_mapping(template.skin, template.parts, identity(n, format="csr"), sealed)
 
 
 @pytest.fixture(scope="module")
 def opened(template, laid, sealed):
-    return mouth.opened(template.skin, template.parts, laid, sealed)
+    return mouth.open_mouth(template.skin, template.parts, laid, sealed)
 
 
 def test_stretches_are_the_singular_values_of_the_gradient():
@@ -84,7 +83,7 @@ def test_stretches_are_the_singular_values_of_the_gradient():
 def test_a_slit_is_one_opening_and_leaves_the_surface_where_it_was():
     x, triangles = geodesic_sphere(8)
     front = (x[triangles][:, :, 2] > 0).all(axis=1)
-    cut = slit(triangles, x[:, 1] - 0.1 * x[:, 0], x[:, 0], (-0.5, 0.5), front, x)
+    cut = cut_slit(triangles, x[:, 1] - 0.1 * x[:, 0], x[:, 0], (-0.5, 0.5), front, x)
     y = cut.on(x)
     loops = find_openings(cut.triangles)
     assert len(loops) == 1 and len(loops[0]) == 2 * len(cut.upper) - 2
@@ -105,22 +104,22 @@ def test_a_line_that_is_not_on_the_surface_is_refused(height, words):
     x, triangles = geodesic_sphere(8)
     kept = (x[triangles][:, :, 2] > 0.8).all(axis=1)
     with pytest.raises(MeshError, match=words):
-        slit(triangles, x[:, 1] - height, x[:, 0], (-0.9, 0.9), kept, x)
+        cut_slit(triangles, x[:, 1] - height, x[:, 0], (-0.9, 0.9), kept, x)
 
 
 def test_sealed_lips_are_told_from_open_ones(template, sealed, laid):
     for skin, expected in ((sealed, True), (template.skin, False)):
-        line = lips.lip_line(template.skin, template.parts, laid.surface, skin)
+        line = lips.find_lip_line(template.skin, template.parts, laid.surface, skin)
         assert mouth.is_sealed(line, skin) is expected
     # A hole where the mouth is, and the lips of a head that is sealed at its eyes.
     hole = Surface(template.skin.vertices, without(template, MOUTH))
-    assert not mouth.is_sealed(lips.lip_line(template.skin, template.parts, laid.surface, hole), hole)
+    assert not mouth.is_sealed(lips.find_lip_line(template.skin, template.parts, laid.surface, hole), hole)
 
 
 def test_the_line_between_the_lips_is_found_beside_the_registered_one(template, sealed, laid):
-    here = lips.lip_line(template.skin, template.parts, laid.surface, sealed)
+    here = lips.find_lip_line(template.skin, template.parts, laid.surface, sealed)
     slid = laid.surface.with_vertices(laid.surface.vertices + [0.0, 2.0, 0.0])
-    there = lips.lip_line(template.skin, template.parts, slid, sealed)
+    there = lips.find_lip_line(template.skin, template.parts, slid, sealed)
     inner = np.abs(here.along) < 0.7 * here.along[-1]
     off = np.abs((there.height + 2.0) - here.height)[inner]
     assert off.mean() < 0.5
@@ -149,32 +148,32 @@ def test_an_opened_mouth_moves_as_the_templates(template, sealed, opened):
 
 
 def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
-    left, up = (way(template, laid, sealed, {}) for way in (seals.left_sealed, seals.opened_up))
+    left, up = (way(template, laid, sealed, {}) for way in (seals.leave_sealed, seals.unseal))
     assert left.sealed and not up.sealed
     assert "mouth: sealed, and left so" in left.notes and "mouth: sealed; opened" in up.notes[0]
     heads = {}
     for name, done in (("left", left), ("up", up)):
         head = fit_registered(template, done.skin, done.laid)
-        heads[name] = replace(head, rig=seals.named(head.rig, done, head))
+        heads[name] = replace(head, rig=seals.mark_rig(head.rig, done, head))
     torn = {name: check_head(head).jaw_open_torn for name, head in heads.items()}
     assert torn["left"] > 900 and torn["up"] < 200
     assert any("jaw open torn" in problem for problem in check_head(heads["left"]).problems)
     assert "jawOpen" in heads["left"].rig.doubtful and "browInnerUp" not in heads["left"].rig.doubtful
     assert not heads["up"].rig.doubtful
     # The template's own head opens its mouth without a tear.
-    own = replace(template.head, rig=space_rig(template.space))
+    own = replace(template.head, rig=rig_from_space(template.space))
     assert check_head(own).jaw_open_torn < 50 and check_head(own).blink_torn < 50
 
 
 def test_a_skin_with_its_own_jaw_is_left_as_it_is(template, sealed, laid):
-    done = seals.opened_up(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
+    done = seals.unseal(template, laid, sealed, {"jawOpen": shape(template, "jawOpen")})
     assert done.skin is sealed and not done.sealed
 
 
 def test_eyes_are_told_open_solid_and_closed(template, laid):
     def eyes(skin):
         space, parts, lids = template.space, template.parts, template.marks.lids
-        return eyes_of(space, template.skin, parts, lids, laid.surface, skin)
+        return classify_eyes(space, template.skin, parts, lids, laid.surface, skin)
 
     assert eyes(template.skin) == Eyes("open", "open")
     outside = without(template, EYES)
@@ -193,7 +192,7 @@ def test_lids_laid_on_what_has_no_lids_are_not_made_out(template):
     solid = close_openings(Surface(template.skin.vertices, without(template, EYES)))
     away = template.skin.with_vertices(template.skin.vertices + [0, 30.0, -2.0])
     space, lids = template.space, template.marks.lids
-    told = eyes_of(space, template.skin, template.parts, lids, away, solid)
+    told = classify_eyes(space, template.skin, template.parts, lids, away, solid)
     assert told == Eyes("unclear", "unclear") and "not made out" in told.told() and "eyeBlinkLeft" in told.still
 
 
@@ -205,7 +204,7 @@ def test_lids_that_stay_still_go_with_what_is_around_them(template):
     deltas = np.tile([1.0, -2, 3], (len(ARKIT), len(skin.vertices), 1))
     deltas[:, near] += rng.standard_normal((len(ARKIT), near.sum(), 3))
     own = {"jawOpen": deltas[ARKIT.index("jawOpen")]}
-    calm = carried_along(Rig(deltas, "a test"), skin, rims, own).deltas
+    calm = calm_lids(Rig(deltas, "a test"), skin, rims, own).deltas
     jaw = ARKIT.index("jawOpen")
     np.testing.assert_array_equal(calm[jaw], deltas[jaw].astype(np.float32))
     np.testing.assert_allclose(np.delete(calm, jaw, axis=0), np.tile([1.0, -2, 3], (51, len(near), 1)), atol=1e-3)
@@ -221,7 +220,7 @@ def test_a_squint_does_not_crumple_closed_lids():
     fades = np.clip((20 + x[:, 1]) / 10, 0, 1) * np.clip(1 - (x[:, 0] / 13) ** 2, 0, 1)
     deltas[:, :, 1] = np.where(x[:, 1] < 0, 3.0 * fades, 0.0)
     rims = x[(x[:, 1] == 0) & (np.abs(x[:, 0]) < 13)]
-    smooth = carried_along(Rig(deltas, "a test"), skin, rims, {}).deltas
+    smooth = calm_lids(Rig(deltas, "a test"), skin, rims, {}).deltas
     near = distance_to(x, rims) < REACH - 1
     triangles = skin.triangles[near[skin.triangles].all(axis=1)]
     turned = [(Surface(x + d[0], triangles).face_normals[:, 2] < 0).sum() for d in (deltas, smooth)]
@@ -241,7 +240,7 @@ def test_lip_and_lid_gates_do_not_depend_on_the_orientation(template):
 def test_tets_that_an_open_jaw_inverts_are_counted_and_gated(template, monkeypatch):
     from softdeca.reference.face import check
 
-    head = replace(template.head, rig=space_rig(template.space))
+    head = replace(template.head, rig=rig_from_space(template.space))
     jaw, blink = check.check_posed_head(head)
     assert 0 <= jaw.value < 20 and 0 <= blink.value < 20 and not jaw.missed and not blink.missed
     # A jaw that opens four times as wide tears through the neck.
@@ -249,7 +248,7 @@ def test_tets_that_an_open_jaw_inverts_are_counted_and_gated(template, monkeypat
     deltas[ARKIT.index("jawOpen")] *= 4.0
     wide = replace(head, rig=replace(head.rig, deltas=deltas))
     assert check.check_posed_head(wide)[0].value > jaw.value
-    monkeypatch.setattr(check, "INVERTED", check.check_posed_head(wide)[0].value - 1)
+    monkeypatch.setattr("softdeca.lhm.check.INVERTED", check.check_posed_head(wide)[0].value - 1)
     assert check.check_posed_head(wide)[0].missed
     assert check.check_posed_head(template.head) == ()
 
@@ -262,12 +261,12 @@ def membrane(template):
     n = len(drawn)
     skin = close_openings(Surface(drawn, outside))
     known = csr_matrix((np.ones(n), (np.arange(n), np.arange(n))), shape=(n, len(skin.vertices)))
-    laid = registered_by(template.skin, template.parts, known, skin)
+    laid = register_by_mapping(template.skin, template.parts, known, skin)
     # What is tied is found, as after a registration: the fans' middles lie on nothing.
     surface = laid.surface
     ties = {
-        "skin_weights": on_template(surface, skin),
-        "template_weights": on_skin(surface, skin, template.parts == CAP),
+        "skin_weights": skin_ties(surface, skin),
+        "template_weights": template_ties(surface, skin, template.parts == CAP),
     }
     return skin, replace(laid, **ties)
 
@@ -275,15 +274,15 @@ def membrane(template):
 def test_a_membrane_deep_between_overlapping_lips_is_cut_and_closed_lids_stay_still(template, membrane):
     skin, laid = membrane
     # No way from lip to lip is straight there, but an open jaw would draw the membrane out.
-    assert not mouth.is_sealed(lips.lip_line(template.skin, template.parts, laid.surface, skin), skin)
-    left, up = seals.left_sealed(template, laid, skin, {}), seals.opened_up(template, laid, skin, {})
+    assert not mouth.is_sealed(lips.find_lip_line(template.skin, template.parts, laid.surface, skin), skin)
+    left, up = seals.leave_sealed(template, laid, skin, {}), seals.unseal(template, laid, skin, {})
     assert left.sealed and not up.sealed
     assert any("mouth: sealed; opened" in note for note in up.notes)
     assert any("eyes: closed" in note for note in up.notes), up.notes
     torn = []
     for done in (left, up):
         head = fit_registered(template, done.skin, done.laid)
-        head = replace(head, rig=seals.named(head.rig, done, head))
+        head = replace(head, rig=seals.mark_rig(head.rig, done, head))
         torn.append(check_head(head).jaw_open_torn)
         assert check_head(head).blink_torn == 0.0 and "eyeBlinkLeft" in head.rig.doubtful
     assert torn[0] > 400 and torn[1] < 150

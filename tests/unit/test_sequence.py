@@ -8,7 +8,7 @@ import trimesh
 from scipy.sparse import identity
 
 from softdeca.lhm import InputError, LayeredHead, Surface
-from softdeca.reference import Parameters, SceneError, settled, solve
+from softdeca.reference import Parameters, SceneError, settle, solve
 from softdeca.reference.face.facial import facial_scene
 from softdeca.reference.face.sequence import Sequence
 
@@ -184,9 +184,9 @@ def test_what_a_sequence_cannot_do_is_said(sphere_head):
 def test_frames_of_a_settled_face_are_those_of_its_scenes(sphere_head, bones):
     """Expressions are those of the head without p, the answers those that the settled scene has alone."""
     p = Parameters(soft_volume=1.4, mandible_scale_y=1.1, gravity=2.0)
-    neutral = settled(sphere_head, p, bones=bones)
+    neutral = settle(sphere_head, p, bones=bones)
     frames = talk(sphere_head, 4)
-    sequence = Sequence.of(neutral, tolerance=1e-9)
+    sequence = Sequence.from_face(neutral, tolerance=1e-9)
     for s in frames:
         solution = sequence.frame(s)
         alone = solve(neutral.scene(s), start=neutral.positions, tolerance=1e-10).positions
@@ -197,20 +197,23 @@ def test_frames_of_a_settled_face_are_those_of_its_scenes(sphere_head, bones):
 
 
 def test_a_face_that_p_leaves_as_it_is_has_the_frames_it_had(sphere_head):
-    plain, same = Sequence(sphere_head, LOOSE, dynamic=True), Sequence.of(settled(sphere_head, LOOSE), dynamic=True)
+    plain, same = (
+        Sequence(sphere_head, LOOSE, dynamic=True),
+        Sequence.from_face(settle(sphere_head, LOOSE), dynamic=True),
+    )
     for s in talk(sphere_head, 4):
         assert np.array_equal(plain.frame(s).positions, same.frame(s).positions)
 
 
 def test_a_settled_face_is_where_its_dynamics_rest(sphere_head):
-    neutral = settled(sphere_head, Parameters(soft_volume=1.2))
-    sequence = Sequence.of(neutral, dynamic=True, tolerance=1e-9)
+    neutral = settle(sphere_head, Parameters(soft_volume=1.2))
+    sequence = Sequence.from_face(neutral, dynamic=True, tolerance=1e-9)
     rest = [sequence.frame(sphere_head.skin.vertices).positions for _ in range(3)]
     alone = solve(neutral.scene(sphere_head.skin.vertices), start=neutral.positions, tolerance=1e-10).positions
     assert np.abs(np.array(rest) - alone).max() < 1e-6
 
 
 def test_a_settled_face_of_other_layers_is_refused(sphere_head):
-    neutral = settled(sphere_head, Parameters(soft_volume=1.1), layers=(2, 1))
+    neutral = settle(sphere_head, Parameters(soft_volume=1.1), layers=(2, 1))
     with pytest.raises(SceneError, match="start: .* vertices before, .* in this scene"):
-        Sequence.of(neutral, layers=(1, 1)).frame(sphere_head.skin.vertices)
+        Sequence.from_face(neutral, layers=(1, 1)).frame(sphere_head.skin.vertices)

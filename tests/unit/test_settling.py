@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from softdeca.lhm.flesh import LEAN_REGIONS
-from softdeca.reference import Parameters, SceneError, materials, prepare, settled, solve, terms
-from softdeca.reference.face import settling
-from softdeca.reference.face.facial import PD_ENERGY, scene_under
-from softdeca.reference.face.settling import neutral_scene
+from softdeca.reference import Parameters, SceneError, materials, prepare, settle, solve, terms
+from softdeca.reference.face.facial import PD_ENERGY, apply_law
+from softdeca.reference.face.settle import neutral_scene
 
 GROWN = Parameters(soft_volume=1.2)
 FEM = {"tolerance": 1e-9}
@@ -18,19 +17,19 @@ FEM = {"tolerance": 1e-9}
 @pytest.fixture(scope="module")
 def by_law(sphere_head):
     pytest.importorskip("dolfinx")
-    return settled(sphere_head, GROWN, law="neo-Hookean", **FEM)
+    return settle(sphere_head, GROWN, law="neo-Hookean", **FEM)
 
 
 def test_fenicsx_settles_where_pd_does(sphere_head):
     pytest.importorskip("dolfinx")
-    by_pd, by_fem = (settled(sphere_head, GROWN, solver=solver, **FEM) for solver in (None, "fenicsx"))
+    by_pd, by_fem = (settle(sphere_head, GROWN, solver=solver, **FEM) for solver in (None, "fenicsx"))
     moved = np.abs(by_pd.displacement).max()
     assert by_fem.converged and np.abs(by_pd.positions - by_fem.positions).max() < 1e-6 * moved
 
 
 def test_a_law_settles_at_the_minimum_of_its_own_energy(sphere_head, by_law):
     """scikit-fem, whose stresses are written by hand, finds the same face from where bones carry the tets."""
-    scene = scene_under(neutral_scene(sphere_head, GROWN), "neo-Hookean")
+    scene = apply_law(neutral_scene(sphere_head, GROWN), "neo-Hookean")
     other = solve(scene, solver="skfem", tolerance=1e-10)
     assert by_law.converged and other.converged
     moved = np.abs(by_law.displacement).max()
@@ -40,12 +39,12 @@ def test_a_law_settles_at_the_minimum_of_its_own_energy(sphere_head, by_law):
 def test_targets_of_a_face_settled_by_pd_hide_what_a_law_changes(sphere_head, monkeypatch):
     """No target holds the flesh that settles; each then holds the skin where PD's flesh came to rest."""
     pytest.importorskip("dolfinx")
-    monkeypatch.setattr(settling, "fleshy", lambda head: np.ones(len(head.bone)))
+    monkeypatch.setattr("softdeca.reference.face.settle.fleshy", lambda head: np.ones(len(head.bone)))
     everywhere = np.ones(len(sphere_head.bone), dtype=bool)
     head = replace(sphere_head, regions=dict.fromkeys((*LEAN_REGIONS, "face", "neck"), everywhere))
-    by_pd, by_law = (settled(head, GROWN, law=law, bones="prescribed", **FEM) for law in ("PD", "neo-Hookean"))
+    by_pd, by_law = (settle(head, GROWN, law=law, bones="prescribed", **FEM) for law in ("PD", "neo-Hookean"))
     skin = head.skin.vertices
-    here = solve(scene_under(by_pd.scene(skin), "neo-Hookean"), solver="fenicsx", **FEM)
+    here = solve(apply_law(by_pd.scene(skin), "neo-Hookean"), solver="fenicsx", **FEM)
     hidden = np.linalg.norm(by_pd.skin_after(skin, here.positions) - by_pd.skin, axis=1).mean()
     own = np.linalg.norm(by_law.skin - by_pd.skin, axis=1).mean()
     assert own > 2.0 * hidden > 0.0
@@ -63,17 +62,17 @@ def test_expressions_of_a_settled_face_are_under_its_law(sphere_head, by_law):
 
 def test_a_law_may_be_a_function_of_its_moduli(sphere_head, by_law):
     pytest.importorskip("dolfinx")
-    same = settled(sphere_head, GROWN, law=materials.NeoHookean, **FEM)
+    same = settle(sphere_head, GROWN, law=materials.NeoHookean, **FEM)
     np.testing.assert_allclose(same.positions, by_law.positions, atol=1e-9)
 
 
 @pytest.mark.parametrize("parameters", [Parameters(), GROWN])
 def test_unknown_laws_are_named(sphere_head, parameters):
     with pytest.raises(SceneError, match="law 'Ogden': there are PD, neo-Hookean"):
-        settled(sphere_head, parameters, law="Ogden")
+        settle(sphere_head, parameters, law="Ogden")
 
 
 def test_a_law_refuses_what_has_no_counterpart(sphere_head):
     with pytest.raises(SceneError, match="strain limit"):
-        settled(sphere_head, Parameters(strain_limit=1.2), law="neo-Hookean")
-    assert settled(sphere_head, Parameters(strain_limit=1.2)).law == PD_ENERGY
+        settle(sphere_head, Parameters(strain_limit=1.2), law="neo-Hookean")
+    assert settle(sphere_head, Parameters(strain_limit=1.2)).law == PD_ENERGY

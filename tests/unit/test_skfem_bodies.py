@@ -9,10 +9,10 @@ from softdeca.lhm.head import CRANIUM, MANDIBLE
 from softdeca.reference import Scene, solve, terms
 from softdeca.reference.problems import meshes
 from softdeca.reference.skfem import prepare
-from softdeca.reference.skfem.bending import Bends
 from softdeca.reference.skfem.discretisation import Discretisation
 from softdeca.reference.skfem.energy import Energy
-from softdeca.reference.skfem.laws import project_spd
+from softdeca.reference.skfem.solids import project_spd
+from softdeca.reference.skfem.surfaces import Bends
 from softdeca.reference.skfem.unknowns import Body, Unknowns
 
 

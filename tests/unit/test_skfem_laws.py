@@ -7,11 +7,19 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from softdeca.reference.materials import Volumetric
-from softdeca.reference.skfem.invariants import IsochoricPolynomial, StableNeoHookean, StVenantKirchhoff
-from softdeca.reference.skfem.laws import Corotated, Grown, NeoHookean, Strain, Volume, project_spd
-from softdeca.reference.skfem.membrane import Membrane, rest_gradients
-from softdeca.reference.skfem.projections import nearest_of_determinant, signed_svd
+from softdeca.reference import materials
+from softdeca.reference.skfem.discretisation import rest_gradients
+from softdeca.reference.skfem.solids import (
+    ByInvariants,
+    ByRotation,
+    Grown,
+    Strain,
+    Volume,
+    nearest_of_determinant,
+    project_spd,
+    signed_svd,
+)
+from softdeca.reference.skfem.surfaces import Membrane
 
 COUNT = 40
 
@@ -20,14 +28,15 @@ def full(value):
     return np.full(COUNT, float(value))
 
 
+KAPPA = 7.0 + 2.6 / 3
 ISOTROPIC = {
-    "NeoHookean": NeoHookean(1.3, 7.0),
-    "StableNeoHookean": StableNeoHookean(1.3, 7.0),
-    "Corotated": Corotated(1.3, 7.0),
-    "StVenantKirchhoff": StVenantKirchhoff(1.3, 7.0),
-    "isochoric, quadratic": IsochoricPolynomial(0.65, 0.0, 0.0, 7.0 + 2.6 / 3, Volumetric.QUADRATIC),
-    "isochoric, logarithmic": IsochoricPolynomial(0.65, 0.0, 0.0, 7.0 + 2.6 / 3, Volumetric.LOGARITHMIC),
-    "Mooney-Rivlin": IsochoricPolynomial(0.4, 0.25, 0.3, 7.0 + 2.6 / 3, Volumetric.QUADRATIC),
+    "NeoHookean": ByInvariants(materials.NeoHookean(1.3, 7.0)),
+    "StableNeoHookean": ByInvariants(materials.StableNeoHookean(1.3, 7.0)),
+    "Corotated": ByRotation(materials.Corotated(1.3, 7.0)),
+    "StVenantKirchhoff": ByInvariants(materials.StVenantKirchhoff(1.3, 7.0)),
+    "isochoric, quadratic": ByInvariants(materials.IsochoricNeoHookean(1.3, KAPPA)),
+    "isochoric, logarithmic": ByInvariants(materials.IsochoricNeoHookean(1.3, KAPPA, "kappa/4 (J^2-1-2 ln J)")),
+    "Mooney-Rivlin": ByInvariants(materials.MooneyRivlin(0.4, 0.25, KAPPA, C20=0.3)),
 }
 LAWS = {
     **ISOTROPIC,
@@ -36,7 +45,7 @@ LAWS = {
     "Volume": Volume(full(3.0), full(1.0)),
     "Volume with growth": Volume(full(3.0), full(1.4)),
     "Strain with growth": Grown(Strain(full(2.0), full(1.0)), full(1.4), full(1.4 ** (2 / 3))),
-    "NeoHookean with growth": Grown(NeoHookean(1.3, 7.0), full(1.4), full(1.4)),
+    "NeoHookean with growth": Grown(ISOTROPIC["NeoHookean"], full(1.4), full(1.4)),
 }
 INFINITE_AT_INVERSION = [
     "NeoHookean",

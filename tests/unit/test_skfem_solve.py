@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from softdeca.reference import Reason, Scene, SceneError, prepare, solve
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems import meshes
-from softdeca.reference.skfem.definite import solve_definite, solve_semidefinite
 from softdeca.reference.skfem.discretisation import Discretisation
 from softdeca.reference.skfem.energy import Energy
+from softdeca.reference.skfem.newton import solve_definite, solve_semidefinite
 from softdeca.reference.terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
 
 

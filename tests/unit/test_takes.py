@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softdeca.lhm import InputError, expressions
-from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resampled, rotations
+from softdeca.lhm.expressions import ARKIT, Take, index, read_take, resample, rotations
 
 NAMES = [name[0].upper() + name[1:] for name in ARKIT]
 HEADER = ["Timecode", "BlendShapeCount", *NAMES, "HeadYaw"]
@@ -105,7 +105,7 @@ def test_lines_without_a_face_are_left_out_and_counted(write):
     assert take.lost == 8 and take.rate == 60
     np.testing.assert_allclose(take.times, (kept - 1) / 60, atol=1e-9)
     np.testing.assert_array_equal(take.weights, ramp(12)[kept])
-    even = resampled(take, 60.0)
+    even = resample(take, 60.0)
     np.testing.assert_allclose(even.weights, ramp(12)[1:11], atol=1e-9)
     np.testing.assert_allclose(even.gaps, [[2 / 60, 9 / 60]], atol=1e-9)
     assert even.remarks() == ("8 frames without a face left out; the weights between are read off a line",)
@@ -128,7 +128,7 @@ def test_a_real_take_with_lost_faces_is_read(data):
 def test_only_what_is_used_is_counted(write):
     values = ramp(120)
     values[10, 3], values[100, 3:5] = 1.05, -0.01
-    take = resampled(read_take(write(csv_text(values, timecodes(120)))), 60.0)
+    take = resample(read_take(write(csv_text(values, timecodes(120)))), 60.0)
     assert take.clipped == 3
     assert take.part(slice(0, 60)).clipped == 1 and take.part(slice(20, 60)).clipped == 0
     assert take.part(slice(20, 60)).remarks() == ()
@@ -144,7 +144,7 @@ def test_the_head_is_kept_where_it_was_tracked(write):
         lines.append(",".join([code, "61", *map(str, row), *map(repr, angle.tolist())]))
     take = read_take(write("\n".join(lines)))
     np.testing.assert_allclose(take.head, angles * [-1, 1, -1], atol=1e-15)
-    twice = resampled(take, 120.0)
+    twice = resample(take, 120.0)
     np.testing.assert_allclose(twice.head[::2], take.head, atol=1e-9)
     assert take.part(slice(3, 5)).head.shape == (2, 3)
     still = [line.rsplit(",", 3)[0] + ",0,0,0.0" for line in lines[1:]]
@@ -307,7 +307,7 @@ def test_takes_check_what_they_are_made_of():
     with pytest.raises(InputError, match="frame 2"):
         Take(good, 30.0, [0.0, 0.1, 0.1])
     with pytest.raises(InputError, match="rate: inf"):
-        resampled(Take(good, 30.0, np.arange(3) / 30), np.inf)
+        resample(Take(good, 30.0, np.arange(3) / 30), np.inf)
     with pytest.raises(ValueError, match="read-only"):
         Take(good, 30.0, np.arange(3) / 30).weights[0, 0] = 1.0
 
@@ -319,10 +319,10 @@ def sine(frequency, rate=60.0, seconds=4.0):
 
 def test_rising_rate_interpolates_linearly():
     take = Take(ramp(31), 30.0, np.arange(31) / 30)
-    finer = resampled(take, 120.0)
+    finer = resample(take, 120.0)
     assert finer.weights.shape == (121, 52) and finer.duration == pytest.approx(1.0)
     np.testing.assert_allclose(finer.weights, ramp(121), atol=1e-12)
-    np.testing.assert_allclose(resampled(finer, 120.0).weights, finer.weights, atol=1e-12)
+    np.testing.assert_allclose(resample(finer, 120.0).weights, finer.weights, atol=1e-12)
 
 
 def test_falling_rate_averages():
@@ -331,18 +331,18 @@ def test_falling_rate_averages():
     Read off without the box, the 14 Hz would come back as 1 Hz at full amplitude. Linear interpolation between frames
     at 60 Hz keeps (sin(pi f/60)/(pi f/60))² = 0.83 of it before.
     """
-    coarse = resampled(sine(14.0), 15.0)
+    coarse = resample(sine(14.0), 15.0)
     inner = coarse.weights[1:-1, 0]
     expected = 0.071 * 0.83 * 0.5
     assert np.abs(inner - 0.5).max() == pytest.approx(expected, rel=0.1)
-    slow = resampled(sine(0.5), 15.0)
+    slow = resample(sine(0.5), 15.0)
     np.testing.assert_allclose(slow.weights[1:-1, 0], 0.5 + 0.5 * np.sin(np.pi * slow.times[1:-1]), atol=2e-3)
 
 
 def test_a_gap_is_bridged_in_time():
     times = np.delete(np.arange(31) / 30, [10, 11, 12])
     take = Take(np.repeat(times[:, None], 52, axis=1), 30.0, times)
-    even = resampled(take, 30.0)
+    even = resample(take, 30.0)
     np.testing.assert_allclose(even.weights[:, 0], np.arange(31) / 30, atol=1e-12)
     one = Take(np.full((1, 52), 0.3), 60.0, [0.0])
-    np.testing.assert_array_equal(resampled(one, 30.0).weights, one.weights)
+    np.testing.assert_array_equal(resample(one, 30.0).weights, one.weights)

@@ -7,7 +7,7 @@ import pytest
 from softdeca.lhm import InputError, MeshError, TetMesh
 from softdeca.lhm.base.files.tet_file import TaggedTets, read_tets, write_tets
 from softdeca.lhm.head_file import MUSCLE, SOFT, of_head
-from softdeca.lhm.refine import refined_head
+from softdeca.lhm.remesh import refine_head
 
 SUFFIXES = [".msh", ".vtu", ".xdmf", ".mesh"]
 
@@ -41,7 +41,7 @@ def test_the_named_surfaces_are_the_wraps(sphere_head, layers):
 
 
 def test_a_volume_mesh_is_written_as_it_is(tmp_path, spheres):
-    finer = refined_head(spheres(1))
+    finer = refine_head(spheres(1))
     write_tets(tmp_path / "finer.vtu", of_head(finer))
     again = read_tets(tmp_path / "finer.vtu")
     assert np.array_equal(again.mesh.tets, finer.tets)

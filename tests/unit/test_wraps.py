@@ -77,7 +77,7 @@ def test_climb_untangles_what_noise_inverted(ball):
     stack = stacked(unit, 100.0, 94.0, 90.0)
     stack[columns.n :] += 1.5 * rng.standard_normal((2 * columns.n, 3))
     assert (inner.sines(stack, columns.tets) <= 0).sum() > 5
-    better = climb.improved(columns, stack, least=0.5)
+    better = climb.improve(columns, stack, least=0.5)
     assert inner.sines(better, columns.tets).min() > 0.02
     assert np.abs(np.linalg.norm(better[: columns.n], axis=1) - 100.0).max() < 1.0
 
@@ -85,7 +85,7 @@ def test_climb_untangles_what_noise_inverted(ball):
 def test_valid_layers_leave_good_ones_alone(ball):
     columns, unit = ball
     stack = stacked(unit, 100.0, 94.0, 90.0)
-    assert np.array_equal(inner.valid_layers(columns, stack), stack)
+    assert np.array_equal(inner.make_valid(columns, stack), stack)
 
 
 def test_valid_layers_of_wraps_that_cross(ball):
@@ -93,7 +93,7 @@ def test_valid_layers_of_wraps_that_cross(ball):
     dent = np.where(unit[:, 1:2] > 0.9, -14.0, 0.0)
     stack = stacked(unit, 100.0, 94.0, 90.0)
     stack[2 * columns.n :] -= dent * unit  # the skull wrap passes through the others there
-    valid = inner.valid_layers(columns, stack)
+    valid = inner.make_valid(columns, stack)
     skin_pairs, pairs = inner.Crossings.of(columns, valid).find(valid)
     assert len(skin_pairs) == len(pairs) == 0
     assert smallest_dihedrals(valid, columns.tets).min() > 2.0
@@ -102,4 +102,4 @@ def test_valid_layers_of_wraps_that_cross(ball):
 def test_a_skin_wrap_that_is_flat_is_refused(ball):
     columns, unit = ball
     with pytest.raises(FitError, match="tets are flat or inverted|cross"):
-        inner.valid_layers(columns, stacked(unit * [1.0, 1.0, 1e-3], 100.0, 94.0, 90.0))
+        inner.make_valid(columns, stacked(unit * [1.0, 1.0, 1e-3], 100.0, 94.0, 90.0))

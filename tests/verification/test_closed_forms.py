@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
 from softdeca.reference import Scene, solve
-from softdeca.reference.problems import bars, flexure, meshes, stretched_laws, torsion
+from softdeca.reference.problems import bars, homogeneous, incompressible, meshes
 from softdeca.reference.problems.homogeneous import (
     COMPRESSED_DENSITIES,
     LIMIT,
@@ -73,17 +73,17 @@ def guccione(fibre):
     return psi
 
 
-RIVLIN = polynomial(stretched_laws.C1, stretched_laws.C2, 0, lambda J: stretched_laws.BULK / 2 * (J - 1) ** 2)
+RIVLIN = polynomial(homogeneous.C1, homogeneous.C2, 0, lambda J: homogeneous.BULK / 2 * (J - 1) ** 2)
 DENSITIES = {
-    stretched_laws.COROTATED: corotated,
-    stretched_laws.KIRCHHOFF: kirchhoff,
-    stretched_laws.STABLE: stable,
-    stretched_laws.QUADRATIC: polynomial(MU / 2, 0, 0, lambda J: KAPPA / 2 * (J - 1) ** 2),
-    stretched_laws.LOGARITHMIC: polynomial(MU / 2, 0, 0, lambda J: KAPPA / 4 * (J**2 - 1 - 2 * np.log(J))),
-    stretched_laws.POLYNOMIAL: polynomial(0.1, 0.05, 0.02, lambda J: 5 / 3 * (J - 1) ** 2),
-    stretched_laws.ALONG: guccione(0),
-    stretched_laws.ACROSS: guccione(2),
-    stretched_laws.RIVLIN: RIVLIN,
+    homogeneous.COROTATED: corotated,
+    homogeneous.KIRCHHOFF: kirchhoff,
+    homogeneous.STABLE: stable,
+    homogeneous.QUADRATIC: polynomial(MU / 2, 0, 0, lambda J: KAPPA / 2 * (J - 1) ** 2),
+    homogeneous.LOGARITHMIC: polynomial(MU / 2, 0, 0, lambda J: KAPPA / 4 * (J**2 - 1 - 2 * np.log(J))),
+    homogeneous.POLYNOMIAL: polynomial(0.1, 0.05, 0.02, lambda J: 5 / 3 * (J - 1) ** 2),
+    homogeneous.ALONG: guccione(0),
+    homogeneous.ACROSS: guccione(2),
+    homogeneous.RIVLIN: RIVLIN,
 }
 
 
@@ -108,7 +108,7 @@ def free_stretch_and_stress(row, stretch):
 
 @pytest.mark.parametrize(
     "row",
-    [*stretched_laws.CLOSED_ROWS, stretched_laws.CRUSHED_ROW, *stretched_laws.SOLVED_ROWS, *stretched_laws.FIBRE_ROWS],
+    [*homogeneous.CLOSED_ROWS, homogeneous.CRUSHED_ROW, *homogeneous.SOLVED_ROWS, *homogeneous.FIBRE_ROWS],
     ids=lambda row: f"{row.label} {row.stretch}",
 )
 def test_rows_of_stretched_laws(row):
@@ -117,13 +117,13 @@ def test_rows_of_stretched_laws(row):
     assert stress == pytest.approx(row.stress, abs=1e-10)
 
 
-@pytest.mark.parametrize("row", stretched_laws.RIVLIN_ROWS, ids=lambda row: f"{row.label} {row.stretch}")
+@pytest.mark.parametrize("row", homogeneous.RIVLIN_ROWS, ids=lambda row: f"{row.label} {row.stretch}")
 def test_compressibility_errors_of_mooney_rivlin(row):
     """The body of large bulk modulus, solved exactly, is off the incompressible one by the error derived."""
     free, _ = free_stretch_and_stress(row, row.stretch)
-    assert free / row.free_stretch - 1 == pytest.approx(stretched_laws.free_stretch_error(row), rel=1e-3)
+    assert free / row.free_stretch - 1 == pytest.approx(homogeneous.free_stretch_error(row), rel=1e-3)
     loaded = brentq(lambda held: free_stretch_and_stress(row, held)[1] - row.stress, 1.1, 2.5, xtol=1e-14)
-    assert loaded / row.stretch - 1 == pytest.approx(stretched_laws.stretch_error(row), rel=1e-3)
+    assert loaded / row.stretch - 1 == pytest.approx(homogeneous.stretch_error(row), rel=1e-3)
 
 
 def volume_distance(stretch, lateral):
@@ -168,48 +168,52 @@ def gradient(motion, X, h=1e-6):
 def test_the_bent_block_keeps_volume_and_its_curved_faces_carry_no_load():
     """The equation along r, d(sigma_rr)/dr = (sigma_tt - sigma_rr)/r, takes sigma_rr from 0 to 0 through the block."""
     for x in (-0.5, -0.1, 0.4):
-        F = gradient(flexure.bent, np.array([[x, 0.7, 0.3]]))
+        F = gradient(incompressible.bent, np.array([[x, 0.7, 0.3]]))
         assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-8)
-    r = [float(np.sqrt(2 * flexure.RADIUS * x + flexure.offset())) for x in (-0.5, 0.5)]
+    r = [float(np.sqrt(2 * incompressible.BLOCK_RADIUS * x + incompressible.offset())) for x in (-0.5, 0.5)]
 
     def slope(r):
-        stretch = r / flexure.RADIUS
+        stretch = r / incompressible.BLOCK_RADIUS
         return (stretch**2 - stretch**-2) / r
 
     assert quad(slope, *r)[0] == pytest.approx(0.0, abs=1e-12)
 
     def density(x):
-        F = gradient(flexure.bent, np.array([[x, 0.0, 0.0]]))
+        F = gradient(incompressible.bent, np.array([[x, 0.0, 0.0]]))
         return (np.sum(F * F) - 3) / 2
 
-    assert flexure.LENGTH * quad(density, -0.5, 0.5)[0] == pytest.approx(flexure.energy_per_depth(), rel=1e-7)
+    assert incompressible.BLOCK_LENGTH * quad(density, -0.5, 0.5)[0] == pytest.approx(
+        incompressible.energy_per_depth(), rel=1e-7
+    )
 
 
-@pytest.mark.parametrize("label", torsion.LAWS)
+@pytest.mark.parametrize("label", incompressible.CYLINDER_LAWS)
 def test_the_twisted_cylinder_s_energy(label):
-    C10, C01 = torsion.LAWS[label]
+    C10, C01 = incompressible.CYLINDER_LAWS[label]
     stretch = 1.2
 
     def density(R):
-        F = gradient(lambda X: torsion.turned(X, stretch), np.array([[R, 0.0, 0.5]]))
+        F = gradient(lambda X: incompressible.twisted(X, stretch), np.array([[R, 0.0, 0.5]]))
         assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-8)
         C = F.T @ F
         return C10 * (np.trace(C) - 3) + C01 * ((np.trace(C) ** 2 - np.sum(C * C)) / 2 - 3)
 
-    energy = torsion.LENGTH * quad(lambda R: 2 * np.pi * R * density(R), 0.0, 1.0)[0]
-    assert energy == pytest.approx(torsion.expected(C10, C01, stretch), rel=1e-7)
+    energy = incompressible.CYLINDER_LENGTH * quad(lambda R: 2 * np.pi * R * density(R), 0.0, 1.0)[0]
+    assert energy == pytest.approx(incompressible.twisting_energy(C10, C01, stretch), rel=1e-7)
 
 
 def test_the_twisted_cylinder_lengthens():
     """Poynting: without axial force the neo-Hookean cylinder's energy is least at the stretch that is stated."""
-    found = minimize_scalar(lambda s: torsion.expected(0.5, 0.0, s), bounds=(0.9, 1.3), method="bounded").x
-    assert found == pytest.approx(torsion.POYNTING, abs=1e-5) and found > 1.05
-    X, tets = torsion.cylinder(3)
+    found = minimize_scalar(
+        lambda s: incompressible.twisting_energy(0.5, 0.0, s), bounds=(0.9, 1.3), method="bounded"
+    ).x
+    assert found == pytest.approx(incompressible.POYNTING, abs=1e-5) and found > 1.05
+    X, tets = incompressible.cylinder(3)
     corners = X[tets]
     volumes = Scene(X, tets, []).volumes
     # The exact integral of r² over a tet is that of a quadratic: a twentieth of the corners' squares and sum squared.
     squares = np.sum(corners[:, :, :2] ** 2, axis=(1, 2)) + np.sum(corners[:, :, :2].sum(axis=1) ** 2, axis=1)
-    assert volumes @ squares / 20 == pytest.approx(torsion.LENGTH * np.pi / 2, rel=1e-12)
+    assert volumes @ squares / 20 == pytest.approx(incompressible.CYLINDER_LENGTH * np.pi / 2, rel=1e-12)
 
 
 def test_limited_row():

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.reference.materials import NeoHookean
-from softdeca.reference.problems import locking, manufactured, orders
+from softdeca.reference.problems import cook, manufactured
 from softdeca.reference.problems.manufactured import FIELDS, vortex
 
 
@@ -41,19 +41,19 @@ def test_the_vortex_keeps_volumes():
     assert np.abs(u).max() > 0.03
 
 
-@pytest.mark.parametrize("element", orders.ORDERS)
+@pytest.mark.parametrize("element", manufactured.ORDERS)
 def test_orders_of_convergence(element):
     """V14: P1 2/1, P2 3/2, Taylor-Hood 3/2 and its pressure 2, within .1 over the two finest meshes."""
-    found, finest = orders.rates(element, *orders.NEAR_THEORY, orders.LEVELS[element][-2:])
-    assert [outcome.reference for outcome in found] == list(orders.ORDERS[element].values())
-    assert finest.cells == orders.LEVELS[element][-1]
+    found, finest = manufactured.rates(element, *manufactured.NEAR_THEORY, manufactured.LEVELS[element][-2:])
+    assert [outcome.reference for outcome in found] == list(manufactured.ORDERS[element].values())
+    assert finest.cells == manufactured.LEVELS[element][-1]
     for outcome in found:
-        assert outcome.bound == orders.SPREAD and outcome.passed, f"{outcome.problem}: {outcome.value:.3f}"
+        assert outcome.bound == manufactured.SPREAD and outcome.passed, f"{outcome.problem}: {outcome.value:.3f}"
 
 
 def test_linear_tets_lose_their_order_near_a_half_and_taylor_hood_does_not():
     """V14 on the field that keeps volume, on coarse meshes."""
-    locked, kept = (orders.rates(element, "vortex", 0.4999, (4, 6))[0] for element in ("P1", "P2P1"))
+    locked, kept = (manufactured.rates(element, "vortex", 0.4999, (4, 6))[0] for element in ("P1", "P2P1"))
     assert [outcome.reason for outcome in (*locked, *kept)] == ["CONVERGED"] * 5
     assert max(outcome.value for outcome in locked) < 0.3
     assert kept[0].value > 2.5 and kept[1].value > 1.3
@@ -69,7 +69,7 @@ def test_taylor_hood_bears_a_poisson_ratio_near_a_half():
 @pytest.mark.parametrize("poisson", [0.3, 0.4999])
 def test_linear_tets_lock_and_taylor_hood_does_not(poisson):
     """H8 on Cook's membrane."""
-    limit, mixed, linear, projective = locking.sweep(poisson, 12, 16)
+    limit, mixed, linear, projective = cook.sweep(poisson, 12, 16)
     assert all(row.converged for row in (limit, mixed, linear, projective))
     assert abs(mixed.share - 1) < 0.005
     if poisson == 0.3:

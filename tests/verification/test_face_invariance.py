@@ -11,8 +11,8 @@ import pytest
 
 from softdeca.lhm import Surface, expressions, fit_head, identities, load_template
 from softdeca.lhm.head import MANDIBLE
-from softdeca.reference import Parameters, settled, solve
-from softdeca.reference.face.bones import scaled_skull
+from softdeca.reference import Parameters, settle, solve
+from softdeca.reference.face.bones import scale_skull
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 SMILE = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.2, "jawOpen": 0.3}
@@ -43,7 +43,7 @@ def mirror(head):
 
 def simulate(head, parameters, expression, solver="projective"):
     """The skin [mm] of an expression of the settled face."""
-    face = settled(head, parameters, tolerance=1e-8)
+    face = settle(head, parameters, tolerance=1e-8)
     solution = solve(face.scene(expression), solver=solver, start=face.positions, tolerance=1e-8, max_iterations=3000)
     assert face.converged and solution.converged
     return face.skin_after(expression, solution.positions)
@@ -78,8 +78,8 @@ def test_all_stiffnesses_doubled_change_nothing(head, smile):
 @pytest.mark.parametrize("axis", ["y", "z"])
 def test_the_chin_goes_where_its_bone_goes(head, axis):
     p = Parameters(**{f"mandible_scale_{axis}": 1.15})
-    skin = settled(head, p, tolerance=1e-8).skin - head.skin.vertices
-    bone = scaled_skull(head, p) - head.skull_wrap.vertices
+    skin = settle(head, p, tolerance=1e-8).skin - head.skin.vertices
+    bone = scale_skull(head, p) - head.skull_wrap.vertices
     along = "xyz".index(axis)
     wrap = head.skin_wrap.vertices
     middle = np.abs(wrap[:, 0] - np.median(wrap[:, 0])) < 25.0
@@ -101,7 +101,7 @@ def test_the_chin_goes_where_its_bone_goes(head, axis):
     ids=["volume", "gravity", "bone"],
 )
 def test_an_effect_of_half_the_strength_does_about_half(head, half, whole):
-    less, more = (settled(head, p, tolerance=1e-8).displacement for p in (half, whole))
+    less, more = (settle(head, p, tolerance=1e-8).displacement for p in (half, whole))
     assert np.linalg.norm(more, axis=1).max() > 0.3
     assert np.linalg.norm(2.0 * less - more) < 0.15 * np.linalg.norm(more)
 

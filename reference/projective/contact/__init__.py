@@ -1,5 +1,5 @@
 """Contact of a surface with itself, solved after the scene without it (SoftDECA 3.3.2)."""
 
-from .following import Following
+from .solver import ContactSolver
 
-__all__ = ["Following"]
+__all__ = ["ContactSolver"]

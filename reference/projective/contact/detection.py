@@ -1,4 +1,7 @@
-"""Where a surface goes through itself: vertices in the flesh of another part, and edges that cross."""
+"""The surface a Contact term keeps from crossing itself, and the flesh behind it: what does not change in a solve.
+
+Where a surface goes through itself: vertices in the flesh of another part, and edges that cross.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,93 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_matrix, identity
 
+from ....lhm.base.errors import SceneError
+from ....lhm.base.geometry.bvh import TetTree, TriangleTree
 from ....lhm.base.geometry.triangles import crossed_edges, parting_shifts
 from ....lhm.base.mesh import Floats, Ints, Surface
-from .rows import Rows
-from .surface import ContactSurface
+from ...scene import Scene
+from ...terms import Contact
+from .constraints import Constraints
+
+REACH = 15.0
+"""How far behind the surface [mm] flesh is looked through for vertices that went in: the deepest overlap seen."""
+ON_A_FACE = 1e-6
+"""A vertex with a lesser barycentric weight in a tet touches it only."""
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+"""A tet's faces, each seen counter-clockwise from outside."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSurface:
+    """Triangles (m, 3) over the surface's own k vertices, which are `ids` of the scene, and the tets behind them.
+
+    areas (k,): rest areas [mm²] of the vertices; near: sorted numbers i k + j of vertices i
+    and j that lie within two edges of one another.
+    """
+
+    term: Contact
+    ids: Ints
+    triangles: Ints
+    areas: Floats
+    near: Ints
+    rest: TriangleTree
+    flesh: TetTree
+
+    @classmethod
+    def of(cls, scene: Scene, term: Contact) -> ContactSurface:
+        """The surface of a term and what lies behind it.
+
+        Raises SceneError for a triangle that is no face of the tets' surface or is seen from inside, and for a vertex
+        that lies in the flesh at rest, where nothing tells which way it came in.
+        """
+        _check_faces(scene, term)
+        ids, local = np.unique(term.triangles, return_inverse=True)
+        triangles = local.reshape(-1, 3)
+        surface = Surface(scene.vertices[ids], triangles)
+        rest = TriangleTree(surface.vertices, triangles)
+        centres = scene.vertices[scene.tets].mean(axis=1)
+        behind = scene.tets[rest.closest(centres)[2] < REACH]
+        flesh = TetTree(scene.vertices, behind)
+        held, weights = flesh.containing(surface.vertices, ids)
+        inside = held[weights.min(axis=1) > ON_A_FACE, 0]
+        if inside.size:
+            raise SceneError(f"Contact: vertex {ids[inside[0]]} lies inside another tet at rest: parts overlap there")
+        return cls(term, ids, triangles, surface.vertex_areas, _near_pairs(triangles), rest, flesh)
+
+    def are_near(self, first: Ints, second: Ints) -> np.ndarray:
+        """Whether pairs of the surface's vertices lie within two edges of one another."""
+        keys = first * len(self.ids) + second
+        return self.near[np.minimum(np.searchsorted(self.near, keys), len(self.near) - 1)] == keys
+
+
+def _check_faces(scene: Scene, term: Contact):
+    touched = np.zeros(len(scene.vertices), dtype=bool)
+    touched[term.triangles] = True
+    faces = scene.tets[:, FACES].reshape(-1, 3)
+    faces = faces[touched[faces].all(axis=1)]
+    _, which, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
+    border = {_rotated(face) for face in faces[count[which.ravel()] == 1].tolist()}
+    for number, triangle in enumerate(term.triangles.tolist()):
+        if _rotated(triangle) not in border:
+            how = "is seen from inside" if _rotated(triangle[::-1]) in border else "is no face of the tets' surface"
+            raise SceneError(f"Contact: triangle {number} {triangle} {how}")
+
+
+def _rotated(triangle: list[int]) -> tuple[int, ...]:
+    """The same triangle from its least vertex on."""
+    first = triangle.index(min(triangle))
+    return (*triangle[first:], *triangle[:first])
+
+
+def _near_pairs(triangles: Ints) -> Ints:
+    n = triangles.max() + 1
+    rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
+    ring = csr_matrix((np.ones(len(rows), dtype=np.int32), (rows, columns)), shape=(n, n)) + identity(n, dtype=np.int32)
+    pairs = (ring @ ring).tocoo()
+    return np.sort(pairs.row.astype(np.int64) * n + pairs.col)
+
 
 TURNED = 0.3
 """A triangle whose normal has more than this cosine with a vertex' own is no place that the vertex went in at."""
@@ -30,18 +115,18 @@ class Detection:
     that would part a crossing pair.
     """
 
-    rows: Rows
+    rows: Constraints
     pairs: int
     depth: float
 
     @classmethod
     def together(cls, parts: Sequence[Detection]) -> Detection:
         """What was found on several surfaces."""
-        rows = Rows.joined([part.rows for part in parts])
+        rows = Constraints.joined([part.rows for part in parts])
         return cls(rows, sum(part.pairs for part in parts), max(part.depth for part in parts))
 
 
-def detect(contact: ContactSurface, x: Floats, earlier: Rows | None = None) -> Detection:
+def detect(contact: ContactSurface, x: Floats, earlier: Constraints | None = None) -> Detection:
     """Look for contact at positions x [mm], shape (scene's vertices, 3).
 
     Edges of `earlier` constraints that pushed are watched still, for they stop to cross when they are parted.
@@ -65,7 +150,7 @@ def detect(contact: ContactSurface, x: Floats, earlier: Rows | None = None) -> D
         _edge_rows(contact, points, normals, edges[~np.isin(edges, inner).any(axis=1)]),
     ]
     depths = np.concatenate([np.minimum(distance[inner], away), parting_shifts(first, second)])
-    return Detection(Rows.joined(parts), len(pairs), float(depths.max(initial=0.0)))
+    return Detection(Constraints.joined(parts), len(pairs), float(depths.max(initial=0.0)))
 
 
 def _directions(gaps: Floats, faces: Floats) -> Floats:
@@ -134,7 +219,7 @@ def _watched(
     return outer[~_is_near(contact, outer, facing[outer])]
 
 
-def _kept(contact: ContactSurface, earlier: Rows | None) -> Ints:
+def _kept(contact: ContactSurface, earlier: Constraints | None) -> Ints:
     """The edges of earlier constraints on this surface that push, shape (r, 4)."""
     if earlier is None:
         return np.zeros((0, 4), dtype=np.int64)
@@ -143,7 +228,7 @@ def _kept(contact: ContactSurface, earlier: Rows | None) -> Ints:
     return local[(contact.ids[local] == edges).all(axis=1)]
 
 
-def _held(contact: ContactSurface, x: Floats, found: Ints, earlier: Rows | None) -> Rows:
+def _held(contact: ContactSurface, x: Floats, found: Ints, earlier: Constraints | None) -> Constraints:
     """Earlier constraints of vertices that push, against the same triangles, but of vertices that were `found` anew.
 
     Without them a vertex that was parted from something that does not face it would go back in.
@@ -157,7 +242,7 @@ def _held(contact: ContactSurface, x: Floats, found: Ints, earlier: Rows | None)
     return rows.chosen(np.abs(rows.gaps(x)) < MARGIN * np.sqrt(contact.areas.mean()))
 
 
-def _vertex_rows(contact: ContactSurface, vertices: Ints, triangles: Ints, at: Floats, normals: Floats) -> Rows:
+def _vertex_rows(contact: ContactSurface, vertices: Ints, triangles: Ints, at: Floats, normals: Floats) -> Constraints:
     ids = contact.ids[np.column_stack([vertices, contact.triangles[triangles]])]
     weights = np.column_stack([np.ones(len(vertices)), -at])
     return _rows(contact, ids, weights, normals, contact.areas[vertices])
@@ -175,7 +260,7 @@ def _crossed(contact: ContactSurface, pairs: Ints, crossed: Ints) -> Ints:
     return np.where(swap, np.hstack([second, first]), np.hstack([first, second]))
 
 
-def _edge_rows(contact: ContactSurface, points: Floats, normals: Floats, edges: Ints) -> Rows:
+def _edge_rows(contact: ContactSurface, points: Floats, normals: Floats, edges: Ints) -> Constraints:
     """Constraints between edges (r, 4), where their nearest points lie inside both and they are not almost parallel."""
     edges = np.unique(edges, axis=0)
     edges = edges[~contact.are_near(edges[:, 0], edges[:, 2])]
@@ -204,6 +289,6 @@ def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-30)
 
 
-def _rows(contact: ContactSurface, ids: Ints, weights: Floats, normals: Floats, areas: Floats) -> Rows:
+def _rows(contact: ContactSurface, ids: Ints, weights: Floats, normals: Floats, areas: Floats) -> Constraints:
     thickness, none = np.full(len(ids), contact.term.thickness), np.zeros(len(ids))
-    return Rows(ids, weights, normals, contact.term.stiffness * areas, thickness, none)
+    return Constraints(ids, weights, normals, contact.term.stiffness * areas, thickness, none)

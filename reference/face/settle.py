@@ -1,0 +1,192 @@
+"""The neutral face under p: an effect such as weight, gravity or a longer jaw changes it before anything is expressed.
+
+The paper is silent about how targets, which hold the old surface, give way to a face that has grown. Here the neutral
+face settles first, with the bones at their scaled rest: where it is fleshy its flesh hangs on bone and on the face
+around alone, held by no target; elsewhere skin is held where the bones carry it. That displacement is then added to
+every target, so an expression moves the settled face.
+
+A face settles under a law. Answers of two laws are compared where each face has settled by its own law: targets that
+hold one law's settled face hide most of what the other law changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...lhm.base.checks import check_arguments
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
+from ...lhm.flesh import LEAN_REGIONS, flesh_share
+from ...lhm.head import FREE, LayeredHead
+from ...lhm.wraps.columns import fill_harmonically
+from .. import terms
+from ..added import all_solvers
+from ..scene import Scene
+from ..solution import Reason, Solution
+from ..solve import prepare
+from .bones import scale_skull
+from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
+from .palsy import skin_activation
+from .parameters import Parameters
+from .tissue import Stack
+
+TOLERANCE = 1e-6
+"""Gradient norm relative to its start."""
+ROUGH = 1e-4
+"""Gradient norm relative to its start of PD's answer, from which another law starts."""
+TARGET_OPTIONS: dict[str, Any] = {"tolerance": 1e-4, "max_iterations": 2000}
+"""Options of a face that only targets follow: it need be no more exact than they are."""
+GROWING = ("soft_volume", "muscle_volume", "skin_growth")
+"""Besides bone scales and added gravity, what changes a neutral face where it differs from 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class SettledFace:
+    """A head's neutral face at rest under p.
+
+    positions (scene's vertices, 3) [mm]: where the tets come to rest; displacement (skin vertices, 3) [mm]: by how much
+    the neutral skin moved. `solution` is None where p leaves the neutral face as it is. `choices` are those of
+    `facial_scene`, less the bones, which hang free in the expressions' scenes unless these say otherwise. `law` is the
+    one by which it settled, and by which `scene` moves it.
+    """
+
+    head: LayeredHead
+    parameters: Parameters
+    positions: Floats
+    displacement: Floats
+    solution: Solution | None = None
+    choices: dict[str, Any] = field(default_factory=dict)
+    law: FaceLaw = PD_ENERGY
+
+    @property
+    def skin(self) -> Floats:
+        """The neutral skin [mm] under p, shape (skin vertices, 3)."""
+        return self.head.skin.vertices + self.displacement
+
+    @property
+    def converged(self) -> bool:
+        """Whether it came to rest."""
+        return self.solution is None or self.solution.converged
+
+    @property
+    def reason(self) -> Reason:
+        """Why settling stopped."""
+        return Reason.CONVERGED if self.solution is None else self.solution.reason
+
+    def targets(self, expression: Floats) -> Floats:
+        """What the skin is drawn to [mm] for an expression of the head without p, shape (..., skin vertices, 3)."""
+        return expression + self.displacement
+
+    @cached_property
+    def activation(self) -> Floats | None:
+        """See `palsy.skin_activation`."""
+        return skin_activation(self.head, self.parameters)
+
+    def skin_after(self, expression: Floats, positions: Floats) -> Floats:
+        """The skin [mm], shape (skin vertices, 3), of an expression of the head without p, by its scene's positions."""
+        goal = self.targets(check_targets(self.head, expression, "expression"))
+        if self.activation is not None:
+            goal = self.skin + self.activation * (goal - self.skin)
+        return self.head.skin_after(goal, positions[: len(self.head.bone)])
+
+    def scene(self, expression: Floats, **choices: Any) -> Scene:
+        """Return the scene of an expression [mm], shape (skin vertices, 3), of the settled face under its law.
+
+        See `facial_scene` and `apply_law`.
+        """
+        given = {"neutral": self.skin} | self.choices | choices
+        targets = self.targets(check_targets(self.head, expression))
+        return apply_law(facial_scene(self.head, self.parameters, targets, **given), self.law)
+
+
+@check_arguments
+def settle(
+    head: LayeredHead,
+    parameters: Parameters,
+    *,
+    law: FaceLaw = PD_ENERGY,
+    solver: str | None = None,
+    tolerance: float = TOLERANCE,
+    max_iterations: int | None = None,
+    **choices: Any,
+) -> SettledFace:
+    """Settle the neutral face under p by a law; solve only where p changes it.
+
+    `law` is "PD" for projective dynamics' own energy, "neo-Hookean", the name of a law that was added, or a function of
+    Lamé's moduli (see `apply_law`). `solver` is by default "projective" for PD's energy and "fenicsx" for
+    another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
+    `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
+    answer that has not converged says so by `reason`. Raises what `facial_scene`, `apply_law` and the solver raise.
+    """
+    if not 0.0 < tolerance < 1.0:
+        raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
+    by = ("projective" if law == PD_ENERGY else "fenicsx") if solver is None else solver
+    if by not in all_solvers():
+        raise SceneError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
+    stack = Stack.from_head(head, choices.get("layers", (1, 1)), choices.get("without", ()))
+    if not changes_neutral(parameters):
+        kept = apply_law(facial_scene(head, parameters, head.skin.vertices, **choices), law)
+        return SettledFace(head, parameters, kept.vertices, np.zeros_like(head.skin.vertices), None, choices, law)
+    scene = neutral_scene(head, parameters, **choices)
+    start = np.array(scene.vertices)
+    start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
+    if law != PD_ENERGY:
+        start, scene = _start_of_law(scene, start), apply_law(scene, law)
+    solution = prepare(scene, solver=by).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
+    moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
+    return SettledFace(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)
+
+
+def _start_of_law(scene: Scene, start: Floats) -> Floats:
+    """Return PD's answer to a scene [mm], or `start` where PD inverts a tet: there a law's energy may be infinite."""
+    by_pd = prepare(scene).solve(start=start, tolerance=ROUGH)
+    return by_pd.positions if by_pd.converged and by_pd.volume_ratio.min() > 0.0 else start
+
+
+def changes_neutral(parameters: Parameters) -> bool:
+    """Whether the neutral face is not at rest under p: another volume, area, bone or gravity than it was made with."""
+    scales = np.concatenate([parameters.scale(bone) for bone in ("cranium", "mandible")])
+    grown = any(np.any(np.asarray(getattr(parameters, name)) != 1.0) for name in GROWING)
+    return grown or bool(np.any(scales != 1.0)) or bool(np.any(parameters.added_gravity))
+
+
+def neutral_scene(head: LayeredHead, parameters: Parameters, **choices: Any) -> Scene:
+    """The scene in which the neutral face settles: bones at their scaled rest, no target where the face is fleshy.
+
+    A palsy takes no part: it is of what draws a face to an expression.
+    """
+    parameters = replace(parameters, paralysis_left=0.0, paralysis_right=0.0)
+    skin = head.skin.vertices + carry_skin(head, parameters)
+    scene = facial_scene(head, parameters, skin, **choices | {"bones": "prescribed", "neutral": skin})
+    kept = 1.0 - (flesh_share(head) if all(name in head.regions for name in (*LEAN_REGIONS, "face", "neck")) else 0.0)
+    return replace(
+        scene,
+        terms=tuple(
+            replace(t, stiffness=t.stiffness * kept) if isinstance(t, terms.Target) else t for t in scene.terms
+        ),
+    )
+
+
+def bones_displacement(head: LayeredHead, parameters: Parameters) -> Floats:
+    """By how much bones that p scales carry the wraps [mm], shape (n, 3), harmonic along the skull between."""
+    moved = scale_skull(head, parameters) - head.skull_wrap.vertices
+    return fill_harmonically(head.skull_wrap.triangles, moved, head.bone != FREE) if moved.any() else moved
+
+
+def carry_skin(head: LayeredHead, parameters: Parameters) -> Floats:
+    """Displace the neutral skin with the bones that p scales, without physics [mm], shape (skin vertices, 3)."""
+    return head.skin_from_wrap @ bones_displacement(head, parameters)
+
+
+def carry_by_bones(head: LayeredHead, parameters: Parameters, stack: Stack | None = None) -> Floats:
+    """A stack's vertices [mm], by default the stacked wraps', all three moved by `bones_displacement`.
+
+    A start without inverted tets, from which the energy can only fall.
+    """
+    stack = Stack.from_head(head, (1, 1), ()) if stack is None else stack
+    moved = bones_displacement(head, parameters)
+    return stack.interpolate(*(wrap.vertices + moved for wrap in (head.skin_wrap, head.muscle_wrap, head.skull_wrap)))

@@ -1,0 +1,291 @@
+"""The tets of a facial scene: layers of a head's prisms or its own volume mesh, and where its vertices stand.
+
+A guard against inverted tets: thin tets of soft tissue resist stretches that no face has.
+
+The energies of Eq. 10 are finite at inversion, and a tet of half a millimetre, as at lids and lips, is inverted by
+targets that are some tenths of a millimetre off what its neighbours allow. Mesh motion meets the same with stiffness
+that grows as elements shrink (Stein, Tezduyar and Benney 2003); here it acts on none but extreme stretches.
+
+Connecting tets: what lies under the skull wrap, skull and eyes, tied to it by well-shaped tets (SoftDECA Eq. 15).
+
+The paper takes the three nearest vertices of a point; three that are adjacent make a better tet (design: method 2.8).
+
+A start for a fine mesh of a face: where the answer on a coarser one takes its vertices.
+
+The finer a mesh, the more of Newton's iterations go into large motions and elements that they crush, which the coarse
+mesh has settled at a small part of the cost. A template's levels are nested, each wrap's triangles those of the level
+before split into four; sub-layers lie evenly between the wraps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from ...lhm.base.checks import check_arguments
+from ...lhm.base.errors import SceneError
+from ...lhm.base.geometry.tets import untangle
+from ...lhm.base.geometry.topology import split_triangles
+from ...lhm.base.mesh import Floats, Ints, Surface, as_points, tet_volumes
+from ...lhm.head import CRANIUM, FREE, MANDIBLE, LayeredHead
+from ...lhm.layers import prism_tets, stack_wraps
+from ..scene import Scene
+from ..terms import Strain
+
+MOST_FOLDED = 2e-3
+"""Share of the tets from skin to skull that may be left out because they are folded."""
+FLATTEST = 1e-4
+"""The least volume of such a tet, over the median."""
+NEIGHBOURS = 8
+"""Vertices of the wraps with which one between them is carried along."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Rest vertices [mm] in which the skin wrap comes first and the skull wrap at `first_of_skull`; each tissue's tets.
+
+    `muscle` is None where soft tissue goes down to the skull; `counts` are the layers of each tissue's prisms, None
+    where the tets are a head's own volume mesh; `inner` (k, wraps' vertices) then has the weights with which vertices
+    between the wraps are carried along with them. `sound` masks the soft tets that are used, None for all.
+    """
+
+    vertices: Floats
+    soft: Ints
+    muscle: Ints | None
+    first_of_skull: int
+    counts: tuple[int, ...] | None
+    inner: csr_matrix | None = None
+    sound: np.ndarray | None = None
+
+    @classmethod
+    def from_head(cls, head: LayeredHead, layers: tuple[int, int], without: Collection[str]) -> Stack:
+        """A head's stack with so many layers of soft tissue and of muscle.
+
+        Raises SceneError for fewer than one, and for layers of a head whose tets are a volume mesh.
+        """
+        if len(layers) != 2 or min(layers) < 1 or not all(isinstance(count, (int, np.integer)) for count in layers):
+            raise SceneError(f"layers: expected two counts of at least 1 (soft tissue, muscle), got {layers!r}")
+        n = len(head.bone)
+        if head.volume is not None:
+            if tuple(layers) != (1, 1):
+                raise SceneError(f"layers {layers!r}: the head's tets are a volume mesh, not layers of prisms")
+            inner = _carrying(head.vertices, 3 * n)
+            if "muscle" in without:
+                return cls(head.vertices, head.tets, None, 2 * n, None, inner)
+            return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, None, inner)
+        if "muscle" in without:
+            return cls._from_merged(head, int(layers[0]))
+        if layers == (1, 1):
+            return cls(head.vertices, head.soft.tets, head.muscle.tets, 2 * n, layers)
+        soft, muscle = head.sub_layers(*layers)
+        return cls(soft.vertices, soft.tets, muscle.tets, sum(layers) * n, layers)
+
+    @classmethod
+    def _from_merged(cls, head: LayeredHead, layers: int) -> Stack:
+        """Prisms straight from skin to skull; a few tets fold where columns bend at the muscle, and are left out."""
+        n = len(head.bone)
+        vertices = stack_wraps((head.skin_wrap.vertices, head.skull_wrap.vertices), (layers,))
+        tets = np.vstack([prism_tets(head.skin_wrap.triangles, k * n, (k + 1) * n) for k in range(layers)])
+        volumes = tet_volumes(vertices, tets)
+        sound = volumes > FLATTEST * np.median(volumes)
+        if np.mean(~sound) > MOST_FOLDED:
+            raise SceneError(
+                f"without muscle {np.count_nonzero(~sound)} of {len(tets)} tets from skin to skull are folded; "
+                f"at most {MOST_FOLDED:.1%} may be left out"
+            )
+        return cls(vertices, tets, None, layers * n, (layers,), sound=sound)
+
+    def interpolate(self, skin: Floats, muscle: Floats, skull: Floats) -> Floats:
+        """Positions [mm] of the whole stack for those of the wraps, each of shape (n, 3)."""
+        if self.counts is not None:
+            # Vertices between twisted prisms' wraps are not evenly spaced, and stay as far off.
+            now, n = (skin, skull) if self.muscle is None else (skin, muscle, skull), len(skin)
+            firsts = n * np.cumsum([0, *self.counts])
+            rest = stack_wraps([self.vertices[first : first + n] for first in firsts], self.counts)
+            return stack_wraps(now, self.counts) + (self.vertices - rest)
+        wraps = np.vstack([skin, muscle, skull])
+        moved = wraps - self.vertices[: len(wraps)]
+        return np.vstack([wraps, self.vertices[len(wraps) :] + self.inner @ moved])
+
+
+def _carrying(vertices: Floats, wraps: int) -> csr_matrix:
+    """Weights by the inverse distance of the vertices after the wraps' to the nearest of the wraps'."""
+    distance, near = cKDTree(vertices[:wraps]).query(vertices[wraps:], k=NEIGHBOURS)
+    weight = 1.0 / np.maximum(distance, 1e-9)
+    weight /= weight.sum(axis=1, keepdims=True)
+    rows = np.arange(0, weight.size + 1, NEIGHBOURS)
+    return csr_matrix((weight.ravel(), near.ravel(), rows), shape=(len(near), wraps))
+
+
+FREE_STRETCH = 3.0
+"""Stretches within [1 / FREE_STRETCH, FREE_STRETCH] are left alone: no answer within them changes."""
+GUARDED_HEIGHT = 4.0
+"""[mm] Tets of less height are guarded, the more the thinner they are."""
+GUARD_STIFFNESS = 20.0
+"""A guard's stiffness over soft tissue's is this times GUARDED_HEIGHT / height - 1: it resists displacements alike."""
+
+
+def guard(vertices: Floats, tets: Ints, stiffness: float | Floats) -> Strain | None:
+    """The guard of tets (k, 4), the first of a scene over `vertices` [mm]; None where none of them is thin.
+
+    stiffness [kPa]: soft tissue's, one or one per tet.
+    """
+    height = _heights(vertices, tets)
+    thin = np.flatnonzero(height < GUARDED_HEIGHT)
+    if not thin.size:
+        return None
+    own = np.broadcast_to(stiffness, len(tets))[thin]
+    return Strain(GUARD_STIFFNESS * own * (GUARDED_HEIGHT / height[thin] - 1.0), FREE_STRETCH, tets=thin)
+
+
+def is_guard(strain: Strain) -> bool:
+    """Whether a scene's Strain is a guard: tissue's own strain limit is never as wide."""
+    return bool(np.all(strain.limit >= FREE_STRETCH))
+
+
+def _heights(vertices: Floats, tets: Ints) -> Floats:
+    """The smallest height of each tet [mm], shape (k,): three volumes over its largest face."""
+    x = vertices[tets]
+    faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
+    doubled = [np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) for i, j, k in faces]
+    return 6.0 * tet_volumes(vertices, tets) / np.max(doubled, axis=0)
+
+
+CANDIDATES = 16
+FLATTEST_CONNECTOR = 0.02
+"""The least 6 V / h³ of a connecting tet, h the mean edge of its triangle."""
+INWARD = 2.0
+"""[mm] below the skull wrap where a bone's points are taken if the head has no surface of the skull."""
+EYE_RADIUS = 12.0
+"""[mm], of an adult's eyeball (axial length 24 mm)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """Points (k, 3) [mm] of one rigid thing under the skull wrap, and the bone that it is part of.
+
+    CRANIUM is held, MANDIBLE moves with the jaw, FREE is a rigid body of its own.
+    """
+
+    points: Floats
+    bone: int = FREE
+
+    def __post_init__(self):
+        object.__setattr__(self, "points", as_points("attached points", self.points))
+        if self.bone not in (FREE, CRANIUM, MANDIBLE):
+            raise SceneError(f"attached: bone {self.bone!r} is none of {FREE}, {CRANIUM}, {MANDIBLE}")
+
+
+def connecting_tets(points: Floats, wrap: Surface) -> tuple[Ints, Ints]:
+    """The wrap's triangle (k,) for each point (k, 3) [mm], and the tets (k, 4): wrap vertices, then n + the point.
+
+    The nearest triangle whose tet is not flat. Raises SceneError for a point, by index, that lies in the plane of all
+    triangles near it.
+    """
+    corners = wrap.vertices[wrap.triangles]
+    edge = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).mean(axis=1)
+    near = cKDTree(corners.mean(axis=1)).query(points, k=min(CANDIDATES, len(corners)))[1].reshape(len(points), -1)
+    a, b, c = (corners[near, k] for k in range(3))
+    away = points[:, None] - a
+    flatness = np.einsum("pkd,pkd->pk", np.cross(b - a, c - a), away) / edge[near] ** 3
+    sound = np.abs(flatness) >= FLATTEST_CONNECTOR
+    bad = np.flatnonzero(~sound.any(axis=1))
+    if bad.size:
+        raise SceneError(
+            f"attached point {bad[0]}: it lies in the plane of the wrap around it ({bad.size} such points)"
+        )
+    triangle = near[np.arange(len(points)), np.argmax(sound, axis=1)]
+    tets = np.column_stack([wrap.triangles[triangle], len(wrap.vertices) + np.arange(len(points))])
+    negative = tet_volumes(np.vstack([wrap.vertices, points]), tets) < 0
+    tets[negative] = tets[negative][:, [0, 2, 1, 3]]
+    return triangle, tets
+
+
+def bone_points(head: LayeredHead, *, most: int = 2000) -> tuple[Attachment, ...]:
+    """Cranium and mandible to attach: points of the head's skull near the wrap, or of the wrap itself, moved inward.
+
+    At most so many points per bone, evenly thinned.
+    """
+    wrap = head.skull_wrap
+    found = []
+    for bone in (CRANIUM, MANDIBLE):
+        ids = np.flatnonzero(head.bone == bone)
+        if not ids.size:
+            continue
+        points = wrap.vertices[ids] - INWARD * wrap.vertex_normals[ids]
+        if head.skull is not None:
+            skull = head.skull.vertices
+            nearest = cKDTree(wrap.vertices).query(skull)[1]
+            points = skull[head.bone[nearest] == bone]
+        step = -(-len(points) // most)
+        found.append(Attachment(points[:: max(step, 1)], bone))
+    return tuple(found)
+
+
+def eyeballs(head: LayeredHead, *, radius: float = EYE_RADIUS) -> tuple[Attachment, ...]:
+    """Two spheres [mm] that touch the middle of the lids from behind; SceneError for a head without that region."""
+    if not np.any(head.regions.get("lids", False)):
+        raise SceneError("eyeballs: the head has no region 'lids'")
+    lids = head.skin_wrap.vertices[head.regions["lids"]]
+    middle = 0.5 * (lids[:, 0].min() + lids[:, 0].max())
+    sphere = np.asarray(trimesh.creation.icosphere(1, radius).vertices)
+    centres = [lids[side].mean(axis=0) - [0.0, 0.0, radius] for side in (lids[:, 0] > middle, lids[:, 0] <= middle)]
+    return tuple(Attachment(sphere + centre) for centre in centres)
+
+
+LEAST_VOLUME = 0.1
+"""Of a tet's volume at rest, that the start leaves it."""
+
+
+@check_arguments
+def nested_start(
+    scene: Scene,
+    head: LayeredHead,
+    positions: Floats,
+    coarse: LayeredHead,
+    *,
+    layers: tuple[int, int] = (1, 1),
+    coarse_layers: tuple[int, int] = (1, 1),
+) -> Floats:
+    """Where to `start` the solve of a facial scene [mm], shape (scene vertices, 3), from the answer on a coarser mesh.
+
+    `scene` is `facial_scene(head, ..., layers=layers)`, and `positions` [mm], shape (coarse vertices, 3), solve that of
+    `coarse`, a head of the same person on the same or a coarser level of the template, with `coarse_layers`. Its
+    displacements are carried over: on the middle of an edge the mean of its ends', between the wraps by depth. Vertices
+    of tets that this would crush, which some laws have no energy for, are moved aside. Raises SceneError for heads that
+    are not nested, and for positions of another mesh, MeshError where tets stay inverted.
+    """
+    n = len(coarse.bone)
+    rest = _stacked(coarse, coarse_layers)
+    if positions.shape != rest.shape:
+        raise SceneError(f"positions: expected shape {rest.shape}, got {positions.shape}")
+    across = _between(coarse_layers, layers)
+    moved = np.einsum("fc,cnd->fnd", across, (positions - rest).reshape(-1, n, 3))
+    triangles = coarse.skin_wrap.triangles
+    while moved.shape[1] < len(head.bone):
+        triangles, ends = split_triangles(triangles, moved.shape[1])
+        moved = np.concatenate([moved, moved[:, ends].mean(axis=2)], axis=1)
+    if not np.array_equal(triangles, head.skin_wrap.triangles):
+        raise SceneError("coarse: the head's wraps are not its wraps' triangles split into four")
+    if scene.vertices.size != moved.size:
+        raise SceneError(f"scene: expected {moved.size // 3} vertices of layers {layers}, got {len(scene.vertices)}")
+    start = scene.vertices + moved.reshape(-1, 3)
+    return untangle(start, scene.tets, np.ones(len(start), dtype=bool), LEAST_VOLUME * scene.volumes)
+
+
+def _stacked(head: LayeredHead, layers: tuple[int, int]) -> Floats:
+    """The vertices of a head's layers; SceneError for one without, whose tets are a volume mesh."""
+    if head.volume is not None:
+        raise SceneError("coarse: the head's tets are a volume mesh, not layers of prisms")
+    return head.sub_layers(*layers)[0].vertices
+
+
+def _between(coarse: tuple[int, int], fine: tuple[int, int]) -> Floats:
+    """The weights of layers of one stack of vertices for those of another, shape (fine, coarse)."""
+    depths = [np.concatenate([np.arange(a) / a, 1.0 + np.arange(b + 1) / b]) for a, b in (coarse, fine)]
+    return np.stack([np.interp(depths[1], depths[0], row) for row in np.eye(len(depths[0]))], axis=1)

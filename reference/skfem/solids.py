@@ -1,0 +1,399 @@
+"""The energies of tets, written apart from the other solvers' so that one checks the other.
+
+Every law has `psi(F)` [kPa], shape (m,); `stress(F)`, the first Piola-Kirchhoff stress [kPa], shape (m, 3, 3); and
+`tangent(F)` = dP/dF [kPa], shape (m, 3, 3, 3, 3), for deformation gradients F of shape (m, 3, 3).
+
+The sets of SoftDECA Eq. 10 depend on the singular values alone, so the nearest matrix to F = U diag(sigma) Vᵀ is
+U diag(s) Vᵀ with s the nearest stretches to sigma. The SVD is signed (U and V rotations; the sign of det F on the
+smallest singular value), so that an inverted tet is led back the short way.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...lhm.base.mesh import Floats, Ints
+from .. import materials, terms
+from ..materials.material import HasInvariants, HasRotation
+from ..scene import Scene
+from .discretisation import Discretisation
+
+LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasInvariants, HasRotation)))
+"""The laws of Hyperelastic that this solver models."""
+IDENTITY = np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3))
+LEVI_CIVITA = np.zeros((3, 3, 3))
+LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+LEVI_CIVITA[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1.0
+Treatment = Callable[[Floats], Floats]
+"""What is done to the tangents at points before they are assembled: `project_spd`, or nothing."""
+
+
+class Tets:
+    """All tet terms together, so that the tangents are projected once per point and not once per term."""
+
+    def __init__(self, scene: Scene, at: Discretisation):
+        self._elements = at.tets
+        self._laws: list[tuple[Law, Ints]] = []
+        for term in scene.terms:
+            if isinstance(term, (terms.Hyperelastic, terms.Strain, terms.Volume)):
+                tets = scene.tets_of(term)
+                self._laws.append((_law(term, len(tets), at.tets.weights.shape[1]), at.tets.points(tets)))
+
+    def value(self, x: Floats) -> float:
+        """See Part."""
+        F = self._elements.deformation_gradients(x)
+        psi = np.zeros(len(F))
+        for law, points in self._laws:
+            psi[points] += law.psi(F[points])
+        return self._elements.integral(psi)
+
+    def gradient(self, x: Floats) -> Floats:
+        """See Part."""
+        return self._elements.forces(self.stress(x)[1])
+
+    def stress(self, x: Floats) -> tuple[Floats, Floats]:
+        """F and P [kPa] at the points, shape (m q, 3, 3), where the energy is finite."""
+        F = self._elements.deformation_gradients(x)
+        P = np.zeros_like(F)
+        for law, points in self._laws:
+            P[points] += law.stress(F[points])
+        return F, P
+
+    def hessian(self, x: Floats, treat: Treatment) -> csr_matrix:
+        """See Part."""
+        F = self._elements.deformation_gradients(x)
+        tangent = np.zeros((len(F), 3, 3, 3, 3))
+        for law, points in self._laws:
+            tangent[points] += law.tangent(F[points])
+        return self._elements.stiffness(treat(tangent))
+
+
+def _law(term, tets: int, points: int) -> Law:
+    """A term's law with parameters per point, of which each tet has `points`."""
+
+    def at_points(values) -> Floats:
+        return np.repeat(np.broadcast_to(values, (tets,)).astype(np.float64), points)
+
+    if isinstance(term, terms.Volume):
+        return Volume(at_points(term.stiffness), at_points(term.target))
+    growth = at_points(term.growth)
+    if isinstance(term, terms.Strain):
+        law: Law = Strain(at_points(term.stiffness), at_points(term.limit))
+        return law if np.all(growth == 1.0) else Grown(law, growth, growth ** (2 / 3))
+    law = ByRotation(term.material) if isinstance(term.material, HasRotation) else ByInvariants(term.material)
+    return law if np.all(growth == 1.0) else Grown(law, growth, growth)
+
+
+class Law(Protocol):
+    """A density with its two derivatives; see the module."""
+
+    def psi(self, F: Floats) -> Floats:
+        """Energy per rest volume [kPa], shape (m,); infinite where the law does not hold."""
+        ...
+
+    def stress(self, F: Floats) -> Floats:
+        """dpsi/dF [kPa], shape (m, 3, 3)."""
+        ...
+
+    def tangent(self, F: Floats) -> Floats:
+        """dP/dF [kPa], shape (m, 3, 3, 3, 3)."""
+        ...
+
+
+@dataclass(frozen=True)
+class ByInvariants:
+    """A law as a function of I1, I2 and J, by the chain rule; F's polynomials, they have derivatives for every F."""
+
+    law: HasInvariants
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        return self.law.by_invariants(*_invariants(F))[0]
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law; F must have finite energy."""
+        return np.einsum("ma,maij->mij", self.law.by_invariants(*_invariants(F))[1], _gradients(F))
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law; F must have finite energy."""
+        I1, I2, J = _invariants(F)
+        _, gradient, hessian = self.law.by_invariants(I1, I2, J)
+        by_F = _gradients(F)
+        tangent = np.einsum("maij,mab,mbkl->mijkl", by_F, hessian, by_F, optimize=True)
+        tangent += (2 * gradient[:, 0])[:, None, None, None, None] * IDENTITY
+        tangent += np.einsum(
+            "ika,jlb,mab->mijkl", LEVI_CIVITA, LEVI_CIVITA, gradient[:, 2, None, None] * F, optimize=True
+        )
+        if gradient[:, 1].any():
+            eye, FT = np.eye(3), F.transpose(0, 2, 1)
+            of_I2 = 4 * np.einsum("mij,mkl->mijkl", F, F) + 2 * I1[:, None, None, None, None] * IDENTITY
+            of_I2 -= 2 * np.einsum("ik,mjl->mijkl", eye, FT @ F) + 2 * np.einsum("mil,mkj->mijkl", F, F)
+            of_I2 -= 2 * np.einsum("mik,jl->mijkl", F @ FT, eye)
+            tangent += gradient[:, 1, None, None, None, None] * of_I2
+        return tangent
+
+
+def _invariants(F: Floats) -> tuple[Floats, Floats, Floats]:
+    C = F.transpose(0, 2, 1) @ F
+    I1 = np.trace(C, axis1=1, axis2=2)
+    return I1, (I1**2 - np.einsum("mij,mij->m", C, C)) / 2, np.linalg.det(F)
+
+
+def _gradients(F: Floats) -> Floats:
+    """The derivatives of (I1, I2, J) by F, shape (m, 3, 3, 3); that of J are cofactors, also where F is singular."""
+    I1 = np.einsum("mij,mij->m", F, F)[:, None, None]
+    cofactors = np.stack([np.cross(F[:, 1], F[:, 2]), np.cross(F[:, 2], F[:, 0]), np.cross(F[:, 0], F[:, 1])], axis=1)
+    return np.stack([2 * F, 2 * I1 * F - 2 * F @ F.transpose(0, 2, 1) @ F, cofactors], axis=1)
+
+
+@dataclass(frozen=True)
+class ByRotation:
+    """A law as a function of d = ‖F - R‖² and t = R : F - 3, R the rotation nearest to F, by the chain rule."""
+
+    law: HasRotation
+
+    def _at(self, F: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """R, and psi with its derivatives by d and t."""
+        U, _, Vt = signed_svd(F)
+        R = U @ Vt
+        d, t = np.sum((F - R) ** 2, axis=(1, 2)), np.einsum("mij,mij->m", R, F) - 3
+        return R, *self.law.by_rotation(d, t)
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        return self._at(F)[1]
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law; d changes by 2 (F - R), t by R."""
+        R, _, gradient, _ = self._at(F)
+        return np.einsum("ma,maij->mij", gradient, np.stack([2 * (F - R), R], axis=1))
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law."""
+        R, _, gradient, hessian = self._at(F)
+        U, sigma, Vt = signed_svd(F)
+        turning = projection_derivative(U, sigma, Vt, np.ones_like(sigma), np.zeros_like(F))
+        by_F = np.stack([2 * (F - R), R], axis=1)
+        tangent = np.einsum("maij,mab,mbkl->mijkl", by_F, hessian, by_F, optimize=True)
+        by_d, by_t = (gradient[:, a, None, None, None, None] for a in range(2))
+        return tangent + 2 * by_d * IDENTITY + (by_t - 2 * by_d) * turning
+
+
+@dataclass(frozen=True, eq=False)
+class Distance(ABC):
+    """stiffness/2 times F's squared distance to a set of matrices (SoftDECA Eq. 10); stiffness [kPa], shape (m,)."""
+
+    stiffness: Floats
+
+    @abstractmethod
+    def nearest(self, sigma: Floats) -> tuple[Floats, Floats]:
+        """The nearest stretches in the set, shape (m, 3), and their Jacobian by sigma, shape (m, 3, 3)."""
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        _, sigma, _ = signed_svd(F)
+        return self.stiffness / 2 * np.sum((sigma - self.nearest(sigma)[0]) ** 2, axis=1)
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law."""
+        U, sigma, Vt = signed_svd(F)
+        excess = sigma - self.nearest(sigma)[0]
+        return self.stiffness[:, None, None] * (U * excess[:, None, :]) @ Vt
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law; the derivative that holds on the side of a kink where F is."""
+        U, sigma, Vt = signed_svd(F)
+        derivative = projection_derivative(U, sigma, Vt, *self.nearest(sigma))
+        return self.stiffness[:, None, None, None, None] * (IDENTITY - derivative)
+
+
+@dataclass(frozen=True, eq=False)
+class Strain(Distance):
+    """To the matrices with stretches in [1/limit, limit]; limit = 1 gives stiffness/2 ‖F - R‖². limit of shape (m,)."""
+
+    limit: Floats
+
+    def nearest(self, sigma: Floats) -> tuple[Floats, Floats]:
+        """See Distance."""
+        low, high = 1 / self.limit[:, None], self.limit[:, None]
+        slope = np.eye(3) * ((sigma > low) & (sigma < high))[:, None, :]
+        return np.clip(sigma, low, high), slope
+
+
+@dataclass(frozen=True, eq=False)
+class Volume(Distance):
+    """To the matrices of determinant `target`, shape (m,)."""
+
+    target: Floats
+
+    def nearest(self, sigma: Floats) -> tuple[Floats, Floats]:
+        """See Distance."""
+        return nearest_of_determinant(sigma, self.target)
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """weight psi(F growth^(-1/3)) of another law (Rodriguez, Hoger, McCulloch 1994); weight and growth, shape (m,)."""
+
+    law: Law
+    growth: Floats
+    weight: Floats
+
+    def _elastic(self, F: Floats) -> Floats:
+        return F * self._slope[:, None, None]
+
+    @property
+    def _slope(self) -> Floats:
+        return self.growth ** (-1 / 3)
+
+    def psi(self, F: Floats) -> Floats:
+        """See Law."""
+        return self.weight * self.law.psi(self._elastic(F))
+
+    def stress(self, F: Floats) -> Floats:
+        """See Law."""
+        return (self.weight * self._slope)[:, None, None] * self.law.stress(self._elastic(F))
+
+    def tangent(self, F: Floats) -> Floats:
+        """See Law."""
+        return (self.weight * self._slope**2)[:, None, None, None, None] * self.law.tangent(self._elastic(F))
+
+
+def project_spd(tangent: Floats) -> Floats:
+    """The nearest positive semi-definite tangents in the Frobenius norm, of the same shape (m, 3, k, 3, k)."""
+    size = tangent.shape[1] * tangent.shape[2]
+    values, vectors = np.linalg.eigh(tangent.reshape(-1, size, size))
+    bad = values[:, 0] < 0
+    projected = tangent.reshape(-1, size, size).copy()
+    projected[bad] = (vectors[bad] * np.maximum(values[bad], 0)[:, None, :]) @ vectors[bad].transpose(0, 2, 1)
+    return projected.reshape(tangent.shape)
+
+
+SMALL = 1e-9
+TINY = 1e-300
+ROOT_ITERATIONS = 80
+
+
+def signed_svd(F: Floats) -> tuple[Floats, Floats, Floats]:
+    """U, sigma (m, 3) and Vᵀ with F = U diag(sigma) Vᵀ, det U = det V = 1 and sigma_1 >= sigma_2 >= |sigma_3|."""
+    U, sigma, Vt = np.linalg.svd(F)
+    sign_U, sign_V = np.sign(np.linalg.det(U)), np.sign(np.linalg.det(Vt))
+    U[:, :, 2] *= sign_U[:, None]
+    Vt[:, 2, :] *= sign_V[:, None]
+    sigma[:, 2] *= sign_U * sign_V
+    return U, sigma, Vt
+
+
+def nearest_of_determinant(sigma: Floats, target: Floats) -> tuple[Floats, Floats]:
+    """The nearest stretches with product `target`, shape (m, 3), and their Jacobian by sigma, shape (m, 3, 3).
+
+    Stationarity of |s - sigma|²/2 - c ln(s_1 s_2 s_3 / target) reads s_i (s_i - sigma_i) = c for every i. The two
+    larger s_i are the larger roots; the smallest one parametrises the curve: c = s_3 (s_3 - sigma_3). What is left is
+    one equation for s_3. It has one root where the product is to grow, and may have several where it is to shrink.
+    """
+    grow = np.prod(sigma, axis=1) <= target
+    grow |= sigma[:, 2] <= 0
+    edge = np.maximum(sigma[:, 2], 0)
+    s3 = np.empty(len(sigma))
+    s3[grow] = _root(sigma[grow], target[grow], edge[grow], edge[grow] + np.cbrt(target[grow]))
+    s3[~grow] = _nearest_root(sigma[~grow], target[~grow])
+    s = _on_curve(sigma, s3)
+    return s, _slope(sigma, s)
+
+
+def projection_derivative(U: Floats, sigma: Floats, Vt: Floats, nearest: Floats, slope: Floats) -> Floats:
+    """The derivative by F of U diag(nearest(sigma)) Vᵀ, shape (m, 3, 3, 3, 3).
+
+    In the frame of U and V the diagonal moves by `slope`; of each off-diagonal pair, the symmetric part is scaled by
+    (s_i - s_j)/(sigma_i - sigma_j) and the antisymmetric part, a rotation, by (s_i + s_j)/(sigma_i + sigma_j).
+    """
+    D = np.zeros((len(sigma), 3, 3, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            D[:, i, i, j, j] = slope[:, i, j]
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        gap = sigma[:, i] - sigma[:, j]
+        near = gap < SMALL * (1 + sigma[:, 0])
+        # Where two stretches meet, the quotient becomes the derivative along their difference.
+        limit = (slope[:, i, i] - slope[:, i, j] - slope[:, j, i] + slope[:, j, j]) / 2
+        symmetric = np.where(near, limit, (nearest[:, i] - nearest[:, j]) / np.where(near, 1, gap))
+        rotation = (nearest[:, i] + nearest[:, j]) / np.maximum(sigma[:, i] + sigma[:, j], SMALL)
+        D[:, i, j, i, j] = D[:, j, i, j, i] = (symmetric + rotation) / 2
+        D[:, i, j, j, i] = D[:, j, i, i, j] = (symmetric - rotation) / 2
+    Q = np.einsum("mip,mqj->mijpq", U, Vt).reshape(-1, 9, 9)
+    return (Q @ D.reshape(-1, 9, 9) @ Q.transpose(0, 2, 1)).reshape(-1, 3, 3, 3, 3)
+
+
+def _on_curve(sigma: Floats, s3: Floats) -> Floats:
+    """The stationary stretches whose smallest is s3, shape (m, 3)."""
+    c = s3 * (s3 - sigma[:, 2])
+    root = np.sqrt(np.maximum(sigma[:, :2] ** 2 + 4 * c[:, None], 0))
+    return np.column_stack([(sigma[:, :2] + root) / 2, s3])
+
+
+def _excess(sigma: Floats, target: Floats, s3: Floats) -> Floats:
+    return np.prod(_on_curve(sigma, s3), axis=1) - target
+
+
+def _root(sigma: Floats, target: Floats, low: Floats, high: Floats) -> Floats:
+    """The root s3 of the product's excess in [low, high], where it is <= 0 and >= 0, to the last digits.
+
+    Newton's method, and bisection where a step leaves the bracket or is more than half of the one before.
+    """
+    low, high = low.copy(), high.copy()
+    s3 = (low + high) / 2
+    step = high - low
+    for _ in range(ROOT_ITERATIONS):
+        s = _on_curve(sigma, s3)
+        product = np.prod(s, axis=1)
+        below = product < target
+        low[below], high[~below] = s3[below], s3[~below]
+        # d ln s_i / d s_3 on the curve, from s_i (s_i - sigma_i) = s_3 (s_3 - sigma_3).
+        split = s[:, :2] * (2 * s[:, :2] - sigma[:, :2])
+        growth = 1 / s3 + (2 * s3 - sigma[:, 2]) * np.sum(1 / np.maximum(split, TINY), axis=1)
+        newton = (target - product) / np.where(growth > 0, product * growth, TINY)
+        settled = np.abs(newton) <= 1e-14 * s3
+        inside = (s3 + newton > low) & (s3 + newton < high) & (np.abs(newton) <= np.abs(step) / 2)
+        step = np.where(settled, 0.0, np.where(inside, newton, (low + high) / 2 - s3))
+        if settled.all():
+            return s3 + newton
+        s3 = s3 + step
+    return s3
+
+
+def _nearest_root(sigma: Floats, target: Floats) -> Floats:
+    """Of the smallest and the largest root in (0, sigma_3), the one whose stretches are nearer to sigma."""
+    if not len(sigma):
+        return np.zeros(0)
+    fractions = np.linspace(0, 1, 33)
+    excess = np.stack([_excess(sigma, target, f * sigma[:, 2]) for f in fractions])
+    first = np.argmax(excess > 0, axis=0)
+    last = len(fractions) - 1 - np.argmax(excess[::-1] <= 0, axis=0)
+    roots = []
+    for lower in (first - 1, last):
+        low, high = fractions[lower] * sigma[:, 2], fractions[lower + 1] * sigma[:, 2]
+        roots.append(_root(sigma, target, low, high))
+    distance = [np.sum((_on_curve(sigma, root) - sigma) ** 2, axis=1) for root in roots]
+    return np.where(distance[0] < distance[1], roots[0], roots[1])
+
+
+def _slope(sigma: Floats, s: Floats) -> Floats:
+    """ds/dsigma, shape (m, 3, 3), by differentiating the Karush-Kuhn-Tucker system of the projection.
+
+    With a multiplier nu, s - sigma + nu (s_2 s_3, s_1 s_3, s_1 s_2) = 0 and s_1 s_2 s_3 = target.
+    """
+    cofactor = np.stack([s[:, 1] * s[:, 2], s[:, 0] * s[:, 2], s[:, 0] * s[:, 1]], axis=1)
+    nu = np.einsum("mi,mi->m", sigma - s, cofactor) / np.einsum("mi,mi->m", cofactor, cofactor)
+    K = np.zeros((len(s), 4, 4))
+    K[:, :3, :3] = np.eye(3)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        K[:, i, j] = K[:, j, i] = nu * s[:, k]
+    K[:, :3, 3] = K[:, 3, :3] = cofactor
+    # Where two nearest points merge, as at F = 2 I for the target 1, the system is singular.
+    return np.linalg.pinv(K, rcond=1e-12, hermitian=True)[:, :3, :3]

@@ -1,0 +1,167 @@
+"""Derivatives of a settled face against differences of tight solves, and frames that depend on themselves alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softdeca.lhm.base.errors import InputError, SceneError
+from softdeca.reference import Parameters, SettledFace, facial_scene, prepare, settle, terms
+from softdeca.reference.face.derivatives import differentiate, vertices_by_parameters
+from softdeca.surrogate.sphere import Spheres
+
+SPACE, CODE = Spheres(2), np.array([0.3, -0.5, 0.2, 0.8])
+PLAIN = SPACE.fit(SPACE.skin(CODE))
+_FRONT = PLAIN.skin_wrap.vertices[:, 2]
+EYED = replace(PLAIN, regions={"lids": (_FRONT > 50.0) & (_FRONT <= 80.0), "eyes": _FRONT > 80.0})
+DELTAS = SPACE.expression_deltas(CODE)
+NEUTRAL = PLAIN.skin.vertices
+TARGETS = NEUTRAL + 1.5 * DELTAS[3]
+SETTLES = Parameters(soft_volume=1.1, gravity=1.5, soft_stiffness=2.0, mandible_scale_y=1.05)
+ALL = Parameters(
+    soft_stiffness=2.0, soft_volume=1.05, muscle_volume=0.95, skin_growth=1.02, skin_bending=5.0, gravity=2.0,
+    gravity_x=0.2, mandible_scale_y=1.05, cranium_scale_x=1.01, paralysis_left=0.3,
+)  # fmt: skip
+STATIC = [i.name for i in Parameters.infos() if i.name not in ("frequency", "damping", "connector_ratio")]
+
+
+def scene_at(parameters, targets):
+    return facial_scene(EYED, parameters, targets)
+
+
+def tight(parameters, targets, near):
+    return prepare(scene_at(parameters, targets)).solve(start=near.positions, tolerance=1e-10).positions
+
+
+@pytest.fixture(scope="module")
+def face():
+    return differentiate(settle(PLAIN, SETTLES, tolerance=1e-10))
+
+
+@pytest.fixture(scope="module")
+def expressed():
+    """An answer with all of p, and its tangent."""
+    prepared = prepare(scene_at(ALL, TARGETS))
+    answer = prepared.solve(tolerance=1e-12)
+    tangent = prepared.tangent(answer)
+    assert tangent.is_exact
+    return answer, tangent
+
+
+def assert_near(derivative, difference, share=1e-3, least=1e-9):
+    assert np.abs(difference).max() > least, "nothing moves"
+    assert np.abs(derivative - difference).max() < share * np.abs(difference).max()
+
+
+@pytest.mark.parametrize("palsied", [False, True])
+def test_shapes_move_vertices_and_skin_as_frames_do(face, palsied):
+    """With bones that p scales, and where eyes are lined and half of the face is paralysed."""
+    if palsied:
+        face = differentiate(SettledFace(EYED, ALL, EYED.vertices, TARGETS - NEUTRAL))
+    vertices = face.vertices_by_shapes(DELTAS)
+    skin = face.skin_by_shapes(DELTAS)
+    assert face.is_exact and vertices.shape == (52, *PLAIN.vertices.shape) and skin.shape == (52, *NEUTRAL.shape)
+    np.testing.assert_array_equal(face.skin_by_shapes(DELTAS, vertices), skin)
+    for shape in (0, 3, 17, 30):
+        expressions = [NEUTRAL + h * DELTAS[shape] for h in (0.01, -0.01)]
+        solutions = [face.solve(expression, accuracy=1e-9) for expression in expressions]
+        assert all(solution.converged for solution in solutions)
+        assert_near(vertices[shape], (solutions[0].positions - solutions[1].positions) / 0.02)
+        pairs = zip(expressions, solutions, strict=True)
+        skins = [face.face.skin_after(expression, solution.positions) for expression, solution in pairs]
+        assert_near(skin[shape], (skins[0] - skins[1]) / 0.02)
+
+
+@pytest.mark.parametrize("name", [name for name in STATIC if name not in ("strain_limit", "gravity_y")])
+def test_a_parameter_moves_the_face_as_differences_say(expressed, name):
+    """Scaled bones move what is held, and a rigid body's rest."""
+    answer, tangent = expressed
+    info, value = Parameters.info(name), getattr(ALL, name)
+    moved = vertices_by_parameters(tangent, scene_at, ALL, TARGETS, {name: 1.0})[name]
+    h = (-1.0 if value >= info.high else 1.0) * 5e-4 * (info.high - info.low)
+    if info.low < value < info.high:
+        weights = {h: 0.5 / h, -h: -0.5 / h}
+    else:
+        weights = {0.0: -1.5 / h, h: 2.0 / h, 2 * h: -0.5 / h}
+    difference = sum(w * tight(replace(ALL, **{name: value + t}), TARGETS, answer) for t, w in weights.items())
+    assert_near(moved, difference)
+
+
+def test_the_strain_limit_where_its_energy_is_smooth():
+    """At a limit of 1 each stretch of 1 is a kink; tissue stretched beyond a higher limit has none near."""
+    grown = Parameters(strain_limit=1.02, soft_volume=1.5, muscle_volume=1.3, muscle_strain_ratio=1.0)
+    prepared = prepare(scene_at(grown, TARGETS))
+    answer = prepared.solve(tolerance=1e-12)
+    moved = vertices_by_parameters(prepared.tangent(answer), scene_at, grown, TARGETS, {"strain_limit": 1.0})
+    ends = [tight(replace(grown, strain_limit=1.02 + h), TARGETS, answer) for h in (1e-4, -1e-4)]
+    assert_near(moved["strain_limit"], (ends[0] - ends[1]) / 2e-4, share=2e-2)
+
+
+def test_a_local_parameter_along_a_direction_and_targets_that_drift(expressed):
+    answer, tangent = expressed
+    count = len(EYED.skin.triangles)
+    local = replace(ALL, soft_volume=1.05 + np.zeros(count))
+    along, drift = np.random.default_rng(0).uniform(size=count), 3.0 * DELTAS[7]
+    drifts = {"soft_volume": drift}
+    moved = vertices_by_parameters(tangent, scene_at, local, TARGETS, {"soft_volume": along}, drift=drifts)
+    h = 1e-3
+    ends = [
+        tight(replace(ALL, soft_volume=local.soft_volume + t * along), TARGETS + t * drift, answer) for t in (h, -h)
+    ]
+    assert_near(moved["soft_volume"], (ends[0] - ends[1]) / (2 * h))
+
+
+def test_a_spring_that_vanishes_may_not_be_the_first_target(expressed):
+    """Another Target behind the first stays where it is."""
+    answer, tangent = expressed
+    more = replace(tangent.scene, terms=(*tangent.scene.terms, terms.Target([0], EYED.vertices[:1], 0.0)))
+    assert len(prepare(more).tangent(answer).vertices_by_targets(DELTAS[:1])) == 1
+
+
+def test_wrong_directions_are_named(expressed):
+    _, tangent = expressed
+    both = np.where(np.arange(len(EYED.skin.triangles)) % 2, 0.8, 1.5)
+    for parameters, along, words in (
+        (ALL, {"weight": 1.0}, "unknown parameter 'weight'"),
+        (ALL, {"gravity": 0.0}, "gravity: a direction to vary it along must be finite and not zero"),
+        (replace(ALL, soft_volume=both), {"soft_volume": 1.0},
+         r"soft_volume: it cannot vary along this direction within \[0.8, 1.5\]"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            vertices_by_parameters(tangent, scene_at, parameters, TARGETS, along)
+
+
+def neutral_skin(parameters):
+    """The simulated neutral skin, all solved anew."""
+    face = differentiate(settle(PLAIN, parameters, tolerance=1e-10))
+    return face.face.skin + face.offset
+
+
+@pytest.mark.parametrize("name", ["soft_volume", "gravity", "soft_stiffness", "mandible_scale_y", "cranium_scale_x"])
+def test_a_parameter_moves_the_neutral_skin_through_the_face_that_settles(face, name):
+    h = 2e-4
+    ends = [neutral_skin(replace(SETTLES, **{name: getattr(SETTLES, name) + t})) for t in (h, -h)]
+    moved = face.skin_by_parameters({name: 1.0, "volume_ratio": 1.0})[name]
+    assert_near(moved, (ends[0] - ends[1]) / (2 * h), least=1e-3)
+
+
+def test_a_frame_does_not_depend_on_those_before(face):
+    expressions = [NEUTRAL + DELTAS[k] + DELTAS[k + 1] for k in (0, 10, 20)]
+    forwards = [face.solve(expression).positions for expression in expressions]
+    again = (differentiate(face.face, like=face) for _ in expressions)
+    backwards = [other.solve(expression).positions for other, expression in zip(again, expressions[::-1], strict=True)]
+    for one, other in zip(forwards, reversed(backwards), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_frame_is_the_minimum_that_a_cold_solve_finds(face):
+    expression = NEUTRAL + 0.5 * DELTAS[4]
+    quick = face.solve(expression, accuracy=1e-8)
+    cold = face.prepared.solve(face.face.scene(expression), tolerance=1e-9)
+    assert quick.iterations < cold.iterations
+    np.testing.assert_allclose(quick.positions, cold.positions, atol=1e-4)
+
+
+def test_contact_is_refused():
+    with pytest.raises(SceneError, match="knows no Contact"):
+        differentiate(settle(PLAIN, SETTLES, contact=[PLAIN.skin_wrap.vertices[:, 1] > 90.0]))
