@@ -15,7 +15,7 @@ from ..lhm.base.checks import finite, integers, text
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import read_arrays, write_arrays
-from ..lhm.base.files.resumable import Records, begin_work
+from ..lhm.base.files.resumable import RowStore
 from ..lhm.base.limits import TAKE_FRAMES
 from ..reference.face.sequence import State
 
@@ -43,8 +43,7 @@ class TakeStore:
     """
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]):
-        self.folder, self._log = folder, Records(folder / "log.jsonl")
-        begin_work(folder / "take.json", "take", manifest)
+        self.folder, self._log = folder, RowStore(folder, "take", manifest, file="log.jsonl")
 
     def done(self) -> tuple[int, State | None]:
         """How many frames are done, and the state after them; the log is cut to these.
@@ -60,7 +59,7 @@ class TakeStore:
                 raise InputError(f"{self.folder}: frames of several heads")
         except InputError:
             count, state = 0, None
-        lines = [line for line in self._log.read() if LOGGED <= line.keys() and isinstance(line["frame"], int)]
+        lines = [line for line in self._log.rows() if LOGGED <= line.keys() and isinstance(line["frame"], int)]
         records = {line["frame"]: line for line in lines}
         if not records.keys() >= set(range(count)):
             count, state = 0, None
@@ -99,7 +98,7 @@ class TakeStore:
 
     def log(self) -> list[dict[str, Any]]:
         """The log's lines, in the frames' order."""
-        return self._log.read()
+        return self._log.rows()
 
     def _path(self, number: int) -> Path:
         return self.folder / "frames" / f"{number:06d}.npz"

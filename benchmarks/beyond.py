@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ..reference import Parameters, settle
 from ..reference.face.derivatives import QUICK_ACCURACY, differentiate
 from ..reference.face.settle import TARGET_OPTIONS, carry_skin
 from ..surrogate import Surrogate
-from ..surrogate.evaluate import Score, score_of
+from ..surrogate.evaluate import Known, Score, score_distances
 from .surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
 
 KIND = "p beyond what was seen, clamped"
@@ -27,18 +26,12 @@ CASES = (
 EXPRESSIONS = ({"jawOpen": 0.7}, {"mouthSmileLeft": 0.8, "mouthSmileRight": 0.8}, {"mouthPucker": 0.8, "jawOpen": 0.2})
 
 
-@dataclass
-class _Named:
-    name: str
-    simulates: bool = False
-
-
-def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_LEVEL) -> list[Score]:
+def score_beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_LEVEL) -> list[Score]:
     """Score the network and its trivial rivals on CASES of the mean person, half a minute each; kind KIND."""
     space = identities.Anny()
     skin, code = space.mean, np.zeros(space.code_size)
     head = fit_head(load_template(space, level=level), skin)
-    rows = [expressions.weights_of(one) for one in EXPRESSIONS]
+    rows = [expressions.weights_of(expression) for expression in EXPRESSIONS]
     errors: dict[str, list[Floats]] = {}
     motions = []
     for number, parameters in enumerate(CASES):
@@ -59,6 +52,6 @@ def beyond(surrogate: Surrogate, progress: OnProgress, *, level: int = DEFAULT_L
         progress(f"evaluate, {KIND}", (number + 1) / len(CASES))
     motion = np.stack(motions)
     return [
-        score_of(_Named(name, name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
+        score_distances(Known(name, simulates=name == SETTLED), KIND, np.stack(rows), motion, faces=len(CASES))
         for name, rows in errors.items()
     ]

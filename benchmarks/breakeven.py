@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import shard_path, summed
+from ..surrogate.corpus.folder import shard_path, sum_seconds
 from ..surrogate.corpus.manifest import read_manifest
 from ..surrogate.corpus.shard import read_seconds
 from ..surrogate.evaluate import Score
@@ -42,16 +42,26 @@ class Breakeven:
         """Faces bound, whatever their frames, which cost about the same."""
         return (self.corpus + self.training) / (self.linearised_face - self.own_face)
 
+    @property
+    def told(self) -> str:
+        """The same in words."""
+        return (
+            f"The corpus' training people took {self.corpus:.0f} s of a core, training {self.training:.0f} s. A frame "
+            f"of the simulator takes {1e3 * self.simulated_frame:.0f} ms, so the network has paid after "
+            f"{self.frames:,.0f} frames; linearising a face takes {self.linearised_face:.1f} s, so against that it has "
+            f"after {self.faces:,.0f} faces."
+        )
 
-def breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
-    """Of a network with its note and scores, and of the corpus' training people.
+
+def compute_breakeven(corpus: Path, note: TrainingNote, network: Score) -> Breakeven | None:
+    """Compute it of a network's note and score, and of the corpus' training people.
 
     None if none of them has frames, or if the seconds of one are not known.
     """
     counts = read_manifest(corpus).counts
     paths = (shard_path(corpus, identity) for identity in range(counts.trained))
     timed = [read_seconds(path) for path in paths if path.exists()]
-    spent = {phase: summed(timed).get(phase, 0.0) for phase in PAID}
+    spent = {phase: sum_seconds(timed).get(phase, 0.0) for phase in PAID}
     groups = len(timed) * counts.groups
     frames = groups * counts.frames
     if not frames or not spent["statics"]:

@@ -16,7 +16,7 @@ from ..lhm.template import DEFAULT_LEVEL
 from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
-from ..surrogate.schedule import processors, schedule
+from ..surrogate.schedule import count_processors, make_schedule
 from .harness import Asked, Results, Study, run_together
 from .harness.apart import cpu_seconds
 from .harness.report import Made, write
@@ -116,5 +116,5 @@ def _simulate(whose: str, template, folder: Path, progress: OnProgress) -> None:
     space = identities.from_text(whose)
     people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
     Corpus(folder, PLAN, people, {"identities": whose, "level": DEFAULT_LEVEL}).generate(
-        on=schedule(min(2, processors())), on_progress=progress
+        on=make_schedule(min(2, count_processors())), on_progress=progress
     )

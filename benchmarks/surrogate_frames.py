@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -13,14 +12,14 @@ from ..animation.pictures import Panel
 from ..lhm.base.errors import InputError
 from ..lhm.base.mesh import Floats, Floats32
 from ..lhm.base.progress import OnProgress
-from ..surrogate.corpus.plan import Split
 from ..surrogate.corpus.reading import Faces
 from ..surrogate.corpus.references import FEM_LAWS
-from ..surrogate.evaluate_references import referenced
+from ..surrogate.evaluate import read_references
 from ..surrogate.heads import Heads
-from ..surrogate.methods import Derivatives, NetworkMethod
-from ..surrogate.networks.weights import Weights
+from ..surrogate.methods import Derivatives
+from ..surrogate.methods import NetworkMethod
 from ..surrogate.ruler import kind_of_coefficients, measure
+from .surrogates import OnCorpus
 
 SHOWN = 6
 """Faces, the worst ones, with the worst frame of each."""
@@ -36,24 +35,16 @@ class Worst:
     error: float
 
 
-def frames_png(
-    corpus: Path,
-    weights: Weights,
-    heads: Heads,
-    *,
-    split: Split | None = "test",
-    partial: bool,
-    progress: OnProgress,
-) -> bytes:
+def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
     """Show the worst frame of each of the SHOWN worst faces, the worst first.
 
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
-    faces = Faces(corpus, split, partial=partial)
-    network, settled = NetworkMethod(weights), Derivatives(responses=False)
-    solved = _solved(corpus, split, faces, partial)
+    faces, heads = tested.faces, tested.heads
+    network, settled = NetworkMethod(tested.network.weights), Derivatives(responses=False)
+    solved = _solved(tested)
     rows = []
-    for number, worst in enumerate(worst_frames(faces, network, heads)):
+    for number, worst in enumerate(find_worst_frames(faces, network, heads)):
         face, frames = faces.face(worst.face), faces.frames(worst.face, np.array([worst.frame]))
         skin, weights_now = faces.skin(face.identity), frames.weights[0]
         blended = skin.vertices + np.tensordot(weights_now, face.shapes, axes=1)
@@ -82,9 +73,9 @@ def frames_png(
     return tile_pictures(rows, 1)
 
 
-def worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
+def find_worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
     """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
-    found = []
+    worst = []
     for index in range(len(faces)):
         face, frames = faces.face(index), faces.frames(index)
         if not len(frames.weights):
@@ -93,14 +84,14 @@ def worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int =
         errors = np.linalg.norm(bound(frames.weights) - truth, axis=2)
         motions = np.linalg.norm(truth - heads.carry(face), axis=2)
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
-        found.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
-    return sorted(found, key=lambda worst: -worst.error)[:count]
+        worst.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
+    return sorted(worst, key=lambda frame: -frame.error)[:count]
 
 
-def _solved(corpus: Path, split: Split | None, faces: Faces, partial: bool) -> Mapping[tuple[int, bytes], Floats32]:
+def _solved(tested: OnCorpus) -> Mapping[tuple[int, bytes], Floats32]:
     """FEniCSx' T - S on PD's energy, by face and weights; empty for a corpus without references."""
     try:
-        frames = [frame for frame in referenced(corpus, split, faces, partial=partial) if frame.law == FEM_LAWS[0]]
+        frames = list(read_references(tested.corpus, tested.split, tested.faces, partial=tested.partial))
     except InputError:
         return {}
-    return {(frame.face, frame.weights.tobytes()): frame.fenicsx for frame in frames}
+    return {(f.face, f.weights.tobytes()): f.fenicsx for f in frames if f.law == FEM_LAWS[0]}

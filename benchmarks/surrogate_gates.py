@@ -26,7 +26,7 @@ ADDED = 0.85
 """Largest share of network and simulator at bind over that of the simulator's derivatives alone, which it adds to."""
 
 
-def surrogate_gates(scores: Iterable[Score]) -> list[dict]:
+def make_gates(scores: Iterable[Score]) -> list[dict]:
     """Bound the network's share for each kind that the scores have, and the hybrid's over the derivatives' share."""
     shares = {(score.method, score.kind): score.share for score in scores}
     kinds = {kind for _, kind in shares} | {ALL}
@@ -39,7 +39,7 @@ def surrogate_gates(scores: Iterable[Score]) -> list[dict]:
     ] + [at_most("share of network and simulator at bind over the linearised simulator's", ratio, ADDED)]
 
 
-def defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:
+def find_defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:
     """Where the network loses to a trivial rival: kind, rival, and the shares of network and rival."""
     shares = {(score.method, score.kind): score.share for score in scores}
     return [
@@ -49,3 +49,14 @@ def defeats(scores: Sequence[Score]) -> list[tuple[str, str, float, float]]:
         for rival in TRIVIAL
         if (NETWORK, kind) in shares and shares.get((rival, kind), float("inf")) <= shares[NETWORK, kind]
     ]
+
+
+def describe_defeats(scores: Sequence[Score]) -> str:
+    """Say where the network loses to a trivial rival; empty where it does not."""
+    lost = find_defeats(scores)
+    if not lost:
+        return ""
+    said = "; ".join(
+        f"{kind}: network {100 * own:.1f} %, {rival} {100 * other:.1f} %" for kind, rival, own, other in lost
+    )
+    return f"The network loses to a rival without learning on: {said}.\n"

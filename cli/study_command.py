@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import Field, fields
+from dataclasses import Field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +12,14 @@ import click
 
 from ..benchmarks.studies import names, study_of
 from ..lhm.base.errors import InputError
-from ..lhm.base.limits import SEED, WORKERS, Bound
+from ..lhm.base.limits import FACES, SEED, STUDIED_PAIRS, WORKERS, Bound
 from .counts import counted
 from .progress import shown
 from .written_file import WrittenFolder
 
 if TYPE_CHECKING:
     # It brings the surrogate with it, which most commands go without.
+    from ..benchmarks.harness.runner import Results
     from ..benchmarks.harness.study import Study
 
 COUNTS: dict[str, Bound] = {
@@ -31,6 +32,9 @@ COUNTS: dict[str, Bound] = {
     "count": Bound("identities", 100_000, "each is a second of work or more", 1),
     "gallery": Bound("heads", 1_000, "each is simulated and drawn"),
     "fan": Bound("starts", 1_000, "each is a solve"),
+    "simulated": FACES,
+    "generalisation": replace(STUDIED_PAIRS, least=0),
+    "workers": WORKERS,
     "up_to": Bound("unknowns", 100_000_000, "a machine of 64 GB holds some ten million", 1),
 }
 """The bound of a study's option by its field's name; where a study itself takes less, it says so."""
@@ -110,14 +114,21 @@ def report(results: tuple[Path, ...], title: str, out: Path) -> int:
     return 0
 
 
-def command_of(kind: type[Study]) -> click.Command:
-    """The command of a study, whose options are its fields and those of every run."""
-    own = [_option(field) for field in fields(kind)]  # type: ignore[arg-type]  # every study is a dataclass
+def command_of(kind: type[Study], *, out: str = "", argument: str = "", judged: bool = True) -> click.Command:
+    """Make the command of a study, whose options are its fields and those of every run.
+
+    out: the default folder, by default out/NAME. argument: the field that is one, in place of an option. judged:
+    whether a missed gate makes exit status 1, as a case that could not be measured does.
+    """
+    own = [
+        click.Argument([field.name]) if field.name == argument else option_of(field)
+        for field in fields(kind)  # type: ignore[arg-type]  # every study is a dataclass
+    ]
     common = [
         click.Option(["--match"], default="", help="only cases and methods with this in their name"),
         click.Option(["--only"], type=click.Choice(ONLY), default="missing", help="which to do: failed again, or all"),
         click.Option(["--workers"], type=counted(WORKERS), help="processes; default: all; one if timed"),
-        click.Option(["--out"], type=WrittenFolder(), default=f"out/{kind.name}", help="folder of the report"),
+        click.Option(["--out"], type=WrittenFolder(), default=out or f"out/{kind.name}", help="folder of the report"),
         click.Option(["--json", "as_json"], is_flag=True, help="print the results file to stdout"),
     ]
 
@@ -127,7 +138,9 @@ def command_of(kind: type[Study]) -> click.Command:
                 raise InputError(f"{name}: an empty text is none of them")
             if isinstance(value, float) and not math.isfinite(value):
                 raise InputError(f"{name}: expected a finite number, got {value}")
-        return _run(kind(**options), match, only, workers, out, as_json)
+        results = _run(kind(**options), match, only, workers, out, as_json)
+        failed = any(row.status == "failed" for row in results.rows)
+        return 1 if failed or (judged and not results.passed) else 0
 
     text = f"""{kind.question}
 
@@ -138,7 +151,8 @@ def command_of(kind: type[Study]) -> click.Command:
     return click.Command(kind.name, params=[*own, *common], callback=run, help=text, short_help=kind.question)
 
 
-def _option(field: Field) -> click.Option:
+def option_of(field: Field) -> click.Option:
+    """Make the option of a dataclass' field: its type by the default, its words by the metadata."""
     words = dict(field.metadata)
     several = isinstance(field.default, tuple)
     plain = "--" + field.name.replace("_", "-")
@@ -150,11 +164,11 @@ def _option(field: Field) -> click.Option:
     if several:
         return click.Option([name, field.name], multiple=True, **words)
     is_count = field.name in COUNTS and type(field.default) is int
-    kind = counted(COUNTS[field.name]) if is_count else type(field.default)
-    return click.Option([name, field.name], type=kind, **words)
+    words.setdefault("type", counted(COUNTS[field.name]) if is_count else type(field.default))
+    return click.Option([name, field.name], **words)
 
 
-def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> int:
+def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as_json: bool) -> Results:
     from ..benchmarks.harness import run
     from ..benchmarks.harness.page import one as cell
 
@@ -162,7 +176,7 @@ def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as
         results = run(study, out, only=only, workers=workers, match=match, progress=progress)
     if as_json:
         click.echo((out / "results.json").read_text())
-        return 0 if results.passed else 1
+        return results
     skipped = Counter(row.reason for row in results.rows if row.status == "skipped")
     for reason, count in skipped.items():
         click.echo(f"SKIPPED {count} of {len(results.rows)}: {reason}")
@@ -181,7 +195,7 @@ def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as
         click.echo(gate_line(gate))
     for name in ("index.html", "results.json", "rows.jsonl"):
         click.echo(f"wrote {out / name}")
-    return 0 if results.passed else 1
+    return results
 
 
 def _short(value: Any) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from ..lhm.base.files.atomic import replaced
-from ..lhm.base.limits import FACES, STUDIED_PAIRS, TRAINING_STEPS, WORKERS
+from ..lhm.base.limits import TRAINING_STEPS
 from .counts import counted
 from .progress import shown
 from .written_file import FOLDER
@@ -81,7 +81,7 @@ def train(
 
 
 def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
-    from ..surrogate.corpus.people import people_of
+    from ..surrogate.corpus.people import people_from_text
     from ..surrogate.corpus.reading import Faces
     from ..surrogate.dynamics import Looseness
     from ..surrogate.networks.modal_training import ModalTraining, train_modal
@@ -94,7 +94,7 @@ def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, o
     begun = None if start is None else Weights.load(start)
     weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)
     if faces.space == "anny" and weights.looseness is None:
-        weights = replace(weights, looseness=Looseness.of(people_of("anny"), on_progress=progress))
+        weights = replace(weights, looseness=Looseness.of(people_from_text("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
 
@@ -112,94 +112,29 @@ def _paper(corpus: Path, out: Path, steps: int | None, progress):
     return out / "paper.npz", [asdict(point) for point in checkpoint.summary.history]
 
 
-@click.command()
-@click.argument("corpus", type=click.Path(path_type=Path))
-@click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
-@click.option(
-    "--external", type=click.Path(path_type=Path), help="another corpus, as of --identities external:ict:FILE, to score"
-)
-@click.option(
-    "--people",
-    type=click.Choice(["test", "all"]),
-    default="test",
-    help="of CORPUS; all: where training has seen none, as of --preset fresh",
-)
-@click.option("--rivals", is_flag=True, help="also fit rivals that learn to the corpus' training faces (minutes)")
-@click.option(
-    "--simulated",
-    type=counted(FACES),
-    default=0,
-    help="faces on which rivals that simulate run, too, and unseen parameters: minutes",
-)
-@click.option(
-    "--generalisation",
-    type=counted(STUDIED_PAIRS),
-    metavar="N",
-    help="pairs of people, known and unseen, simulated under both's parameters and recordings: a minute of a core each",
-)
-@click.option("--workers", type=counted(WORKERS), default=1, help="processes of --generalisation")
-@click.option(
-    "--curve",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="weights of `train --share`, one option each: errors over the corpus' size",
-)
-@click.option("--partial", is_flag=True, help="on the people that are there, of a corpus not yet complete")
-@click.option("--out", default="out/evaluate", type=FOLDER, help="folder of tables and pictures")
-@click.option("--json", "as_json", is_flag=True, help="print the scores as JSON")
-def evaluate(
-    corpus: Path,
-    surrogate: Path | None,
-    external: Path | None,
-    people: str,
-    rivals: bool,
-    simulated: int,
-    generalisation: int | None,
-    workers: int,
-    curve: tuple[Path, ...],
-    partial: bool,
-    out: Path,
-    as_json: bool,
-) -> int:
-    """Compare the surrogate and its rivals on the test people of CORPUS against the simulator.
+class Evaluate(click.Command):
+    """The command of the surrogate's study, whose options are read when they are asked for: it brings the surrogate."""
 
-    Shares are of |T - carried(S)|: what of the simulated skin T is not blendshapes S moved along by scaled bones.
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The study's options; the corpus is an argument."""
+        from ..benchmarks.studies.surrogate import SurrogateOnCorpus
+        from .study_command import command_of
 
-    On static frames, by kind of parameters and strength of the expression; on sequences with
-    inertia (Eq. 21 over each method's static answers); and
-    against FEniCSx, both laws, where CORPUS has its answers. With --generalisation by what is unseen, too: people,
-    parameters, recordings, in every combination; what it simulates is kept in OUT/generalisation.
+        if not self.params:
+            whole = command_of(SurrogateOnCorpus, out="out/evaluate", argument="corpus", judged=False)
+            self.params, self.callback = whole.params, whole.callback
+        return super().get_params(ctx)
 
-    Writes OUT/scores.json with machine, commit, versions and seed; scores.md with the frames and faces after which
-    training has paid; error against seconds before the first frame and per frame as cost.png; and the six worst faces
-    as frames.png; with --curve, errors over the
-    number of people trained on as curve.png.
-    """
-    from ..benchmarks.surrogates import compare, told_first
 
-    out.mkdir(parents=True, exist_ok=True)
-    with shown() as progress:
-        scores, written = compare(
-            corpus,
-            out,
-            surrogate=surrogate,
-            rivals=rivals,
-            partial=partial,
-            people=people,
-            external=external,
-            simulated=simulated,
-            generalisation=generalisation,
-            workers=workers,
-            curve=curve,
-            progress=progress,
-        )
-    if as_json:
-        click.echo(json.dumps([asdict(score) for score in scores], indent=1))
-        return 0
-    click.echo(told_first(scores), nl=False)
-    for score in scores:
-        figures = f"share {100 * score.share:6.1f} %  mean {score.mean:.4f} mm  95 % {score.p95:.3f}"
-        click.echo(f"{score.method:<36} {score.kind:<32} {figures}")
-    for path in written:
-        click.echo(f"wrote {path}")
-    return 0
+EVALUATE = """Compare the surrogate and its rivals with the simulator on people of CORPUS whom training has not seen.
+
+On static frames, by kind of parameters and strength of the expression; where CORPUS has them on sequences with inertia
+(Eq. 21 over each method's static answers), and against FEniCSx by both laws. Further questions by option.
+
+Shares are of |T - carried(S)|: of the simulated skin T less blendshapes S that move along with scaled bones.
+
+Writes OUT/index.html and OUT/results.json, with the frames after which training has paid, error against cost, and the
+worst faces as pictures; OUT/rows.jsonl keeps what is done. Exit status 1 if a case could not be
+measured.
+"""
+evaluate = Evaluate("evaluate", help=EVALUATE, short_help="Compare the surrogate and its rivals with the simulator.")

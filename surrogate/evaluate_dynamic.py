@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Protocol
 
 import numpy as np
 
 from ..lhm.base.errors import InputError
-from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.mesh import Floats32, Surface
 from ..lhm.base.progress import OnProgress, silent
 from ..reference import Parameters
 from ..reference.face.dynamics import extrapolate_turns
@@ -19,10 +19,55 @@ from .corpus.face import Face
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE, Split
 from .corpus.reading import Faces, Row, Table
-from .dynamics import OSCILLATION, DynamicRig, Looseness, Swing
-from .evaluate import Cost, Named, Score, score_of
+from .dynamics import OSCILLATION, DynamicRig, Swing
+from .evaluate import Answers, Contender, Named, Score, Static, Trial, measure_frames
 from .heads import Heads
+from .dynamics import Looseness
 from .methods import Method
+
+DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
+
+
+class InMotion(Contender):
+    """Eq. 21 over a method's static answers, begun as the simulation was, of people over a `mean` skin."""
+
+    def __init__(self, static: Static, looseness: Looseness, mean: Surface):
+        super().__init__(static.name, simulates=static.simulates)
+        self._static, self._looseness, self._mean = static, looseness, mean
+
+    def answer(self, trial: Trial) -> Answers:
+        """Begin at the method's own static answer with the simulation's velocity; the head turns as in the sequence."""
+        row, still = trial.sequence, self._static.answer(trial)
+        assert row is not None
+        blended = (trial.face.skin + np.tensordot(trial.weights, trial.face.shapes, axes=1)).astype(np.float32)
+        moving = DynamicRig(_Skins(blended + still.corrected), self._swing(trial.face), 1.0 / RATE)
+        turned = row["rotations"].astype(np.float64)
+        velocity = RATE * (row["before"][0].astype(np.float64) - row["before"][1])
+        moving.begin(0, velocity=velocity, base=extrapolate_turns(turned))
+        begin = time.process_time()
+        swung = np.stack([moving.frame(k, base=base) for k, base in enumerate(turned)])
+        each = (time.process_time() - begin) / len(swung)
+        return Answers(swung - blended, None, [seconds + each for seconds in still.frame_seconds])
+
+    def _swing(self, face: Face) -> Swing:
+        """Combine the person's looseness with p's frequency and damping at the vertices."""
+        waves, values = basis(self._mean.vertices), []
+        for name in OSCILLATION:
+            row = face.parameters.coefficients[NAMES.index(name)].astype(np.float64)
+            values.append(np.asarray(Parameters.info(name).denormalise(np.clip(waves @ row, -1.0, 1.0))))
+        loose, pivot = self._looseness.at(face.code)
+        return Swing(loose, values[0], values[1], pivot)
+
+
+@dataclass(frozen=True, eq=False)
+class _Skins:
+    """Static skins (F, n, 3) [mm] that are there already, as a rig whose weights are a frame's number."""
+
+    skins: Floats32
+
+    def frame(self, weights, blended=None, *, out=None) -> Floats32:
+        """Return the skin of frame number `weights`."""
+        return self.skins[weights].copy()
 
 
 class PlaysSequences(Named, Protocol):
@@ -33,11 +78,37 @@ class PlaysSequences(Named, Protocol):
         ...
 
     def play(self, row: Row) -> Floats32:
-        """T - S [mm], shape (L, n, 3), of a sequence."""
+        """Return T - S [mm], shape (L, n, 3), of a sequence."""
         ...
 
 
-DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
+class Player(Contender):
+    """A method that plays whole sequences, fitted."""
+
+    def __init__(self, method: PlaysSequences):
+        super().__init__(method.name, simulates=method.simulates)
+        self._method = method
+
+    def answer(self, trial: Trial) -> Answers:
+        """Play the trial's sequence."""
+        assert trial.sequence is not None
+        begin = time.process_time()
+        corrected = self._method.play(trial.sequence)
+        return Answers(corrected, None, [(time.process_time() - begin) / len(corrected)] * len(corrected))
+
+
+def sequence_trials(table: Table, heads: Heads, faces: Faces | None = None) -> Iterator[Trial]:
+    """Read the sequences of a table; with `faces`, only those of these faces, with derivatives."""
+    number_of = None if faces is None else {key: k for k, key in enumerate(map(tuple, faces.groups.tolist()))}
+    for k, key in enumerate(map(tuple, table.groups.tolist())):
+        if faces is not None and number_of is not None:
+            if key not in number_of:
+                continue
+            face = faces.face(number_of[key])
+        else:
+            face = Face(key[0], table.person(key[0]), table.parameters(k), table.settled(*key))
+        row = table[k]
+        yield Trial(face, row["weights"], row["corrected"].astype(np.float32), heads.carry(face), DYNAMIC, row)
 
 
 def evaluate_dynamic(
@@ -52,25 +123,17 @@ def evaluate_dynamic(
 ) -> list[Score]:
     """Score each method, which is fitted, over all frames of the sequences: of kinds DYNAMIC, and STILL.
 
-    heads: of the corpus' people. A sequence begins at the method's own static answer with the velocity that
-    the simulation had, and its head turns alike. Raises InputError where no sequence of the split has derivatives, and
-    what `Table` raises.
+    heads: of the corpus' people. Raises InputError where no sequence of the split has derivatives, and what `Table`
+    raises.
     """
     faces, table = Faces(folder, split, partial=partial), Table(folder, "sequences", split, partial=partial)
-    rows = {key: index for index, key in enumerate(map(tuple, faces.groups.tolist()))}
-    pairs = [(k, rows[key]) for k, key in enumerate(map(tuple, table.groups.tolist())) if key in rows]
-    if not pairs:
+    if not set(map(tuple, faces.groups.tolist())) & set(map(tuple, table.groups.tolist())):
         raise InputError(f"corpus {folder}: no sequence of the {split or 'whole'} split is of a face with derivatives")
-    scores = []
-    for number, method in enumerate(methods):
-        played = [_played(method, table, k, faces.face(row), heads, looseness) for k, row in pairs]
-        motion = np.concatenate([one.motion for one in played])
-        for kind in (DYNAMIC, STILL):
-            errors = np.concatenate([one.errors[kind] for one in played])
-            frame = 1e3 * float(np.median([one.frame[kind] for one in played]))
-            scores.append(score_of(method, kind, errors, motion, Cost(frame_ms=frame), faces=len(pairs)))
-        on_progress(f"evaluate, dynamic: {method.name}", (number + 1) / len(methods))
-    return scores
+    still = [Static(method) for method in methods]
+    moving = [InMotion(static, looseness, table.template.mean) for static in still]
+    distances = measure_frames([*moving, *still], sequence_trials(table, heads, faces), on_progress)
+    scores = distances.scores(distances.parts())
+    return scores[: len(moving)] + [replace(score, kind=STILL) for score in scores[len(moving) :]]
 
 
 def evaluate_sequences(
@@ -81,7 +144,7 @@ def evaluate_sequences(
     partial: bool = False,
     on_progress: OnProgress = silent,
 ) -> Score:
-    """Tell the score, of kind DYNAMIC, of a method that learns sequences alone: fitted to those of training people.
+    """Score a method that learns sequences alone, of kind DYNAMIC: fitted to those of training people.
 
     It begins with the two skins that the simulation had before. Raises what `Table` raises.
     """
@@ -89,73 +152,6 @@ def evaluate_sequences(
     method.fit(Table(folder, "sequences", "train", partial=partial))
     fitted = time.process_time() - begin
     table = Table(folder, "sequences", "test", partial=partial)
-    errors, motions, times = [], [], []
-    for k in range(len(table)):
-        row, identity = table[k], int(table.rows[k, 0])
-        face = Face(identity, table.person(identity), table.parameters(k), np.zeros((0, 3)))
-        begin = time.process_time()
-        found = method.play(row)
-        times.append((time.process_time() - begin) / len(found))
-        truth = row["corrected"].astype(np.float32)
-        errors.append(np.linalg.norm(found - truth, axis=2))
-        motions.append(np.linalg.norm(truth - heads.carry(face), axis=2))
-    on_progress(f"evaluate, dynamic: {method.name}", 1.0)
-    cost = Cost(fit_seconds=fitted, frame_ms=1e3 * float(np.median(times)))
-    return score_of(method, DYNAMIC, np.concatenate(errors), np.concatenate(motions), cost, faces=len(table))
-
-
-@dataclass(frozen=True, eq=False)
-class _Played:
-    """Distances (frames, n) [mm] by kind, |T - carried(S)| (frames, n) [mm], and seconds of a frame by kind."""
-
-    errors: dict[str, Floats]
-    motion: Floats
-    frame: dict[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class _Answers:
-    """Static answers (F, n, 3) [mm] that are there already, as a rig that has them one after another."""
-
-    skins: Floats32
-
-    def frame(self, weights, blended=None, *, out=None) -> Floats32:
-        """The skin of frame number `weights`."""
-        return self.skins[weights].copy()
-
-
-def _played(method: Method, table: Table, number: int, face: Face, heads: Heads, looseness: Looseness) -> _Played:
-    row, skin, shapes = table[number], table.skin(face.identity), table.shapes(face.identity)
-    bound = method.bind(face)
-    begin = time.process_time()
-    corrected = np.concatenate([bound(weights[None]) for weights in row["weights"]])
-    static = (time.process_time() - begin) / len(corrected)
-    blended = (skin.vertices + np.tensordot(row["weights"], shapes, axes=1)).astype(np.float32)
-    swing = _swing(face, row, table.template.mean, looseness)
-    moving = DynamicRig(_Answers(blended + corrected), swing, 1.0 / RATE)
-    turned = row["rotations"].astype(np.float64)
-    velocity = RATE * (row["before"][0].astype(np.float64) - row["before"][1])
-    moving.begin(0, velocity=velocity, base=extrapolate_turns(turned))
-    begin = time.process_time()
-    swung = np.stack([moving.frame(k, base=base) for k, base in enumerate(turned)])
-    dynamic = static + (time.process_time() - begin) / len(corrected)
-    truth = row["corrected"].astype(np.float32)
-    return _Played(
-        errors={
-            DYNAMIC: np.linalg.norm(swung - blended - truth, axis=2),
-            STILL: np.linalg.norm(corrected - truth, axis=2),
-        },
-        motion=np.linalg.norm(truth - heads.carry(face), axis=2),
-        frame={DYNAMIC: dynamic, STILL: static},
-    )
-
-
-def _swing(face: Face, row: Row, mean: Surface, looseness: Looseness) -> Swing:
-    """The person's looseness, with the frequency and damping of the sequence's parameters at the vertices."""
-    waves = basis(mean.vertices)
-    values = []
-    for name in OSCILLATION:
-        field = np.clip(waves @ row["coefficients"][NAMES.index(name)].astype(np.float64), -1.0, 1.0)
-        values.append(np.asarray(Parameters.info(name).denormalise(field)))
-    loose, pivot = looseness.at(face.code)
-    return Swing(loose, values[0], values[1], pivot)
+    distances = measure_frames([Player(method)], sequence_trials(table, heads), on_progress)
+    (score,) = distances.scores(distances.parts(), fits=[fitted])
+    return score

@@ -17,8 +17,8 @@ from ..reference import Parameters, prepare, settle
 from ..reference.face.derivatives import QUICK_ACCURACY, spring_norm
 from ..reference.face.settle import TARGET_OPTIONS, carry_skin
 from .corpus.face import Face
-from .corpus.folder import known_plan
-from .corpus.people import OfSpace, People, people_of
+from .corpus.folder import read_kept_plan
+from .corpus.people import OfSpace, People, people_from_text
 from .linear import derivatives
 from .ruler import BONES
 
@@ -40,12 +40,12 @@ class Heads:
 
     @classmethod
     def of_corpus(cls, folder: str | PathLike[str], on_progress: OnProgress = silent) -> Heads:
-        """The heads of a corpus' people, as its folder says how to make them; without, where it does not."""
+        """Return the heads of a corpus' people; nobody fits them where its folder does not tell how."""
         try:
-            made_with = known_plan(folder)[1]
+            made_with = read_kept_plan(folder)[1]
         except InputError as error:
             return cls(None, str(error))
-        return cls(people_of(made_with["identities"], level=made_with["level"], on_progress=on_progress))
+        return cls(people_from_text(made_with["identities"], level=made_with["level"], on_progress=on_progress))
 
     @property
     def people(self) -> People:
@@ -66,12 +66,12 @@ class Heads:
         return self.people.head(face.person)
 
     def shapes(self, face: Face) -> Floats:
-        """What each shape adds to the skin of a face's person [mm], shape (52, n, 3): of a space, by the code."""
+        """Return what each shape adds to a person's skin [mm], shape (52, n, 3): in a space, by the code."""
         people = self.people
         return people.space.expression_deltas(face.code) if isinstance(people, OfSpace) else np.asarray(face.shapes)
 
     def parameters(self, face: Face, head: LayeredHead) -> Parameters:
-        """The parameters of a face on the wraps of its head, as the corpus simulated it."""
+        """Return the parameters of a face on the wraps of its head, as the corpus simulated it."""
         return face.parameters.parameters(head, self.people.mean)
 
     def carry(self, face: Face) -> Floats32:
@@ -100,7 +100,7 @@ class BindCosts:
     derivatives: float
 
     def seconds(self, takes: str) -> float:
-        """Seconds of what a method takes from the simulator (`protocol.Takes`), without the head."""
+        """Return the seconds that a method takes of the simulator (`protocol.Takes`), without the head."""
         return 0.0 if takes == "nothing" else float(getattr(self, takes))
 
 
@@ -115,7 +115,7 @@ def measure_binds(heads: Heads, faces: Sequence[Face], on_progress: OnProgress =
         begun = time.process_time()
         carry_skin(head, replace(parameters, cranium_scale_x=SCALED))  # which costs nothing where no bone is scaled
         carried = time.process_time()
-        neutral_at_rest(head, parameters)
+        solve_neutral(head, parameters)
         rested = time.process_time()
         derivatives(head, parameters, np.asarray(face.shapes, dtype=np.float32))
         rows.append((fitted - begin, carried - begun, rested - carried, time.process_time() - rested))
@@ -123,8 +123,8 @@ def measure_binds(heads: Heads, faces: Sequence[Face], on_progress: OnProgress =
     return BindCosts(len(faces), *(float(value) for value in np.median(rows[1:], axis=0)))
 
 
-def neutral_at_rest(head: LayeredHead, parameters: Parameters) -> Floats:
-    """The neutral skin [mm], settled and at rest among its targets, without a tangent."""
+def solve_neutral(head: LayeredHead, parameters: Parameters) -> Floats:
+    """Solve the neutral skin [mm], settled and at rest among its targets, without a tangent."""
     face = settle(head, parameters, **TARGET_OPTIONS)
     scene = face.scene(head.skin.vertices)
     answer = prepare(scene).solve(start=face.positions, absolute=QUICK_ACCURACY * spring_norm(scene))

@@ -63,24 +63,24 @@ class Schedule:
             raise InputError(f"scheduler {self.address[:60]!r}: expected an address, as tcp://host:8786")
 
 
-def schedule(workers: int = 1, address: str | None = None) -> Schedule:
-    """The cluster of a scheduler's address where one is given; else processes, or this one for one worker."""
+def make_schedule(workers: int = 1, address: str | None = None) -> Schedule:
+    """Return the cluster of a scheduler's address where one is given; else processes, or this one for one worker."""
     if address is not None:
         return Schedule("dask", workers, address)
     return Schedule("serial" if workers == 1 else "processes", workers)
 
 
-def check_answers(on: Schedule) -> None:
+def check_scheduler(on: Schedule) -> None:
     """Raise InputError now where the scheduler of a cluster does not answer, rather than after minutes of set-up."""
     if on.where == "dask":
         with _client(on, 1):
             pass
 
 
-def results_of(
+def run_items(
     work: Callable[[Item], Result], items: Sequence[Item], *, on: Schedule, name: str = "work"
 ) -> Iterator[Result]:
-    """What `work` makes of each item, in the order in which it is done; on one thread each.
+    """Run `work` on each item, on one thread each; results come as they are done.
 
     `work` travels to each process once, by pickle. Raises what `work` raises; SoftdecaError naming `name` where an
     item's worker died RETRIES + 1 times; InputError where no scheduler answers, and MissingDependencyError without
@@ -162,7 +162,7 @@ def _client(on: Schedule, items: int) -> Iterator[Client]:
 
 @contextmanager
 def _processes(workers: int) -> Iterator[Client]:
-    """A cluster of this machine that ends at once with the context, whatever runs on it."""
+    """Start a cluster of this machine, which ends at once with the context, whatever runs on it."""
     from distributed import Client, LocalCluster
 
     with without_interrupts():
@@ -205,6 +205,6 @@ def _short(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0][:80]
 
 
-def processors() -> int:
-    """How many processors this process may use."""
+def count_processors() -> int:
+    """Count the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

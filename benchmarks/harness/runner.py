@@ -15,10 +15,10 @@ from typing import Any, Literal
 from ...lhm.base import provenance
 from ...lhm.base.errors import InputError, SoftdecaError
 from ...lhm.base.files.atomic import write_whole
-from ...lhm.base.files.resumable import Records, lock_folder
+from ...lhm.base.files.resumable import RowStore, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.added import added_files
-from ...surrogate.schedule import processors
+from ...surrogate.schedule import count_processors
 from .gates import at_most
 from .lanes import Job, Measured, measured
 from .study import Study, Task, Values
@@ -133,7 +133,7 @@ def run_together(
             except SoftdecaError as error:
                 found[number] = error
         jobs = {Job(run.study, task): number for number, run in runs.items() for task in run.left}
-        lanes = 1 if any(run.study.timed for run in runs.values()) else workers or processors()
+        lanes = 1 if any(run.study.timed for run in runs.values()) else workers or count_processors()
         count = sum(len(run.tasks) for run in runs.values())
         if runs:
             named = ", ".join(run.study.name for run in runs.values())
@@ -187,10 +187,10 @@ class _Rows:
     """The rows of a file, of which those of other options or code are not looked at, and one more at a time."""
 
     def __init__(self, path: Path, of: str):
-        self._records, self._of = Records(path), of
+        self._records, self._of = RowStore(path.parent, file=path.name), of
         self.found: dict[Task, Row] = {}
         names = {field.name for field in fields(Row)}
-        for record in self._records.read():
+        for record in self._records.rows():
             if record.get("of") == of and record.keys() == names:
                 self.found[Task(record["case"], record["method"])] = Row(**record)
 
@@ -212,7 +212,7 @@ class _Rows:
             if isinstance(value, bytes):
                 kind = ".png" if value.startswith(PNG) else ".html"
                 name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{one.job.task}, {key}")[:120].strip("-") + kind
-                write_whole(self._records.path.parent / name, value)
+                write_whole(self._records.folder / name, value)
                 found[key] = name
         return found
 

@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
-from ...animation.plots import plot_costs, to_svg
+import numpy as np
+
+from ...animation.plots import plot_costs, subplots, to_svg
 from ...lhm.base.errors import InputError
 from ...lhm.base.progress import silent
-from ...surrogate import Surrogate
-from ...surrogate.corpus.manifest import read_manifest
-from ...surrogate.corpus.reading import Faces
-from ...surrogate.evaluate import ALL, Score, evaluate
-from ...surrogate.heads import BindCosts, Heads
+from ...surrogate.corpus.manifest import OWNER, read_manifest, read_template
+from ...surrogate.evaluate import ALL, SIMULATOR, Score, evaluate, evaluate_references
+from ...surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
+from ...surrogate.generalisation import evaluate_generalisation
+from ...surrogate.methods import NetworkMethod
 from ...surrogate.ruler import MOVES
+from ..beyond import KIND as BEYOND
+from ..beyond import score_beyond
+from ..breakeven import Breakeven, compute_breakeven
 from ..harness.runner import Row
 from ..harness.study import Column, Study, Task, Values
-from ..surrogate_gates import NETWORK, surrogate_gates
-from ..surrogates import READY, bind_costs, faces_of, learning, plotted, split_of, told_first
+from ..surrogate_frames import draw_worst_frames
+from ..surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
+from ..surrogates import READY, SIMULATE, OnCorpus, learning, load_network, parse_people
 
-COSTED = 3
-"""Faces on which binds by simulation are measured: some 15 s."""
+SNP = "SNP"
+SEEN = 24
+"""Training faces, of people that all networks of a curve know, on which each is tried, too."""
+CURVE = "over the number of people"
+EXTERNAL = "external"
+"""Kind of all frames of another corpus, such as ICT-FaceKit's people in the default's triangles."""
+WORST = "The worst frame of each of the worst faces"
 
 
 @dataclass(frozen=True)
 class SurrogateOnCorpus(Study):
-    """Static frames of people that training has not seen, by kind of parameters and strength of expression."""
+    """Frames of people that training has not seen, by kind of parameters and strength of expression.
+
+    Sequences and FEniCSx' answers of the corpus are scored where it has them; the other questions by option.
+    """
 
     name = "surrogate"
     heading = "How good is the network on people it has not seen?"
@@ -54,46 +68,62 @@ class SurrogateOnCorpus(Study):
         f"Errors and shares are over vertices that |T - carried(S)| moves by more than {MOVES:g} mm. A kind is "
         'named for the one effect in p, whatever the materials; in "materials" no effect differs. Costs are processor '
         "time of one thread: the head once a person, the bind with the simulator's part, one frame at a time. "
-        "Sequences, FEniCSx' answers and rivals that simulate are scored by `softdeca evaluate`."
+        "`softdeca evaluate --help` lists further questions."
     )
     timed = True
 
     corpus: str = field(default="", metadata={"help": "folder of `softdeca corpus generate`"})
-    weights: str = field(default="", metadata={"help": "of `softdeca train`  [those that are shipped]"})
-    rivals: bool = field(default=False, metadata={"help": "also rivals that learn from its training people: minutes"})
-    partial: bool = field(default=False, metadata={"help": "on the people that are there"})
+    weights: str = field(
+        default="", metadata={"option": "--surrogate", "help": "weights of `softdeca train`; default: the shipped"}
+    )
     people: str = field(default="test", metadata={"help": "of the corpus: test, or all, where training has seen none"})
+    partial: bool = field(default=False, metadata={"help": "on the people that are there, of a corpus not complete"})
+    rivals: bool = field(default=False, metadata={"help": "also rivals that learn from its training people: minutes"})
+    external: str = field(default="", metadata={"help": "another corpus to score, such as external:ict:FILE"})
+    simulated: int = field(
+        default=0, metadata={"help": "faces for rivals that simulate; with unseen parameters, too: minutes"}
+    )
+    generalisation: int = field(
+        default=0,
+        metadata={"help": "pairs of people, known and unseen, simulated under both's parameters: a minute each"},
+    )
+    curve: tuple[str, ...] = field(
+        default=(), metadata={"option": "--curve", "help": "weights of `train --share`: errors over people trained on"}
+    )
 
     def tasks(self) -> Sequence[Task]:
-        """Each method. Raises InputError where there is no corpus, or the weights are not of its mesh."""
-        if not self.corpus:
-            raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
-        split_of(self.people)
-        read_manifest(Path(self.corpus))
-        names = [*READY, *(learning() if self.rivals else ())]
-        return [Task(Path(self.corpus).name, name) for name in names]
+        """Each question by each method; InputError for no corpus, weights of another mesh, options out of range."""
+        return [Task(case, name) for case, (names, _) in self._questions().items() for name in names]
 
     def measure(self, task: Task) -> Values:
-        """A method's scores, by kind of parameters and strength of expression."""
-        network, test, heads, costs = _tested(self)
-        if task.method in READY:
-            found = evaluate([READY[task.method](network.weights, heads)], test, heads, costs=costs)
-        else:
-            training = Faces(Path(self.corpus), "train", partial=self.partial)
-            found = evaluate([learning()[task.method]()], test, heads, training, costs=costs)
-        return {
-            "rows": [asdict(score) for score in found],
-            "people": len({identity for identity, _ in test.groups.tolist()}),
-            "trained_on": asdict(network.weights.note),
-        }
+        """A method's scores on the frames of a question."""
+        scores = self._questions()[task.case][1](task.method)
+        tested, values = self._tested(), {}
+        if task == Task(Path(self.corpus).name, NETWORK):
+            paid = (
+                None
+                if tested.split is None
+                else compute_breakeven(tested.corpus, tested.network.weights.note, scores[0])
+            )
+            manifest = read_manifest(tested.corpus)
+            values = {
+                "corpus": {name: manifest.said[name] for name in OWNER}
+                | {"seed": manifest.counts.seed, "made_with": dict(manifest.made_with)},
+                "breakeven": None if paid is None else asdict(paid),
+                "bind_costs": None if tested.costs is None else asdict(tested.costs),
+                WORST: draw_worst_frames(tested, silent),
+            }
+        note = (load_network(Path(task.method)) if task.case == CURVE else tested.network).weights.note
+        people = len({identity for identity, _ in tested.faces.groups.tolist()})
+        return {"rows": [asdict(score) for score in scores], "people": people, "trained_on": asdict(note), **values}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """Bounds that no trivial rival meets; see `surrogate_gates`."""
+        """Bounds that no trivial rival meets; see `make_gates`."""
         scores = _scores(rows)
-        return surrogate_gates(scores) if any(score.method == NETWORK for score in scores) else []
+        return make_gates(scores) if any(score.method == NETWORK for score in scores) else []
 
     def words(self, rows: Sequence[Row]) -> str:
-        """Where the network loses first, then share and cost of each."""
+        """Where the network loses first, then share and cost of each, and when training has paid."""
         scores = _scores(rows)
         said = [
             f"{score.method} {100 * score.share:.1f} % ({score.mean:.3f} mm)" + _cost(score)
@@ -101,23 +131,134 @@ class SurrogateOnCorpus(Study):
             if score.kind == ALL
         ]
         people, note = rows[0].values["people"], rows[0].values["trained_on"]
-        return told_first(scores).replace("\n", " ") + (
+        paid = [row.values["breakeven"] for row in rows if row.values.get("breakeven")]
+        return describe_defeats(scores).replace("\n", " ") + (
             f"{people} people that training has not seen ({note['frames']} static frames and the derivatives of "
             f"{note['faces']} faces of {note['people']} people). Share left of the motion that bones alone do not "
             f"explain: {'; '.join(said)}."
-        )
+        ) + (f" {Breakeven(**paid[0]).told}" if paid else "")  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Mean error against the cost before the first frame, and per frame."""
-        known = plotted(_scores(rows))
-        return {"Error against cost.": to_svg(plot_costs(known))} if known else {}
+        """Mean error against the cost before the first frame, and per frame; and over the number of people."""
+        known = [s for s in _scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
+        pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
+        grown = sorted((row.values["trained_on"]["people"], row) for row in rows if row.case == CURVE)
+        if grown:
+            figure, axis = subplots(figsize=(6, 3.4))
+            people = [count for count, _ in grown]
+            for kind, line in (("people that it has not seen", "o-"), ("people that it has learned from", "s--")):
+                shares = [100.0 * score.share for _, row in grown for score in _scores([row]) if score.kind == kind]
+                axis.plot(people, shares, line, label=kind)
+            axis.set(xlabel="people in training", ylabel="error [% of |T - carried(S)|]", xscale="log", ylim=(0, None))
+            axis.set_xticks(people, [str(count) for count in people])
+            axis.minorticks_off()
+            axis.legend()
+            pictures["Error over the number of people trained on."] = to_svg(figure)
+        return pictures
+
+    def _tested(self) -> OnCorpus:
+        weights = Path(self.weights) if self.weights else None
+        return OnCorpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
+
+    def _questions(self) -> dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]]:
+        """Methods, and what scores one of them, by case."""
+        if not self.corpus:
+            raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
+        tested, corpus, ready = self._tested(), Path(self.corpus).name, list(READY)
+        counts, swings = read_manifest(tested.corpus).counts, tested.network.weights.looseness is not None
+        tested.network.weights.check_mesh(read_template(tested.corpus).mean)
+        asked: dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]] = {}
+        asked[corpus] = [*ready, *(learning() if self.rivals else ())], lambda name: self._static(tested, name)
+        if counts.sequences and swings:
+            also = [SNP] if self.rivals else []
+            asked[f"{corpus}, in motion"] = [*ready, *also], lambda name: self._moving(tested, name)
+        if counts.references:
+            asked[f"{corpus}, against FEniCSx"] = [SIMULATOR, *ready], lambda name: self._referenced(tested, name)
+        if self.simulated:
+            also = [*ready, *SIMULATE]
+            asked[f"{corpus}, beside simulation"] = also, lambda name: self._beside_simulation(tested, name)
+            if tested.network.space == "anny":
+                trivial = [NETWORK, CARRIED, SETTLED, BLENDSHAPES]
+                asked[BEYOND] = trivial, lambda name: [s for s in _beyond(tested.weights) if s.method == name]
+        if self.external:
+            other = OnCorpus(Path(self.external), None, tested.weights, self.partial)
+            asked[f"{EXTERNAL}, {other.corpus.name}"] = ready, lambda name: self._external(other, name)
+            if read_manifest(other.corpus).counts.sequences and swings:
+                asked[f"{EXTERNAL}, {other.corpus.name}, in motion"] = (
+                    ready,
+                    lambda name: [
+                        replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in self._moving(other, name)
+                    ],
+                )
+        if self.generalisation:
+            asked[f"{corpus}, by what is unseen"] = (
+                ready,
+                lambda name: evaluate_generalisation(
+                    [tested.ready(name)], tested.pairs(self.generalisation), tested.costs
+                ),
+            )
+        if self.curve:
+            if len({load_network(Path(path)).weights.note.people for path in self.curve}) < 2:
+                raise InputError("curve: two weights at least, trained on different numbers of people")
+            asked[CURVE] = self.curve, lambda path: self._grown(tested, path)
+        return asked
+
+    def _static(self, tested: OnCorpus, name: str) -> list[Score]:
+        if name in READY:
+            return evaluate([tested.ready(name)], tested.faces, tested.heads, costs=tested.costs)
+        return evaluate([learning()[name]()], tested.faces, tested.heads, tested.training, costs=tested.costs)
+
+    def _moving(self, tested: OnCorpus, name: str) -> list[Score]:
+        if name == SNP:
+            from ...surrogate.networks.snp import SubspacePhysics
+
+            return [evaluate_sequences(SubspacePhysics(), tested.corpus, tested.heads, partial=self.partial)]
+        known = tested.network.weights.looseness
+        assert known is not None
+        ready = [tested.ready(name)]
+        return evaluate_dynamic(ready, tested.corpus, tested.split, tested.heads, known, partial=self.partial)
+
+    def _referenced(self, tested: OnCorpus, name: str) -> list[Score]:
+        ready = [] if name == SIMULATOR else [tested.ready(name)]
+        scores = evaluate_references(ready, tested.corpus, tested.split, tested.heads, partial=self.partial)
+        return [score for score in scores if score.method == name]
+
+    def _beside_simulation(self, tested: OnCorpus, name: str) -> list[Score]:
+        chosen = tested.spread(self.simulated)
+        scores = evaluate([tested.ready(name)], tested.faces, tested.heads, chosen=chosen, costs=tested.costs)
+        return [replace(score, kind=f"{len(chosen)} faces") for score in scores if score.kind == ALL]
+
+    def _external(self, other: OnCorpus, name: str) -> list[Score]:
+        scores = evaluate([other.ready(name)], other.faces, other.heads, costs=other.costs)
+        return [replace(score, kind=EXTERNAL) for score in scores if score.kind == ALL]
+
+    def _grown(self, tested: OnCorpus, path: str) -> list[Score]:
+        """Score a network of the curve on unseen people, and on people from whom all of the curve have learned.
+
+        Where the share of seen people stays far below that of unseen ones, more people help; where both are level,
+        another form would.
+        """
+        training, notes = tested.training, [load_network(Path(other)).weights.note for other in self.curve]
+        network = load_network(Path(path)).weights
+        network.check_mesh(training.mean)
+        fewest = min(notes, key=lambda note: note.people)
+        people = np.unique(training.groups[:, 0])[: fewest.people + len(fewest.held)]
+        learned = np.setdiff1d(people, [number for note in notes for number in note.held])
+        rows = np.flatnonzero(np.isin(training.groups[:, 0], learned))
+        seen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
+        method = NetworkMethod(network)
+        of_unseen = evaluate([method], tested.faces, tested.heads)[0]
+        of_seen = evaluate([method], training, tested.heads, chosen=seen)[0]
+        name = f"network of {network.note.people} people"
+        return [
+            replace(of_unseen, method=name, kind="people that it has not seen"),
+            replace(of_seen, method=name, kind="people that it has learned from"),
+        ]
 
 
 @lru_cache(maxsize=1)
-def _tested(study: SurrogateOnCorpus) -> tuple[Surrogate, Faces, Heads, BindCosts | None]:
-    network, corpus = Surrogate.load(Path(study.weights) if study.weights else None), Path(study.corpus)
-    test, heads = faces_of(corpus, split_of(study.people), study.partial, network), Heads.of_corpus(corpus)
-    return network, test, heads, bind_costs(heads, test, silent, COSTED)
+def _beyond(weights: Path | None) -> list[Score]:
+    return score_beyond(load_network(weights), silent)
 
 
 def _scores(rows: Sequence[Row]) -> list[Score]:

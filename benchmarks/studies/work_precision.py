@@ -298,7 +298,7 @@ class _Run:
 def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
     from ...surrogate import Surrogate, derivatives_rig
-    from ...surrogate.heads import neutral_at_rest
+    from ...surrogate.heads import solve_neutral
 
     head, parameters, network = of.head, Parameters(), Surrogate.load()
     shapes = of.space.expression_deltas(of.code)
@@ -313,7 +313,7 @@ def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
         SURROGATE: lambda: network.bind(**given).frame,
         EXACT: lambda: network.bind(**given, exact=True, head=head).frame,
         LINEARISED: lambda: derivatives_rig(head, shapes).frame,
-        SETTLED: lambda: moved(lambda: neutral_at_rest(head, parameters) - head.skin.vertices),
+        SETTLED: lambda: moved(lambda: solve_neutral(head, parameters) - head.skin.vertices),
         CARRIED: lambda: moved(lambda: carry_skin(head, parameters)),
         BLENDSHAPES: lambda: blend,
     }

@@ -108,7 +108,7 @@ assert np.isfinite(frame).all()
 # With heads, the same is four commands, of which the first only says what it would cost:
 #
 # ```sh
-# softdeca corpus plan --preset small
+# softdeca corpus generate --preset small --dry-run
 # softdeca corpus generate --preset small --out corpus --workers 2
 # softdeca train corpus --out trained
 # softdeca evaluate corpus --surrogate trained/modal.safetensors --rivals

@@ -47,21 +47,21 @@ def write_card(corpus: Corpus, *, licence: str = LICENCE, machine: Mapping[str, 
 
 
 def corpus_figures(corpus: Corpus, status: CorpusStatus) -> dict[str, Any]:
-    """Distributions of |T - S| in the face by kind of parameters and by source, iterations, reasons of rejection."""
+    """Count frames, |T - S| in the face by kind of parameters and by source, iterations, and reasons of rejection."""
     moved: dict[str, list[Floats]] = {}
     iterations: list[Floats] = []
     for identity in corpus.people_there():
         path = corpus.shard_path(identity)
         names = [f"statics/{name}" for name in ("group", "moved", "status", "recording", "iterations")]
-        found = read_arrays_of(path, corpus.owner, "groups/kind", *names)
-        good = found["statics/status"] == ACCEPTED.encode()
-        kinds = found["groups/kind"][found["statics/group"]]
-        sources = np.char.partition(found["statics/recording"].astype(str), "/")[:, 0]
-        iterations.append(found["statics/iterations"][good].astype(float))
+        arrays = read_arrays_of(path, corpus.owner, "groups/kind", *names)
+        good = arrays["statics/status"] == ACCEPTED.encode()
+        kinds = arrays["groups/kind"][arrays["statics/group"]]
+        sources = np.char.partition(arrays["statics/recording"].astype(str), "/")[:, 0]
+        iterations.append(arrays["statics/iterations"][good].astype(float))
         for key, mask in [("all", good), *((kind, good & (kinds == kind.encode())) for kind in KINDS)] + [
             (source, good & (sources == source)) for source in np.unique(sources)
         ]:
-            moved.setdefault(str(key), []).append(found["statics/moved"][mask])
+            moved.setdefault(str(key), []).append(arrays["statics/moved"][mask])
     gathered = {key: np.concatenate(values) for key, values in moved.items()}
     reasons: dict[str, int] = {}
     for rejection in status.rejected:
@@ -90,7 +90,7 @@ def _quantiles(values: Floats) -> list[float]:
 
 
 def card_text(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any], licence: str) -> str:
-    """The card, in the form of the Hugging Face hub: YAML, then Markdown."""
+    """Write the card in the form of the Hugging Face hub: YAML, then Markdown."""
     plan = corpus.plan
     tested = sum(plan.split(k) == "test" for k in corpus.people_there())
     head = "\n".join(
@@ -162,7 +162,7 @@ def _category(frames: int) -> str:
 
 
 def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
-    """Croissant 1.0 metadata: every file with its checksum, and what the tables' columns are."""
+    """Describe every file with its checksum, and the tables' columns, as Croissant 1.0 metadata."""
     names = ("corpus.json", "template.npz", "velocities.npz")
     files = [path for name in names if (path := corpus.folder / name).exists()]
     files += [corpus.shard_path(k) for k in corpus.people_there()]
@@ -240,7 +240,7 @@ def croissant(corpus: Corpus, licence: str) -> dict[str, Any]:
 
 
 def _tables() -> str:
-    """The tables' docstrings, and the names of their arrays, in one line."""
+    """Join the tables' docstrings and the names of their arrays in one line."""
     described = (
         f"{table} ({', '.join(item.name for item in fields(kind))}): {' '.join((kind.__doc__ or '').split())}"
         for table, kind in TABLES.items()
@@ -257,6 +257,6 @@ def _sha256(path: Path) -> str:
 
 
 def card_json(corpus: Corpus, status: CorpusStatus, figures: dict[str, Any]) -> dict[str, Any]:
-    """The card's figures and counts as JSON, to be kept where the data is not."""
+    """Return the card's figures and counts, to be kept where the data is not."""
     kept = asdict(status) | {"rejected": len(status.rejected), "damaged": len(status.damaged)}
     return {"plan": json.loads(corpus.plan.to_json()) | {"digest": corpus.plan.digest}, "status": kept, **figures}

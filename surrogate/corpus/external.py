@@ -57,10 +57,10 @@ class External:
             ties = laid.template_weights.tocsr()
             return {"laid": laid.vertices, "data": ties.data, "indices": ties.indices, "indptr": ties.indptr}
 
-        found = load_or_make(name, make)
+        laid: dict[str, np.ndarray] = load_or_make(name, make)
         shape = (len(own.mean.vertices), len(other.mean.vertices))
-        ties = csr_matrix((found["data"], found["indices"], found["indptr"]), shape=shape)
-        return cls(own, other, found["laid"], ties, partial(fit_head, template), f"{template.digest}-{name}")
+        ties = csr_matrix((laid["data"], laid["indices"], laid["indptr"]), shape=shape)
+        return cls(own, other, laid["laid"], ties, partial(fit_head, template), f"{template.digest}-{name}")
 
     @property
     def name(self) -> str:
@@ -73,7 +73,7 @@ class External:
         return self.own.mean
 
     def person(self, rng: np.random.Generator) -> Person:
-        """Somebody of the other space at random, rigged from scans of random expressions."""
+        """Draw somebody of the other space, rigged from scans of random expressions."""
         code, skin = self.other.sample(rng)
         neutral = self.mean.with_vertices(self.laid + self.weights @ (skin.vertices - self.other.mean.vertices))
         expressed = np.stack([self._seen(sample_weights(rng)) for _ in range(SCANS)])
@@ -84,9 +84,9 @@ class External:
         return Person(nearest_code(self.own, neutral), neutral, rig.deltas, personal=True)
 
     def head(self, person: Person) -> LayeredHead:
-        """The fitted head of a person."""
+        """Fit the head of a person."""
         return self.fit(person.skin)  # type: ignore[operator]
 
     def _seen(self, weights: Floats) -> Floats:
-        """Weights without the shapes that the other space lacks."""
+        """Return weights without the shapes that the other space lacks."""
         return np.where([name in self.other.missing for name in ARKIT], 0.0, weights)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from ...lhm.base.errors import InputError
+from ...lhm.base.errors import InputError, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.files.resumable import check_manifest, lock_folder
 from ...lhm.base.progress import OnProgress, silent
 from ...reference.face.sequence import Velocities
-from ..schedule import Schedule, results_of
+from ..schedule import Schedule, run_items
 from ..surface_hash import surface_hash
-from .intact import REMEDY, check_person, read_intact
-from .manifest import MANIFEST, CorpusTemplate, read_manifest, read_template, write_template
+from .intact import check_person, read_intact
+from .manifest import MANIFEST, CorpusTemplate, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
 from .plan import IDENTITY, CorpusPlan, Split
-from .sequences import velocities_of
-from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, read_shard, write_shard
+from .sequences import load_velocities
+from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
 from .simulate import GENERATOR, simulate_person
 
 SERIAL = Schedule()
@@ -50,7 +50,7 @@ class Rejection:
 
 @dataclass(frozen=True)
 class CorpusStatus:
-    """What a corpus holds: people done of all; counts of what was accepted, by table; what was rejected, of `asked`.
+    """Counts of a corpus: people done of all; rows asked for and accepted by table; rejections.
 
     `damaged`: shards that are there but cannot be used, by message; `seconds`: of one process, by phase, summed over
     people, and empty where those of one are not known; `bytes` of all shards.
@@ -68,7 +68,7 @@ class CorpusStatus:
 
     @property
     def rejected_share(self) -> float:
-        """Of static and sequence frames made."""
+        """The share of static and sequence frames made that is rejected."""
         asked = self.asked["statics"] + self.asked["sequences"]
         accepted = self.accepted["statics"] + self.accepted["sequences"]
         return 1.0 - accepted / asked if asked else 0.0
@@ -90,9 +90,22 @@ class Corpus:
     ):
         self.folder, self.plan, self.people, self._made_with = Path(folder), plan, people, dict(made_with)
         self._run: Velocities | None = None
-        self.manifest = simulated_of(plan, people) | {"format": FORMAT}
-        if check_manifest(self.folder / MANIFEST, "corpus", self.manifest):
-            read_manifest(self.folder)
+        self.manifest = describe_simulation(plan, people) | {"format": FORMAT}
+        if (self.folder / MANIFEST).exists():
+            self._check_plan(read_manifest(self.folder))
+            check_manifest(self.folder / MANIFEST, "corpus", self.manifest)
+
+    def _check_plan(self, kept: Manifest) -> None:
+        """Raise InputError, naming each field that differs, where the folder's corpus is of another plan."""
+        if kept.said["plan"] == self.plan.digest:
+            return
+        differing = [
+            f"{item.name} {quote(getattr(kept.counts, item.name))}, expected {quote(getattr(self.plan, item.name))}"
+            for item in fields(CorpusPlan)
+            if item.name != "takes" and getattr(kept.counts, item.name) != getattr(self.plan, item.name)
+        ]
+        what = "; ".join(differing) or "its recordings are others"
+        raise InputError(f"{self.folder}: holds a corpus of another plan ({what}); use another folder or remove it")
 
     @property
     def owner(self) -> str:
@@ -100,11 +113,11 @@ class Corpus:
         return "-".join(map(str, self.manifest.values()))
 
     def shard_path(self, identity: int) -> Path:
-        """Where a person's shard is, or will be."""
+        """Return the place of a person's shard."""
         return shard_path(self.folder, identity)
 
     def people_there(self) -> list[int]:
-        """The numbers of the people whose shards are there, usable or not."""
+        """List the numbers of people whose shards are there, usable or not."""
         return [k for k in range(self.plan.identities) if self.shard_path(k).exists()]
 
     def generate(self, *, on: Schedule = SERIAL, on_progress: OnProgress = silent) -> CorpusStatus:
@@ -121,12 +134,12 @@ class Corpus:
             if self.plan.sequences and pending:
                 self._velocities(on_progress)
             rate = _Rate(self.plan, len(pending), on_progress)
-            for seconds in results_of(self.make, pending, on=on, name="corpus"):
+            for seconds in run_items(self.make, pending, on=on, name="corpus"):
                 rate.add(seconds)
         return self.status()
 
     def _order(self) -> list[int]:
-        """All people, those in test spread among the others, so that a part of a corpus is one to learn from, too."""
+        """Order all people, those in test spread among the others: a part of a corpus can be learned from, too."""
         count = {"train": self.plan.trained, "test": self.plan.tested}
         begins = {"train": 0, "test": count["train"]}
 
@@ -146,7 +159,7 @@ class Corpus:
 
     def _velocities(self, on_progress: OnProgress = silent) -> Velocities:
         if self._run is None:
-            self._run = velocities_of(self.folder, self.plan, self.people, on_progress=on_progress)
+            self._run = load_velocities(self.folder, self.plan, self.people, on_progress=on_progress)
         return self._run
 
     def __getstate__(self) -> dict[str, Any]:
@@ -162,29 +175,22 @@ class Corpus:
 
     def shard(self, identity: int) -> Shard:
         """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
-        path = self.shard_path(identity)
-        shard = read_shard(path, self.owner)
-        try:
-            check_person(shard.groups.number, self.plan.parameter_numbers(identity))
-        except InputError as error:
-            raise InputError(f"shard {path}: {error}; {REMEDY}") from None
-        return shard
+        n = len(self.people.mean.vertices)
+        return read_intact(self.shard_path(identity), self.owner, self.plan, identity, n)
 
     def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
-        """All people's shards of a split, or of both, one after another; InputError for one that cannot be used."""
+        """Read the shards of a split, or of both, one after another; InputError for one that cannot be used."""
         for identity in range(self.plan.identities):
             if split in (None, self.plan.split(identity)):
                 yield identity, self.shard(identity)
 
     def verify(self, *, on_progress: OnProgress = silent) -> None:
-        """Check every shard against its checksum; InputError names the first that is missing or damaged."""
-        for identity in range(self.plan.identities):
-            self.shard(identity)
-            on_progress("verify", (identity + 1) / self.plan.identities)
+        """Check every shard; InputError names the first that is missing or damaged: see `verify_folder`."""
+        verify_folder(self.folder, on_progress=on_progress)
 
     def status(self) -> CorpusStatus:
-        """Count what is there: see `status_of`."""
-        return status_of(self.folder, self.plan, self.owner)
+        """Count what is there: see `read_status`."""
+        return read_status(self.folder, self.plan, self.owner)
 
     def _write_manifest(self):
         content = self.manifest | {
@@ -200,14 +206,14 @@ class Corpus:
         write_whole(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
 
 
-def summed(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def sum_seconds(timed: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Add up people's seconds by phase; empty if those of one are not known."""
     if not all(timed):
         return {}
     return {phase: sum(spent.get(phase, 0.0) for spent in timed) for phase in dict.fromkeys(chain(*timed))}
 
 
-def status_of(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
+def read_status(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
     """Count what is there, and list what was rejected or is damaged, in the folder of a corpus by its plan and name.
 
     Only small arrays are read, unchecked; see `verify_folder`.
@@ -241,7 +247,7 @@ def status_of(folder: Path, plan: CorpusPlan, owner: str) -> CorpusStatus:
         asked["responses"] += len(arrays["responses/group"])
         accepted["responses"] += len(arrays["responses/group"])
     return CorpusStatus(
-        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, summed(timed), size
+        plan.identities, done, asked, accepted, tuple(rejected), tuple(damaged), versions, sum_seconds(timed), size
     )
 
 
@@ -253,23 +259,23 @@ def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = sile
     manifest, n = read_manifest(folder), len(read_template(folder).mean.vertices)
     people = manifest.counts.identities
     for identity in range(people):
-        read_intact(shard_path(manifest.folder, identity), manifest, identity, n)
+        read_intact(shard_path(manifest.folder, identity), manifest.owner, manifest.counts, identity, n)
         on_progress("verify", (identity + 1) / people)
     return people
 
 
 def shard_path(folder: Path, identity: int) -> Path:
-    """Where a person's shard lies in a corpus' folder."""
+    """Return the place of a person's shard in a corpus' folder."""
     return folder / f"person-{identity:05d}.h5"
 
 
-def simulated_of(plan: CorpusPlan, people: People) -> dict[str, Any]:
-    """What frames are simulated of, by name: where it differs they are others."""
+def describe_simulation(plan: CorpusPlan, people: People) -> dict[str, Any]:
+    """Name what decides simulated frames: plan, people, template and generator."""
     template = f"{surface_hash(people.mean)}{people.digest}"
     return {"plan": plan.digest, "people": people.name, "template": template, "generator": GENERATOR}
 
 
-def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
+def read_kept_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]:
     """Return a corpus' plan, and how to make its people again, from its folder; InputError where that is not told."""
     manifest = read_manifest(folder)
     takes = manifest.said.get("takes", "")
@@ -284,7 +290,7 @@ def known_plan(folder: str | PathLike[str]) -> tuple[CorpusPlan, dict[str, Any]]
 
 
 class _Rate:
-    """Says how many people are done, how fast, and how long the rest takes."""
+    """Progress of a generation: people done, frames per core-hour, time left."""
 
     def __init__(self, plan: CorpusPlan, pending: int, progress: OnProgress):
         self._plan, self._left, self._progress = plan, pending, progress

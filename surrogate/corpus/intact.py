@@ -12,7 +12,7 @@ import numpy as np
 
 from ...lhm.base.checks import array_of_kind, in_range, indices_below, integers, real, shape
 from ...lhm.base.errors import InputError
-from .manifest import Manifest
+from .plan import CorpusPlan
 from .shard import ACCEPTED, TABLES, VERTICES, Shard, columns_of, read_shard
 
 REMEDY = "`softdeca corpus generate` makes it anew"
@@ -22,23 +22,23 @@ _intact: set[Key] = set()
 """The files that this process has checked."""
 
 
-def check_intact(path: Path, manifest: Manifest, identity: int, vertices: int) -> None:
+def check_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertices: int) -> None:
     """Check a person's shard once per process: see `read_intact`."""
-    key = _key(path, manifest.owner, identity, vertices)
+    key = _key(path, owner, identity, vertices)
     if key is None or key not in _intact:
-        read_intact(path, manifest, identity, vertices)
+        read_intact(path, owner, plan, identity, vertices)
 
 
-def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) -> Shard:
+def read_intact(path: Path, owner: str, plan: CorpusPlan, identity: int, vertices: int) -> Shard:
     """Read a person's shard and check it: checksum, corpus, person, and shapes and indices for so many vertices.
 
     Raises InputError naming the file and the array.
     """
-    before = _key(path, manifest.owner, identity, vertices)
-    shard = read_shard(path, manifest.owner)
+    before = _key(path, owner, identity, vertices)
+    shard = read_shard(path, owner)
     try:
         _check_arrays(shard, vertices)
-        check_person(shard.groups.number, manifest.counts.parameter_numbers(identity))
+        check_person(shard.groups.number, plan.parameter_numbers(identity))
     except InputError as error:
         raise InputError(f"shard {path}: {error}; {REMEDY}") from None
     if before is not None:
@@ -46,19 +46,19 @@ def read_intact(path: Path, manifest: Manifest, identity: int, vertices: int) ->
     return shard
 
 
-def check_person(said: np.ndarray, numbers: list[int]) -> None:
+def check_person(stored: np.ndarray, numbers: list[int]) -> None:
     """InputError unless a shard's groups/number are the parameter sets that the plan gives its person and no other."""
-    found = integers("groups/number", said, 0, 2**62, (None,)).tolist()
-    if found != numbers:
-        raise InputError(f"of another person, with parameter sets {found[:3]}, expected {numbers[:3]}")
+    kept = integers("groups/number", stored, 0, 2**62, (None,)).tolist()
+    if kept != numbers:
+        raise InputError(f"of another person, with parameter sets {kept[:3]}, expected {numbers[:3]}")
 
 
 def _key(path: Path, owner: str, identity: int, vertices: int) -> Key | None:
     try:
-        known = path.stat()
+        state = path.stat()
     except OSError:
         return None
-    return str(path.resolve()), owner, identity, vertices, known.st_ino, known.st_size, known.st_mtime_ns
+    return str(path.resolve()), owner, identity, vertices, state.st_ino, state.st_size, state.st_mtime_ns
 
 
 def _check_arrays(shard: Shard, vertices: int) -> None:
@@ -85,6 +85,6 @@ def _check_arrays(shard: Shard, vertices: int) -> None:
 
 
 def _rows(arrays: Mapping[str, np.ndarray]) -> int:
-    """The length of a table's first column."""
+    """Return the length of a table's first column."""
     first = next(iter(arrays.values()))
     return len(first) if np.ndim(first) else 0

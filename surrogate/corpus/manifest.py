@@ -25,7 +25,7 @@ OWNER = ("plan", "people", "template", "generator", "format")
 
 @dataclass(frozen=True)
 class Manifest:
-    """What corpus.json says.
+    """The content of corpus.json.
 
     said: all of it; counts: the plan with its counts, seed and shares, whose recordings nobody has looked at;
     made_with: what a command needs to make the people again, empty for a corpus made from Python.
@@ -57,12 +57,12 @@ def read_manifest(folder: str | PathLike[str]) -> Manifest:
         raise InputError(f"corpus {folder}: no corpus.json; `softdeca corpus generate` makes one")
     said = read_json(path, "a corpus' description")
     try:
-        return _checked(Path(folder), said)
+        return _check(Path(folder), said)
     except InputError as error:
         raise InputError(f"{path}: damaged, or of no corpus of softdeca ({error}); use another folder") from None
 
 
-def _checked(folder: Path, said: Any) -> Manifest:
+def _check(folder: Path, said: Any) -> Manifest:
     if not isinstance(said, dict):
         raise InputError(f"expected an object, got {quote(said)}")
     for name in ("plan", "people", "template"):
@@ -81,13 +81,13 @@ def _checked(folder: Path, said: Any) -> Manifest:
 
 
 def _options(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The plan's own fields; where takes lie is told beside them, and what is in them by the digest."""
-    known = {item.name for item in fields(CorpusPlan)} - {"takes"}
-    missing = known - set(content)
-    if missing or set(content) - known - {"recordings", "takes"}:
-        wrong = min(missing or set(content) - known)
+    """Select the plan's own fields; the folder of takes stands beside them, and the digest covers their content."""
+    expected = {item.name for item in fields(CorpusPlan)} - {"takes"}
+    missing = expected - set(content)
+    if missing or set(content) - expected - {"recordings", "takes"}:
+        wrong = min(missing or set(content) - expected)
         raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
-    return {name: content[name] for name in known}
+    return {name: content[name] for name in expected}
 
 
 @dataclass(frozen=True, eq=False)

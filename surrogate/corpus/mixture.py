@@ -73,22 +73,22 @@ def _waves() -> tuple[Floats, Floats]:
 
 
 def basis(points: Floats) -> Floats:
-    """One, then the waves, at points [mm], shape (k, 3); shape (k, 1 + WAVES)."""
+    """Evaluate one, then the waves, at points [mm], shape (k, 3); shape (k, 1 + WAVES)."""
     vectors, phases = _waves()
     return np.column_stack([np.ones(len(points)), np.cos(points @ vectors.T + phases)])
 
 
-def on_faces(mean: Surface) -> Floats:
-    """`basis` on the faces of a space's mean skin: the mean of their corners, shape (faces, 1 + WAVES)."""
+def basis_on_faces(mean: Surface) -> Floats:
+    """Evaluate `basis` on the faces of a mean skin, as the mean of their corners, shape (faces, 1 + WAVES)."""
     return basis(mean.vertices)[mean.triangles].mean(axis=1)
 
 
-def on_wraps(head: LayeredHead, mean: Surface) -> Floats:
-    """`basis` on the triangles of a head's wraps, carried there from the mean skin, shape (triangles, 1 + WAVES)."""
+def basis_on_wraps(head: LayeredHead, mean: Surface) -> Floats:
+    """Evaluate `basis` on triangles of a head's wraps, carried from the mean skin, shape (triangles, 1 + WAVES)."""
     return (head.wrap_from_skin @ basis(mean.vertices))[head.skin_wrap.triangles].mean(axis=1)
 
 
-def static_of(coefficients: Floats) -> Floats:
+def select_static(coefficients: Floats) -> Floats:
     """Return the rows of STATIC, shape (S, 1 + WAVES), of the coefficients of all parameters."""
     return coefficients[_STATIC_ROWS]
 
@@ -112,7 +112,7 @@ class ParameterSet:
     @property
     def static(self) -> Floats:
         """The coefficients of STATIC, shape (S, 1 + WAVES)."""
-        return static_of(self.coefficients)
+        return select_static(self.coefficients)
 
     @property
     def uniform(self) -> bool:
@@ -120,10 +120,10 @@ class ParameterSet:
         return not self.coefficients[:, 1:].any()
 
     def parameters(self, head: LayeredHead, mean: Surface) -> Parameters:
-        """The parameters of a head whose skin has the vertices of the space's `mean`."""
+        """Return the parameters of a head whose skin has the vertices of the space's `mean`."""
         values: dict[str, Any] = {name: self.level(name) for name in self.names}
         if not self.uniform:
-            waves = on_wraps(head, mean)
+            waves = basis_on_wraps(head, mean)
             for name in self.names:
                 row = self.coefficients[NAMES.index(name)].astype(np.float64)
                 if row[1:].any():
@@ -131,18 +131,18 @@ class ParameterSet:
         return Parameters(**values)
 
     def level(self, name: str) -> float:
-        """A parameter's value without its waves: the default where it does not differ."""
+        """Return a parameter's value without its waves: the default where it does not differ."""
         if name not in self.names:
             return INFOS[name].default
         return float(INFOS[name].denormalise(np.float64(self.coefficients[NAMES.index(name), 0])))
 
     def on_faces(self, mean: Surface) -> Floats:
-        """All parameters, mapped to [-1, 1], on the faces of the mean skin, shape (faces, P)."""
-        return np.clip(on_faces(mean) @ self.coefficients.T.astype(np.float64), -1.0, 1.0)
+        """Evaluate all parameters, mapped to [-1, 1], on the faces of the mean skin, shape (faces, P)."""
+        return np.clip(basis_on_faces(mean) @ self.coefficients.T.astype(np.float64), -1.0, 1.0)
 
 
 def draw(rng: np.random.Generator, kind: str, *, field: bool) -> ParameterSet:
-    """A random parameter set of a kind; with `field`, what is local varies over the face."""
+    """Draw a random parameter set of a kind; with `field`, local parameters vary over the face."""
     drawn = _Draw(rng, field)
     if kind == "few":
         for name in FEW:
@@ -173,16 +173,16 @@ class _Draw:
         return bool(self.varied[NAMES.index(name)])
 
     def largest(self, name: str) -> float:
-        """An upper bound of the parameter over the face."""
+        """Return an upper bound of the parameter over the face."""
         row = self.coefficients[NAMES.index(name)].astype(np.float64)
         return float(INFOS[name].denormalise(row[0] + np.abs(row[1:]).sum()))
 
     def uniform(self, name: str, low: float, high: float):
-        """One number of the range, by its logarithm where the parameter is sampled so."""
+        """Draw one number of the range, by its logarithm where the parameter is sampled so."""
         self._set(name, self.rng.uniform(*INFOS[name].normalise(np.array([low, high]))))
 
     def local(self, name: str, low: float, high: float):
-        """A field within the range, or one number."""
+        """Draw a field within the range, or one number."""
         if not self.field:
             self.uniform(name, low, high)
             return
@@ -199,7 +199,7 @@ class _Draw:
         self.coefficients[NAMES.index(name), 0] = normalised
 
     def settle_skin(self):
-        """Bending for a skin that is stiff or grows."""
+        """Add bending for a skin that is stiff or grows."""
         stiffness = self.largest("skin_stiffness")
         if stiffness <= STIFF_SKIN and not self.has("skin_growth"):
             return

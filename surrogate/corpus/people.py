@@ -50,11 +50,11 @@ class People(Protocol):
         ...
 
     def person(self, rng: np.random.Generator) -> Person:
-        """Somebody at random."""
+        """Draw somebody at random."""
         ...
 
     def head(self, person: Person) -> LayeredHead:
-        """That person's layered head; FitError where there is none."""
+        """Fit the person's layered head; FitError where there is none."""
         ...
 
 
@@ -73,17 +73,17 @@ class OfSpace:
         return self.space.name
 
     def person(self, rng: np.random.Generator) -> Person:
-        """A sample of the space."""
+        """Draw a sample of the space."""
         code, skin = self.space.sample(rng)
         return Person(np.asarray(code, dtype=np.float64), skin, self.space.expression_deltas(code))
 
     def head(self, person: Person) -> LayeredHead:
-        """The head that `fit` makes of the skin."""
+        """Fit the head of the person's skin."""
         return self.fit(person.skin)  # type: ignore[operator]
 
 
-def people_of(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnProgress = silent) -> People:
-    """The people of "anny", "ict:FILE", "flame:FILE" or "folder:DIR", with heads of the template at a level.
+def people_from_text(text: str, *, level: int = DEFAULT_LEVEL, on_progress: OnProgress = silent) -> People:
+    """Return the people of "anny", "ict:FILE", "flame:FILE" or "folder:DIR", with heads of the template at a level.
 
     "external:SPACE" are those of another space in the default's triangles, with shapes of their own: see `external`.
     "spheres:N" are layered spheres of N subdivisions, 1 to 4, which cost nothing: see `sphere`.

@@ -60,7 +60,7 @@ IDENTITY, PAIRING, PARAMETERS, SPLITTING, STATIC, DYNAMIC, VELOCITIES = range(7)
 
 @dataclass(frozen=True)
 class Static:
-    """One static frame to be: a recording's name and the number of its frame."""
+    """A planned static frame: a recording's name and the number of its frame."""
 
     recording: str
     frame: int
@@ -145,24 +145,24 @@ class CorpusPlan:
         return self.identities * self.groups * self.frames
 
     def split(self, identity: int) -> Split:
-        """Which split a person belongs to."""
+        """Name the split of a person."""
         return "train" if identity < self.trained else "test"
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Random numbers of one purpose."""
+        """Return random numbers of one purpose."""
         return np.random.default_rng([self.seed, *key])
 
     @cached_property
     def recordings(self) -> dict[str, Recording]:
         """All recordings by name."""
-        found = recordings(
+        every = recordings(
             self.takes or None,
             conversations=self.conversations,
             random=self.random,
             hard=self.hard,
             seconds=self.seconds,
         )
-        return {name: recording for name, recording in found.items() if self.sources[recording.kind] > 0}
+        return {name: recording for name, recording in every.items() if self.sources[recording.kind] > 0}
 
     @cached_property
     def pools(self) -> dict[Split, dict[str, list[str]]]:
@@ -186,7 +186,7 @@ class CorpusPlan:
         return pools
 
     def parameter_numbers(self, identity: int) -> list[int]:
-        """The numbers of a person's parameter sets, one per group: a random pairing within the split."""
+        """Return the numbers of a person's parameter sets, one per group: a random pairing within the split."""
         first = 0 if self.split(identity) == "train" else self.trained
         people = self.tested if first else self.trained
         order = self.rng(PAIRING, int(bool(first))).permutation(people * self.groups)
@@ -194,7 +194,7 @@ class CorpusPlan:
         return [int(first * self.groups + order[k]) for k in mine]
 
     def parameter_set(self, number: int) -> ParameterSet:
-        """The parameter set of a number."""
+        """Draw the parameter set of a number."""
         rng = self.rng(PARAMETERS, number)
         kind = str(rng.choice(KINDS, p=[self.kinds[name] for name in KINDS]))
         return draw(rng, kind, field=bool(rng.random() < self.varying))
@@ -204,23 +204,23 @@ class CorpusPlan:
         return self.frames == 0 and group >= self.sequences and not self.has_responses(parameter_number)[0]
 
     def has_responses(self, parameter_number: int) -> tuple[bool, bool]:
-        """Whether derivatives are wanted of the group with this parameter set: by expressions, and by parameters."""
+        """Tell whether the group with this parameter set has derivatives: by expressions, and by parameters."""
         drawn = self.rng(PARAMETERS, parameter_number, 1).random(2)
         wanted = bool(drawn[0] < self.responses)
         return wanted, wanted and bool(drawn[1] < self.parameter_responses)
 
     def static(self, identity: int, index: int) -> Static:
-        """A person's static frame; those of group g are numbered from g * frames."""
+        """Draw a person's static frame; those of group g are numbered from g * frames."""
         rng = self.rng(STATIC, identity, index)
         name = self._recording(rng, identity)
         return Static(name, int(rng.integers(self.recordings[name].frames)))
 
     def statics(self, identity: int, group: int) -> list[Static]:
-        """All static frames of a person's group."""
+        """Draw all static frames of a person's group."""
         return [self.static(identity, group * self.frames + frame) for frame in range(self.frames)]
 
     def sequence(self, identity: int, index: int) -> tuple[str, int]:
-        """A person's sequence: the recording's name, and the number of its first frame; no gap of a take is in it."""
+        """Draw a person's sequence: the recording's name and its first frame; no gap of a take is in it."""
         rng = self.rng(DYNAMIC, identity, index)
         while True:
             name = self._recording(rng, identity, STILL)
@@ -236,7 +236,7 @@ class CorpusPlan:
         return names[rng.choice(len(names), p=count / count.sum())]
 
     def take(self, name: str) -> Take:
-        """A recording's take, kept once read."""
+        """Read a recording's take; it is kept."""
         if name not in self._takes:
             self._takes[name] = self.recordings[name].take()
         return self._takes[name]
@@ -246,15 +246,15 @@ class CorpusPlan:
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """What travels to another process: the fields; what is derived is derived again there."""
+        """Pickle the fields alone; another process derives the rest again."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def weights(self, static: Static) -> Floats32:
-        """ARKit weights of a static frame, shape (52,)."""
+        """Read the ARKit weights of a static frame, shape (52,)."""
         return self.take(static.recording).weights[static.frame].astype(np.float32)
 
     def to_json(self) -> str:
-        """The plan and its recordings as one line of JSON; where takes lie does not count, what is in them does."""
+        """Write the plan and its recordings as one line of JSON; the takes' content counts, not their folder."""
         content = asdict(replace(self, takes="")) | {
             "recordings": {name: [r.kind, r.frames, r.rate, _text(r)] for name, r in self.recordings.items()}
         }
@@ -267,7 +267,7 @@ class CorpusPlan:
 
     @classmethod
     def of(cls, options: Mapping[str, Any]) -> CorpusPlan:
-        """A plan from named options, as a TOML file has them; `preset` names one to begin with.
+        """Make a plan of named options, as a TOML file has them; `preset` names one to begin with.
 
         Raises InputError for an unknown name.
         """
@@ -283,7 +283,7 @@ class CorpusPlan:
 
 
 def read_plan(path: str | os.PathLike[str]) -> CorpusPlan:
-    """The plan in a TOML file (see `CorpusPlan.of`); InputError, one line, names the file and what is wrong."""
+    """Read the plan in a TOML file (see `CorpusPlan.of`); InputError, one line, names the file and the field."""
     path = Path(path)
     options = read_toml(path)
     try:
@@ -307,7 +307,7 @@ def _is_share(value: Any) -> bool:
 
 
 def _shares(name: str, given: Any, known: tuple[str, ...]) -> dict[str, float]:
-    """Shares of all that is known, which add up to 1."""
+    """Return shares of all names, which add up to 1."""
     if not isinstance(given, Mapping) or set(given) - set(known) or not all(map(_is_share, given.values())):
         raise InputError(f"corpus plan {name}: expected shares in [0, 1] of {', '.join(known)}, got {quote(given)}")
     total = sum(given.values())

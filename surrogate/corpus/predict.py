@@ -1,4 +1,4 @@
-"""What a plan will cost: bytes by counting, core-hours by a rate measured on a person or on what is done already."""
+"""The cost of a plan: bytes by counting, core-hours by a rate measured on a person or on people done already."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .folder import CorpusStatus
 from .mixture import NAMES
 from .people import People
 from .plan import LENGTH, CorpusPlan
-from .sequences import velocities_of
+from .sequences import load_velocities
 from .simulate import simulate_person
 
 VARIED = 9
@@ -31,7 +31,7 @@ class Rates:
 
     @classmethod
     def of(cls, status: CorpusStatus) -> Rates | None:
-        """From what a corpus has spent; None where nothing is done, or its seconds are not known."""
+        """Divide the seconds that a corpus has spent; None where nothing is done, or they are not known."""
         spent, asked = status.seconds, status.asked
         if not status.identities_done or not asked["groups"] or not spent:
             return None
@@ -63,15 +63,15 @@ class Prediction:
 
     @property
     def bytes_per_frame(self) -> float:
-        """Of all that belongs to a frame, static or of a sequence, but derivatives and references."""
+        """Bytes of the shards over all frames, static and of sequences."""
         return self.bytes / max(self.statics + LENGTH * self.sequences, 1)
 
 
-def probe(plan: CorpusPlan, people: People) -> Rates:
-    """Rates measured on the plan's first two people, the first of them not counted: it loads what is kept."""
+def measure_rates(plan: CorpusPlan, people: People) -> Rates:
+    """Measure rates on the plan's second person; the first warms caches and does not count."""
     small = replace(plan, **PROBED)  # type: ignore[arg-type]
     with TemporaryDirectory() as folder:
-        begun = velocities_of(Path(folder), small, people) if plan.sequences else None
+        begun = load_velocities(Path(folder), small, people) if plan.sequences else None
         simulate_person(small, people, 0, begun)
         seconds = simulate_person(small, people, 1, begun).seconds
     return Rates(
@@ -83,8 +83,8 @@ def probe(plan: CorpusPlan, people: People) -> Rates:
     )
 
 
-def predicted(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
-    """What a plan over a skin of so many vertices comes to."""
+def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
+    """Predict counts, bytes and core-hours of a plan over a skin of so many vertices."""
     field = 2 * 3 * vertices  # float16
     groups = plan.identities * plan.groups
     sequences, statics = plan.identities * plan.sequences, plan.static_frames

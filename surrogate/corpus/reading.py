@@ -24,29 +24,17 @@ from .manifest import read_manifest, read_template
 from .mixture import ParameterSet
 from .people import Person
 from .plan import SPLITS, Split
-from .shard import ACCEPTED, Place, places_of, read_arrays_of
+from .shard import ACCEPTED, TABLES, Place, columns_of, places_of, read_arrays_of
 
 if TYPE_CHECKING:
     import torch
 
 Row = dict[str, Any]
 OF_GROUPS = ("groups/kind", "groups/varied", "groups/coefficients", "groups/number", "persons/code")
-SMALL: dict[str, tuple[str, ...]] = {
-    "groups": ("status",),
-    "statics": ("group", "weights", "status", "recording", "frame", "moved"),
-    "sequences": ("group", "weights", "status", "recording", "frame", "rotations"),
-    "responses": ("group", "exact"),
-    "parameter_responses": ("group", "name"),
-    "references": ("static", "law", "status"),
-}
-LARGE: dict[str, tuple[str, ...]] = {
-    "groups": ("settled",),
-    "statics": ("corrected",),
-    "sequences": ("before", "corrected"),
-    "responses": ("offset", "expressions"),
-    "parameter_responses": ("change",),
-    "references": ("corrected",),
-}
+READ = [table for table in TABLES if table != "persons"]
+SMALL = {table: [n for n, column in columns_of(TABLES[table]).items() if not column.large] for table in READ}
+LARGE = {table: [n for n, column in columns_of(TABLES[table]).items() if column.large] for table in READ}
+"""Columns of each table that readers keep in memory, and those that they read row by row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,20 +94,21 @@ class Table:
 
     def _person(self, identity: int) -> _Person:
         path = shard_path(self.folder, identity)
-        check_intact(path, self._manifest, identity, len(self.template.mean.vertices))
+        n = len(self.template.mean.vertices)
+        check_intact(path, self._manifest.owner, self._manifest.counts, identity, n)
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
-        found = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())
+        arrays = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())
         places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
         if self.template.shapes is None and not places["persons/shapes"].shape[0]:
             raise InputError(f"shard {path}: no shapes, and none in template.npz, which is damaged")
         return _Person(
             path=path,
-            code=found["persons/code"][0],
-            kinds=found["groups/kind"],
-            coefficients=found["groups/coefficients"],
-            varied=found["groups/varied"],
-            small={name: found[key] for name, key in names.items()},
+            code=arrays["persons/code"][0],
+            kinds=arrays["groups/kind"],
+            coefficients=arrays["groups/coefficients"],
+            varied=arrays["groups/varied"],
+            small={name: arrays[key] for name, key in names.items()},
             places={name: places[key] for name, key in large.items()},
             skin=places["persons/skin"],
             shapes=places["persons/shapes"],
@@ -142,44 +131,44 @@ class Table:
         return self.described(index) | {name: place.row(person.path, int(row)) for name, place in person.places.items()}
 
     def described(self, index: int) -> Row:
-        """A row without its large fields: nothing is read for it."""
+        """Return a row without its large fields; nothing is read for it."""
         identity, row = self.rows[index]
         person = self._people[int(identity)]
         small = {name: values[row] for name, values in person.small.items()}
-        found: Row = {"identity": identity, "code": person.code, **small}
+        described: Row = {"identity": identity, "code": person.code, **small}
         if self.table == "groups" or "group" in small:
             group = row if self.table == "groups" else small["group"]
-            found |= {"kind": person.kinds[group], "varied": person.varied[group]}
-            found["coefficients"] = person.coefficients[group]
-        return found
+            described |= {"kind": person.kinds[group], "varied": person.varied[group]}
+            described["coefficients"] = person.coefficients[group]
+        return described
 
     def small(self, index: int, name: str) -> Any:
-        """One of a row's small fields, which are in memory."""
+        """Return one of a row's small fields, which are in memory."""
         identity, row = self.rows[index]
         return self._people[int(identity)].small[name][row]
 
     def parameters(self, index: int) -> ParameterSet:
-        """The parameter set of a row's group."""
+        """Return the parameter set of a row's group."""
         row = self.described(index)
         return ParameterSet(row["kind"].decode(), row["varied"], row["coefficients"])
 
     def person(self, identity: int) -> Person:
-        """A person's code, neutral skin and shapes."""
+        """Read a person's code, neutral skin and shapes."""
         code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
         return Person(code, self.skin(identity), self.shapes(identity), personal=self.template.shapes is None)
 
     def settled(self, identity: int, group: int) -> NDArray:
-        """How far p moves a person's neutral skin [mm], shape (n, 3)."""
+        """Read how far p moves a person's neutral skin [mm], shape (n, 3)."""
         person = self._people[int(identity)]
         return person.settled.row(person.path, int(group))
 
     def skin(self, identity: int) -> Surface:
-        """A person's neutral skin [mm]."""
+        """Read a person's neutral skin [mm]."""
         person = self._people[int(identity)]
         return Surface(person.skin.row(person.path, 0).astype(np.float64), self.template.mean.triangles)
 
     def shapes(self, identity: int) -> NDArray:
-        """What each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
+        """Read what each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
         if self.template.shapes is not None:
             return self.template.shapes
         person = self._people[int(identity)]
@@ -235,15 +224,15 @@ class Faces:
         return self._table.template.shapes is None
 
     def code(self, index: int) -> Floats:
-        """The code (c,) of a face's person."""
+        """Return the code (c,) of a face's person."""
         return np.asarray(self._table.described(index)["code"], dtype=np.float64)
 
     def coefficients(self, index: int) -> Floats:
-        """A face's coefficients of STATIC (P, 1 + WAVES)."""
+        """Return a face's coefficients of STATIC (P, 1 + WAVES)."""
         return self._table.parameters(index).static
 
     def face(self, index: int) -> Face:
-        """One face."""
+        """Read one face."""
         row, (identity, group) = self._table[index], self.groups[index].tolist()
         derivatives = None
         if "expressions" in row:
@@ -252,7 +241,7 @@ class Faces:
         return Face(identity, person, parameters, self._table.settled(identity, group), derivatives)
 
     def skin(self, identity: int) -> Surface:
-        """A person's neutral skin [mm]."""
+        """Read a person's neutral skin [mm]."""
         return self._table.skin(identity)
 
     @cached_property
@@ -268,11 +257,11 @@ class Faces:
         return [np.array(rows.get(key, []), dtype=np.int64) for key in map(tuple, self.groups.tolist())]
 
     def moved(self, index: int) -> list[float]:
-        """95 % of |T - S| [mm] in each of a face's static frames."""
+        """Return 95 % of |T - S| [mm] in each of a face's static frames."""
         return [float(self._statics.small(int(row), "moved")[1]) for row in self.frames_of[index]]
 
     def frames(self, index: int, chosen: Ints | None = None) -> Frames:
-        """A face's accepted static frames, or those of the given numbers."""
+        """Read a face's accepted static frames, or those of the given numbers."""
         rows = self.frames_of[index] if chosen is None else self.frames_of[index][chosen]
         read = [self._statics[int(row)] for row in rows]
         n = len(self.mean.vertices)

@@ -28,7 +28,7 @@ RUN_TOLERANCE = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Rolled:
+class SequenceAnswer:
     """A sequence, as `shard.Sequences` has it, without the first axis."""
 
     weights: Floats
@@ -43,17 +43,17 @@ class Rolled:
     crossings: np.ndarray
 
     @classmethod
-    def failed(cls, status: str, take: Take, first: int, n: int) -> Rolled:
-        """A sequence that there is none of."""
+    def failed(cls, status: str, take: Take, first: int, n: int) -> SequenceAnswer:
+        """Make the row of a sequence that failed."""
         none = np.zeros(LENGTH)
         motion = np.zeros((LENGTH, n, 3), dtype=np.float16)
         weights, turned = _driven(take, first)
         return cls(weights, turned, np.zeros((2, n, 3)), motion, status, none, none, none, none, none)
 
 
-def rolled(
+def simulate_sequence(
     plan: CorpusPlan, face: FaceSimulator, take: Take, first: int, velocities: Velocities, rng: np.random.Generator
-) -> Rolled:
+) -> SequenceAnswer:
     """Simulate the frames from `first` on, begun with a random one of the velocities; a failure is a status."""
     n = len(face.person.skin.vertices)
     weights, turned = _driven(take, first)
@@ -66,23 +66,23 @@ def rolled(
         frames = zip(weights, expressions, turned, strict=True)
         answers = [face.answer(w, running.frame(expression, base=base)) for w, expression, base in frames]
     except SoftdecaError as error:
-        return Rolled.failed(f"sequence: {error}", take, first, n)
-    return Rolled(
+        return SequenceAnswer.failed(f"sequence: {error}", take, first, n)
+    return SequenceAnswer(
         weights=weights,
         rotations=turned,
         before=np.stack([at_rest, at_rest - velocity / RATE]),
-        corrected=np.stack([one.corrected for one in answers]),
+        corrected=np.stack([answer.corrected for answer in answers]),
         status=_status(answers),
-        iterations=np.array([one.iterations for one in answers]),
-        residual=np.array([one.residual for one in answers]),
-        smallest_volume_ratio=np.array([one.smallest_volume_ratio for one in answers]),
-        inverted=np.array([one.inverted for one in answers]),
-        crossings=np.array([one.crossings for one in answers]),
+        iterations=np.array([answer.iterations for answer in answers]),
+        residual=np.array([answer.residual for answer in answers]),
+        smallest_volume_ratio=np.array([answer.smallest_volume_ratio for answer in answers]),
+        inverted=np.array([answer.inverted for answer in answers]),
+        crossings=np.array([answer.crossings for answer in answers]),
     )
 
 
 def _velocity(head: LayeredHead, velocities: Velocities, rng: np.random.Generator) -> Floats:
-    """One of the plausible velocities [mm/s], shape (n, 3); none of a hundred is none."""
+    """Draw a plausible velocity [mm/s], shape (n, 3); zero where a hundred are not."""
     for _ in range(100):
         velocity = velocities.on(head, int(rng.integers(len(velocities))))
         if is_plausible(velocity, 1.0 / RATE):
@@ -91,19 +91,19 @@ def _velocity(head: LayeredHead, velocities: Velocities, rng: np.random.Generato
 
 
 def _driven(take: Take, first: int) -> tuple[Floats, Floats]:
-    """Weights and head rotations of a sequence's frames."""
+    """Return weights and head rotations of a sequence's frames."""
     part = take.part(slice(first, first + LENGTH))
     turned = np.tile(np.eye(3), (LENGTH, 1, 1)) if part.head is None else rotations(part.head)
     return part.weights.astype(np.float32), turned
 
 
 def _status(answers: list[Answer]) -> str:
-    bad = [(k, one.status) for k, one in enumerate(answers) if one.status != ACCEPTED]
+    bad = [(k, answer.status) for k, answer in enumerate(answers) if answer.status != ACCEPTED]
     return f"frame {bad[0][0]}: {bad[0][1]}" if bad else ACCEPTED
 
 
-def velocities_of(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
-    """The velocities of a run of `plan.run` frames of made-up conversation on the plan's first person, default p.
+def load_velocities(folder: Path, plan: CorpusPlan, people: People, *, on_progress: OnProgress = silent) -> Velocities:
+    """Read, or run, `plan.run` frames of made-up conversation on the plan's first person, default p.
 
     Kept in the corpus' folder; made anew where the file is missing, damaged or of another plan.
     """

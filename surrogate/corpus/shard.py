@@ -47,7 +47,7 @@ Texts = NDArray[np.bytes_]
 
 @dataclass(frozen=True)
 class Column:
-    """What a column of a table has in each row: its type, and lengths of axes; None is any, VERTICES the skin's.
+    """A row of a table's column: its type and lengths of axes; None is any, VERTICES the skin's.
 
     large: left in the file by readers until a row is asked for. low, high: the range of its numbers, where one is told.
     below: its numbers are rows of that table.
@@ -74,17 +74,17 @@ def column(
     high: float = np.inf,
     below: str = "",
 ) -> Any:
-    """A field of a table; see `Column`."""
+    """Make a field of a table; see `Column`."""
     return field(metadata={"column": Column(np.dtype(dtype), shape, large, low, high, below)})
 
 
 def text_column() -> Any:
-    """A field of texts."""
+    """Make a field of texts."""
     return column(f"S{LONGEST}")
 
 
 def columns_of(kind: type) -> dict[str, Column]:
-    """The columns of a table's class by name."""
+    """Return the columns of a table's class by name."""
     return {item.name: item.metadata["column"] for item in fields(kind)}
 
 
@@ -259,7 +259,7 @@ def write_shard(path: Path, shard: Shard, owner: str) -> None:
 
 @dataclass(frozen=True)
 class Label:
-    """What a shard says of itself: corpus, format, version of the software, checksum."""
+    """The attributes of a shard: corpus, format, version of the software, checksum."""
 
     owner: str
     format: int
@@ -268,7 +268,7 @@ class Label:
 
 
 def read_label(path: Path) -> Label:
-    """A shard's label alone; InputError for a file that is missing or no shard."""
+    """Read a shard's label alone; InputError for a file that is missing or no shard."""
     with _opened(path) as file:
         return _label(file)
 
@@ -316,7 +316,7 @@ def read_shard(path: Path, owner: str) -> Shard:
 
 
 def read_arrays_of(path: Path, owner: str, *names: str) -> dict[str, NDArray[Any]]:
-    """Some arrays of a shard by "table/name", not checked but for the owner; InputError as `read_shard`."""
+    """Read some arrays of a shard by "table/name"; only the owner is checked. InputError as `read_shard`."""
     with _opened(path) as file:
         _check_label(path, _label(file), owner)
         return {name: _array(file, name) for name in names}
@@ -324,14 +324,14 @@ def read_arrays_of(path: Path, owner: str, *names: str) -> dict[str, NDArray[Any
 
 @dataclass(frozen=True)
 class Place:
-    """Where an array lies in a file, as one run of bytes."""
+    """An array's place in a file, one run of bytes."""
 
     offset: int
     dtype: np.dtype
     shape: tuple[int, ...]
 
     def row(self, path: Path, number: int) -> NDArray[Any]:
-        """One row of the array, read anew; the file is open meanwhile only. InputError if it cannot be read."""
+        """Read one row of the array; the file is open meanwhile only. InputError if it cannot be read."""
         if not 0 <= number < self.shape[0]:
             raise InputError(f"shard {path}: row {number} of an array of {self.shape[0]}")
         shape = self.shape[1:]
@@ -350,10 +350,10 @@ class Place:
 
 
 def places_of(path: Path, *names: str) -> dict[str, Place]:
-    """Where some large arrays of a shard lie, by "table/name"; InputError as `read_shard`."""
+    """Return the places of some arrays of a shard, by "table/name"; InputError as `read_shard`."""
     with _opened(path) as file:
-        found = {name: _dataset(file, name) for name in names}
-        return {name: Place(data.id.get_offset() or 0, data.dtype, data.shape) for name, data in found.items()}
+        every = {name: _dataset(file, name) for name in names}
+        return {name: Place(data.id.get_offset() or 0, data.dtype, data.shape) for name, data in every.items()}
 
 
 def _array(file: h5py.File, name: str) -> NDArray[Any]:
@@ -371,7 +371,7 @@ def _dataset(file: h5py.File, name: str) -> h5py.Dataset:
 
 
 class _opened:
-    """An HDF5 file; what its library raises within becomes an InputError."""
+    """An open HDF5 file; errors of its library within become InputError."""
 
     def __init__(self, path: Path):
         self.path = path

@@ -20,7 +20,7 @@ from .mixture import ParameterSet
 from .people import People, Person
 from .plan import IDENTITY, VELOCITIES, CorpusPlan
 from .references import FEM_LAWS, references
-from .sequences import Rolled, rolled
+from .sequences import SequenceAnswer, simulate_sequence
 from .shard import ACCEPTED, TABLES, Shard, stack_rows
 from .simulator import Answer, FaceSimulator, settle_neutral
 
@@ -100,7 +100,7 @@ class _PersonRows:
     def _settle(
         self, group: int, number: int, parameters: ParameterSet
     ) -> tuple[str, np.ndarray, FaceSimulator | None]:
-        """The group's status, how far the skin moves [mm], (n, 3), and the face where more than that is asked for."""
+        """Return the group's status, how far the skin moves [mm], (n, 3), and the face where the plan asks for more."""
         still = np.zeros_like(self.person.skin.vertices)
         if self._head is None:
             return self._no_head, still, None
@@ -129,11 +129,11 @@ class _PersonRows:
         name, first = plan.sequence(self.identity, group)
         take = plan.take(name)
         if face is None:
-            sequence = Rolled.failed(status, take, first, len(self.person.skin.vertices))
+            sequence = SequenceAnswer.failed(status, take, first, len(self.person.skin.vertices))
         else:
             assert velocities is not None
             rng = plan.rng(VELOCITIES, 2, self.identity, group)
-            sequence = rolled(plan, face, take, first, velocities, rng)
+            sequence = simulate_sequence(plan, face, take, first, velocities, rng)
         self.rows["sequences"].append({"group": group, "recording": name, "frame": first} | vars(sequence))
 
     def _add_derivatives(self, group: int, face: FaceSimulator, by_weights: bool, by_parameters: bool) -> None:
@@ -163,7 +163,7 @@ class _PersonRows:
 
 
 def _references_of(plan: CorpusPlan, identity: int, sets: list[ParameterSet]) -> list[int]:
-    """How many frames of each group FEniCSx solves, too: of people in test, in turns of groups that have both laws."""
+    """Count the frames of each group that FEniCSx solves, too: of people in test, in turns of groups with both laws."""
     wanted = plan.references if plan.split(identity) == "test" else 0
     plain = [g for g, drawn in enumerate(sets) if drawn.uniform and "strain_limit" not in drawn.names]
     order = [g for _ in range(plan.frames) for g in (plain or range(len(sets)))]

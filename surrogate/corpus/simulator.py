@@ -25,7 +25,7 @@ UNDIFFERENTIATED = ("frequency", "damping", "strain_limit")
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """One frame: T - S (n, 3) [mm], and what `shard.Statics` says of its solve."""
+    """One frame: T - S (n, 3) [mm], and columns of `shard.Statics` on its solve."""
 
     corrected: np.ndarray
     status: str
@@ -38,7 +38,7 @@ class Answer:
 
     @classmethod
     def failed(cls, status: str, skin: Surface) -> Answer:
-        """A frame that there is none of."""
+        """Make the answer of a frame that failed."""
         return cls(np.zeros(skin.vertices.shape, dtype=np.float16), status)
 
 
@@ -76,7 +76,7 @@ class FaceSimulator:
 
     @property
     def head(self) -> LayeredHead:
-        """The person's."""
+        """The person's head."""
         return self.linear.face.head
 
     @property
@@ -102,7 +102,7 @@ class FaceSimulator:
         return Derivatives(offset, responses, self.linear.is_exact)
 
     def face(self, identity: int) -> Face:
-        """The face as a corpus keeps it, of person number `identity`."""
+        """Return the face as a corpus keeps it, of person number `identity`."""
         return Face(identity, self.person, self.parameters, self.neutral.displacement, self.derivatives)
 
     @cached_property
@@ -115,21 +115,21 @@ class FaceSimulator:
         return self.linear.skin_by_parameters(along) if along else {}
 
     def _along(self, name: str) -> float | Floats:
-        """Change of a parameter [its unit] per unit of its value mapped to [-1, 1]."""
+        """Return the change of a parameter [its unit] per unit of its value mapped to [-1, 1]."""
         info, value = INFOS[name], np.asarray(getattr(self.neutral.parameters, name))
         change = value * np.log(info.high / info.low) if info.log else np.full(value.shape, info.high - info.low)
         return 0.5 * change if value.ndim else float(0.5 * change)
 
     def expression(self, weights: Floats | Floats32) -> Floats:
-        """S [mm], shape (n, 3), of weights (52,)."""
+        """Blend S [mm], shape (n, 3), of weights (52,)."""
         return self.person.skin.vertices + np.tensordot(weights, self.person.shapes, axes=1)
 
     def scene(self, weights: Floats | Floats32) -> Scene:
-        """The scene of an expression."""
+        """Make the scene of an expression."""
         return self.neutral.scene(self.expression(weights))
 
     def solve(self, weights: Floats | Floats32) -> Solution:
-        """The simulator's answer to an expression; it begins where the derivatives lead.
+        """Solve an expression, begun at the first-order answer.
 
         By the PD matrix, whose factor stays in a core's cache; where that fails, in the tangent's metric.
         """
@@ -149,19 +149,19 @@ class FaceSimulator:
         return replace(solution, iterations=spent)
 
     def corrected(self, weights: Floats | Floats32, positions: Floats) -> Floats:
-        """T - S [mm], shape (n, 3), of a scene's positions."""
+        """Return T - S [mm], shape (n, 3), of a scene's positions."""
         expression = self.expression(weights)
         return self.neutral.skin_after(expression, positions) - expression
 
     def static(self, weights: Floats | Floats32) -> Answer:
-        """One static frame; a failure is a status."""
+        """Simulate one static frame; a failure is a status."""
         try:
             return self.answer(weights, self.solve(weights))
         except SoftdecaError as error:
             return Answer.failed(f"scene: {error}", self.person.skin)
 
     def answer(self, weights: Floats | Floats32, solution: Solution) -> Answer:
-        """What a corpus keeps of a solution."""
+        """Make the answer that a corpus keeps of a solution."""
         corrected = self.corrected(weights, solution.positions).astype(np.float16)
         inverted = solution.volume_ratio <= 0.0
         return Answer(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Floats32
-from ..corpus.mixture import NAMES, static_of
+from ..corpus.mixture import NAMES, select_static
 from ..corpus.reading import Row, Table
 from ..dynamics import OSCILLATION
 from .features import Features, Inputs
@@ -88,7 +88,7 @@ class SubspacePhysics:
     def _inputs_of(self, row: Row) -> Floats:
         """Inputs of each frame: weights, the summary of p and h, and p's frequency and damping."""
         features = self._inputs.features
-        summary = self._inputs.summary(row["code"], features.at_vertices(static_of(row["coefficients"])))
+        summary = self._inputs.summary(row["code"], features.at_vertices(select_static(row["coefficients"])))
         always = np.concatenate([summary, row["coefficients"][_SWINGING, 0]])
         weights = np.asarray(row["weights"], dtype=np.float64)
         return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])

@@ -27,7 +27,7 @@ from softdeca.lhm import expressions
 from softdeca.lhm.expressions import ARKIT, resample
 from softdeca.reference.face.parameters import Parameters, read_parameters
 from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.folder import Corpus, status_of, verify_folder
+from softdeca.surrogate.corpus.folder import Corpus, read_status, verify_folder
 from softdeca.surrogate.corpus.manifest import read_manifest
 from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
@@ -191,7 +191,7 @@ def read_corpus(path: Path) -> list[np.ndarray]:
         read += [np.asarray(v, dtype=float) for v in rows[len(rows) - 1].values() if v.dtype.kind in "fiub"]
         read += [rows.skin(0).vertices, rows.shapes(0)]
     verify_folder(folder)
-    status = status_of(folder, manifest.counts, manifest.owner)
+    status = read_status(folder, manifest.counts, manifest.owner)
     return [*read, np.array([status.bytes])]
 
 

@@ -46,10 +46,10 @@ if __name__ == "__main__":
 """
 WORK = """
 import sys, time
-from softdeca.surrogate.schedule import Schedule, results_of
+from softdeca.surrogate.schedule import Schedule, run_items
 if __name__ == "__main__":
     print("begin", file=sys.stderr, flush=True)
-    for _ in results_of(time.sleep, [0.01] * 5000, on=Schedule("processes", 2)):
+    for _ in run_items(time.sleep, [0.01] * 5000, on=Schedule("processes", 2)):
         print("done", file=sys.stderr, flush=True)
 """
 
@@ -308,9 +308,9 @@ def test_a_scheduler_that_does_not_answer_is_told_before_any_work(tmp_path, comm
     from softdeca.surrogate.corpus import people
 
     monkeypatch.setattr(schedule, "PATIENCE", "1s")
-    monkeypatch.setattr(people, "people_of", None)  # the work that comes first
+    monkeypatch.setattr(people, "people_from_text", None)  # the work that comes first
     ended = command("corpus", "generate", "--scheduler", "tcp://127.0.0.1:1", "--out", tmp_path / "made")
     assert ended.status == 1, "one line: the work would have ended in a TypeError"
     with pytest.raises(InputError, match="tcp://127.0.0.1:1: no Dask scheduler answers"):
-        schedule.check_answers(schedule.schedule(1, "tcp://127.0.0.1:1"))
+        schedule.check_scheduler(schedule.make_schedule(1, "tcp://127.0.0.1:1"))
     assert not (tmp_path / "made").exists()

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 
 import h5py
 import numpy as np
@@ -17,13 +16,13 @@ from softdeca.reference import Parameters, Sequence
 from softdeca.reference.face.dynamics import extrapolate_turns
 from softdeca.reference.face.sequence import Velocities
 from softdeca.surrogate.corpus.card import write_card
-from softdeca.surrogate.corpus.folder import Corpus, summed
+from softdeca.surrogate.corpus.folder import Corpus, sum_seconds
 from softdeca.surrogate.corpus.mixture import NAMES
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
-from softdeca.surrogate.corpus.predict import Rates, predicted
+from softdeca.surrogate.corpus.predict import Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
-from softdeca.surrogate.corpus.sequences import rolled
+from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
 from softdeca.surrogate.corpus.simulate import simulate_static
 from softdeca.surrogate.corpus.simulator import FaceSimulator
@@ -79,7 +78,7 @@ def test_a_sequence_is_shaken_as_its_take_turns_the_head(made):
     face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(0))
     n, take = len(person.skin.vertices), conversation_take(np.random.default_rng(0), 40)
     still = Velocities(np.zeros((1, n, 3), np.float32))
-    kept = rolled(PLAN, face, take, 20, still, np.random.default_rng(0))
+    kept = simulate_sequence(PLAN, face, take, 20, still, np.random.default_rng(0))
     turned = kept.rotations.astype(np.float32)
     assert kept.status == "accepted" and np.ptp(turned, axis=0).max() > 0.01
     off = []
@@ -114,13 +113,6 @@ def test_derivatives_are_those_of_the_simulated_frames(made):
         assert set(shard.parameter_responses.name.astype(str)) == {
             name for name in PLAN.parameter_set(PLAN.parameter_numbers(identity)[0]).names
         } - {"frequency", "damping", "strain_limit"}
-
-
-def test_two_processes_and_any_order_make_the_same(made, tmp_path):
-    other = Corpus(tmp_path, PLAN, PEOPLE)
-    other.make(2)
-    other.generate(on=Schedule("processes", 2))
-    assert checksums(other) == checksums(made)
 
 
 KILLED = """
@@ -176,8 +168,8 @@ def test_seconds_lie_beside_a_shard(made, tmp_path):
 
 
 def test_costs_are_not_told_where_seconds_are_missing(made):
-    assert summed([{"fit": 1.0, "statics": 2.0}, {"fit": 3.0}]) == {"fit": 4.0, "statics": 2.0}
-    assert summed([{"fit": 1.0}, {}]) == {} == summed([])
+    assert sum_seconds([{"fit": 1.0, "statics": 2.0}, {"fit": 3.0}]) == {"fit": 4.0, "statics": 2.0}
+    assert sum_seconds([{"fit": 1.0}, {}]) == {} == sum_seconds([])
     kept = seconds_path(made.shard_path(1)).read_bytes()
     assert made.status().seconds["statics"] > 0.0
     seconds_path(made.shard_path(1)).unlink()
@@ -204,28 +196,19 @@ def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):
     seen = []
     made.generate(on_progress=lambda what, fraction: seen.append(what))
     assert "0 of 3 people are there" in seen[0] and checksums(made) == before
+    left, run = made.folder / ".person-00000-abc.h5", made.folder / "velocities.npz"
+    left.write_bytes(b"half")
+    whole = run.read_bytes()
+    run.write_bytes(whole[: len(whole) // 2])
     with h5py.File(made.shard_path(1), "r+") as file:
         file.attrs["format"] = 0
     with pytest.raises(InputError, match="of format 0, this version makes 1; `softdeca corpus generate` makes it anew"):
         made.verify()
-    made.generate()
-    assert checksums(made) == before
+    Corpus(made.folder, PLAN, PEOPLE).generate()
+    assert checksums(made) == before and run.read_bytes() == whole and not left.exists()
     replace_people = OfSpace(SPACE, SPACE.mean, refuse)
     Corpus(made.folder, PLAN, replace_people).generate()  # nothing is left to do
     assert checksums(made) == before and made.status().versions == {"0.1.0": 3}
-
-
-def test_what_a_killed_process_left_is_cleared(made):
-    left = made.folder / ".person-00000-abc.h5"
-    left.write_bytes(b"half")
-    made.shard_path(0).unlink()
-    run = made.folder / "velocities.npz"
-    before = run.read_bytes()
-    run.write_bytes(before[: len(before) // 2])
-    checksum = made.shard(1).checksum
-    Corpus(made.folder, PLAN, PEOPLE).generate()
-    assert not left.exists() and made.is_whole(0) and made.shard(1).checksum == checksum
-    assert run.read_bytes() == before
 
 
 def test_what_fails_is_listed_with_its_reason(tmp_path):
@@ -275,16 +258,13 @@ def test_a_reader_finds_what_the_shards_hold(made, table):
     np.testing.assert_allclose(found.shapes(0), SPACE.expression_deltas(np.zeros(4)), rtol=0.2)
 
 
-def test_rows_of_a_shard_that_is_cut_off_are_an_error(made, tmp_path):
-    for path in made.folder.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    found = Table(tmp_path, "statics", "test")
-    whole = (tmp_path / "person-00002.h5").read_bytes()
-    (tmp_path / "person-00002.h5").write_bytes(whole[: len(whole) // 4])
+def test_rows_of_a_shard_that_is_cut_off_are_an_error(copied):
+    rows, path = Table(copied, "statics", "test"), copied / "person-00002.h5"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 4])
     with pytest.raises(InputError, match="person-00002.*truncated"):
-        [found[k] for k in range(len(found))]
+        [rows[k] for k in range(len(rows))]
     with pytest.raises(InputError, match="person-00002.*truncated or damaged"):
-        Table(tmp_path, "statics", "test")
+        Table(copied, "statics", "test")
 
 
 def test_torch_reads_it_in_several_processes(made):
@@ -320,10 +300,10 @@ def test_the_card_says_what_is_there(made):
 def test_a_plan_predicts_what_it_takes(made):
     status = made.status()
     rates = Rates.of(status)
-    found = predicted(PLAN, len(SPACE.mean.vertices), rates)
+    found = predict_cost(PLAN, len(SPACE.mean.vertices), rates)
     assert (found.statics, found.sequences, found.responses) == (6, 3, 3)
     assert found.core_hours == pytest.approx(sum(status.seconds.values()) / 3600.0, rel=1e-2)
-    larger = predicted(PLAN, 4463, rates), predicted(PRESETS["paper"], 4463, rates)
+    larger = predict_cost(PLAN, 4463, rates), predict_cost(PRESETS["paper"], 4463, rates)
     assert larger[1].statics + 16 * larger[1].sequences == pytest.approx(500_000, rel=0.001)
     assert larger[1].bytes < 30e9
 
@@ -351,13 +331,6 @@ def test_corpora_are_made_in_one_folder_by_one_at_a_time(made):
         made.generate()
 
 
-def test_people_are_picklable():
-    import pickle
-
-    again = pickle.loads(pickle.dumps(OfSpace(SPACE, SPACE.mean, partial(SPACE.fit))))
-    assert again.name == "sphere1"
-
-
 def test_where_nothing_more_is_asked_the_neutral_face_settles(made, tmp_path):
     """The same people and parameters give the same neutral faces, at a share of the price."""
     plan = replace(PLAN, frames=0, sequences=0, responses=0.0, parameter_responses=0.0)
@@ -373,17 +346,6 @@ def test_where_nothing_more_is_asked_the_neutral_face_settles(made, tmp_path):
         Table(tmp_path, "statics", "train")
 
 
-def test_a_part_of_a_corpus_can_be_read(tmp_path):
-    corpus = Corpus(tmp_path, PLAN, PEOPLE)
-    corpus.generate()
-    corpus.shard_path(0).unlink()
-    with pytest.raises(InputError, match="person-00000"):
-        Table(tmp_path, "statics", "train")
-    assert set(Table(tmp_path, "statics", "train", partial=True).rows[:, 0]) == {1}
-    assert set(Table(tmp_path, "statics", None, partial=True).rows[:, 0]) == {1, 2}
-    assert set(Table(tmp_path, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
-
-
 @pytest.fixture
 def copied(made, tmp_path):
     """A copy of the corpus, to be damaged."""
@@ -391,6 +353,15 @@ def copied(made, tmp_path):
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
     return tmp_path
+
+
+def test_a_part_of_a_corpus_can_be_read(copied):
+    (copied / "person-00000.h5").unlink()
+    with pytest.raises(InputError, match="person-00000"):
+        Table(copied, "statics", "train")
+    assert set(Table(copied, "statics", "train", partial=True).rows[:, 0]) == {1}
+    assert set(Table(copied, "statics", None, partial=True).rows[:, 0]) == {1, 2}
+    assert set(Table(copied, "statics", None, partial=True, share=0.5).rows[:, 0]) == {1}
 
 
 def test_swapped_shards_are_of_another_person(copied, command):

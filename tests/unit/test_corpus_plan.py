@@ -9,7 +9,7 @@ import pytest
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.settle import changes_neutral
-from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES, static_of
+from softdeca.surrogate.corpus.mixture import INFOS, KINDS, MATERIALS, NAMES, select_static
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan, read_plan
 from softdeca.surrogate.ruler import EFFECTS, kind_of_coefficients
 from softdeca.surrogate.sphere import Spheres
@@ -115,7 +115,7 @@ def test_a_single_effect_is_alone_and_hard_expressions_are_in_no_sequence():
         identities=30, groups=3, sequences=2, kinds={"single": 1.0}, sources={"conversation": 0.2, "hard": 0.8},
         conversations=4, random=0, hard=4, seconds=5.0,
     )  # fmt: skip
-    assert {kind_of_coefficients(static_of(plan.parameter_set(k).coefficients)) for k in range(90)} == set(EFFECTS)
+    assert {kind_of_coefficients(select_static(plan.parameter_set(k).coefficients)) for k in range(90)} == set(EFFECTS)
     drawn = [plan.static(identity, k).recording for identity in range(20) for k in range(6)]
     assert 0.6 < np.mean([name.startswith("hard") for name in drawn]) < 0.95
     assert all(plan.sequence(identity, k)[0].startswith("conversation") for identity in range(20) for k in range(2))

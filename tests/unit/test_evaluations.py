@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks import beyond as unseen
-from softdeca.benchmarks.breakeven import breakeven
+from softdeca.benchmarks.breakeven import compute_breakeven
 from softdeca.lhm import InputError
 from softdeca.lhm.base.progress import silent
 from softdeca.surrogate import Surrogate
@@ -15,13 +15,15 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
-from softdeca.surrogate.dynamics import Looseness
-from softdeca.surrogate.evaluate import evaluate, score_of
+from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_distances
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
-from softdeca.surrogate.evaluate_references import KINDS, evaluate_references
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives
+from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.networks.weights import TrainingNote
+from softdeca.surrogate.methods import Blendshapes
+from softdeca.surrogate.methods import BonesCarried
+from softdeca.surrogate.methods import Derivatives
+from softdeca.surrogate.methods import BakedShapes, CoarsePD
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -72,25 +74,25 @@ def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
 
 def test_the_simulator_is_nearest_to_fenicsx(corpus):
     scores = evaluate_references(METHODS, corpus, None, HEADS)
-    assert {score.kind for score in scores} <= set(KINDS.values())
+    assert {score.kind for score in scores} <= set(AGAINST.values())
     found = {(score.method, score.kind): score for score in scores}
-    simulated = found["projective dynamics", KINDS["PD"]]
+    simulated = found["projective dynamics", AGAINST["PD"]]
     assert simulated.mean < 0.01 and simulated.frame_ms is None
-    assert simulated.mean <= found["linearised simulator", KINDS["PD"]].mean
-    assert found["bones carried", KINDS["PD"]].share == pytest.approx(1.0)
+    assert simulated.mean <= found["linearised simulator", AGAINST["PD"]].mean
+    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0)
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
     score = evaluate([Derivatives()], Faces(corpus, "test"), HEADS)[0]
-    found = breakeven(corpus, note, score)
+    found = compute_breakeven(corpus, note, score)
     assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0
     assert found.frames == pytest.approx(
         (found.corpus + 100.0) / (found.simulated_frame - 1e-3 * score.frame_ms), rel=1e-9
     )
     assert np.isfinite(found.faces)
     shutil.copy(corpus / "corpus.json", tmp_path)
-    assert breakeven(tmp_path, note, score) is None
+    assert compute_breakeven(tmp_path, note, score) is None
 
 
 def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
@@ -110,7 +112,7 @@ def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
 def test_clamped_parameters_are_scored_beside_simulation(monkeypatch):
     monkeypatch.setattr(unseen, "CASES", unseen.CASES[1:2])
     monkeypatch.setattr(unseen, "EXPRESSIONS", unseen.EXPRESSIONS[:1])
-    own, carried, settled, nothing = unseen.beyond(Surrogate.load(), silent, level=1)
+    own, carried, settled, nothing = unseen.score_beyond(Surrogate.load(), silent, level=1)
     assert own.kind == nothing.kind == unseen.KIND and own.frames == 1 and own.share < 1.0
     # Muscle alone differs, so neither bones nor a settled face explain anything.
     assert carried.share == nothing.share == pytest.approx(1.0) and settled.share == pytest.approx(1.0, abs=0.1)
@@ -139,4 +141,4 @@ def test_no_frames_and_numbers_that_are_not_finite_are_no_score():
         (right[:0], right[:0], "no frame"),
     ):
         with pytest.raises(InputError, match=f"blendshapes.*all: {words}"):
-            score_of(Blendshapes(), "all", error, motion)
+            score_distances(Blendshapes(), "all", error, motion)

@@ -10,8 +10,15 @@ from softdeca.lhm.base.errors import InputError, SoftdecaError
 from softdeca.surrogate.corpus.mixture import NAMES, STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import IDENTITY, CorpusPlan
-from softdeca.surrogate.generalisation import KINDS, check_learned, evaluate_generalisation, pairs
-from softdeca.surrogate.methods import Blendshapes, Derivatives
+from softdeca.surrogate.generalisation import (
+    KINDS,
+    check_learned,
+    choose_pairs,
+    evaluate_generalisation,
+    simulate_pairs,
+)
+from softdeca.surrogate.methods import Blendshapes
+from softdeca.surrogate.methods import Derivatives
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
 
@@ -63,8 +70,8 @@ def folder(tmp_path_factory):
 
 def scored(methods, folder, **changed):
     given = {"weights": learned(), "plan": PLAN, "people": PEOPLE, "count": 2} | changed
-    return evaluate_generalisation(methods, given.pop("weights"), given.pop("plan"), given.pop("people"), folder,
-                                   on=Schedule(), **given)  # fmt: skip
+    made = simulate_pairs(given.pop("weights"), given.pop("plan"), given.pop("people"), folder, on=Schedule(), **given)
+    return evaluate_generalisation(methods, made)
 
 
 def test_each_combination_has_its_people_parameters_and_recordings(folder):
@@ -98,7 +105,7 @@ def test_each_combination_has_its_people_parameters_and_recordings(folder):
 
 def test_what_is_there_is_not_simulated_again_and_what_is_damaged_is(folder):
     before = [score.mean for score in scored([Blendshapes()], folder)]
-    kept, damaged = folder / "pair-000.npz", folder / "pair-001.npz"
+    kept, damaged = folder / "pair-00001-00022.npz", folder / "pair-00002-00023.npz"
     when = kept.stat().st_mtime_ns
     damaged.write_bytes(damaged.read_bytes()[:1000])
     told = []
@@ -118,10 +125,10 @@ def test_faces_that_do_not_settle_are_left_out(tmp_path):
 
 
 def test_who_is_known_has_to_be_told():
-    assert [pair.people["train"] for pair in pairs(PLAN, learned(), 2)] == [1, 2]
+    assert [pair.people["train"] for pair in choose_pairs(PLAN, learned(), 2)] == [1, 2]
     for count in (0, 3):  # of test there are two
         with pytest.raises(InputError, match="expected 1 to 2 pairs"):
-            pairs(PLAN, learned(), count)
+            choose_pairs(PLAN, learned(), count)
     check_learned(PLAN, PEOPLE, learned())
     for other in (learned(first=23), SimpleNamespace(**vars(learned()) | {"code_mean": learned().code_mean + 1.0}),
                   SimpleNamespace(**vars(learned()) | {"code_mean": np.zeros(99)})):  # fmt: skip

@@ -7,15 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.surrogate_gates import BOUNDS, HYBRID, LINEARISED, NETWORK, TRIVIAL, defeats, surrogate_gates
-from softdeca.benchmarks.surrogates import told_first
+from softdeca.benchmarks.surrogate_gates import (
+    BOUNDS,
+    HYBRID,
+    LINEARISED,
+    NETWORK,
+    TRIVIAL,
+    describe_defeats,
+    find_defeats,
+    make_gates,
+)
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_skin
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.mixture import STATIC, ParameterSet, static_of
-from softdeca.surrogate.corpus.people import people_of
+from softdeca.surrogate.corpus.mixture import STATIC, ParameterSet, select_static
+from softdeca.surrogate.corpus.people import people_from_text
 from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.evaluate import ALL, UNSCALED, Score, evaluate
@@ -32,7 +40,7 @@ from softdeca.surrogate.ruler import (
     strength_of,
 )
 
-PEOPLE = people_of("spheres:1")
+PEOPLE = people_from_text("spheres:1")
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results" / "surrogate"
 
 
@@ -85,7 +93,7 @@ def test_a_corpus_face_has_the_kind_of_its_parameters():
     head = PEOPLE.head(PEOPLE.person(np.random.default_rng(0)))
     for number in range(60):
         drawn = PRESETS["fresh"].parameter_set(number)
-        kind = kind_of_coefficients(static_of(drawn.coefficients))
+        kind = kind_of_coefficients(select_static(drawn.coefficients))
         assert kind == kind_of_parameters(drawn.parameters(head, PEOPLE.mean))
         assert (kind == "materials") == (drawn.kind == "materials")
 
@@ -98,7 +106,7 @@ def test_each_expression_has_one_strength():
 @pytest.mark.parametrize("preset", ["study", "fresh"])
 def test_the_plans_have_frames_of_every_kind_that_a_gate_judges(preset):
     plan = PRESETS[preset]
-    sets = [static_of(plan.parameter_set(k).coefficients) for k in range(plan.identities * plan.groups)]
+    sets = [select_static(plan.parameter_set(k).coefficients) for k in range(plan.identities * plan.groups)]
     kinds = [kind_of_coefficients(coefficients) for coefficients in sets]
     assert set(BOUNDS) - {ALL, UNSCALED} <= set(kinds) and {"gravity", "volume and growth"} <= set(kinds)
     assert kinds.count("materials") >= 0.25 * len(kinds)
@@ -151,12 +159,12 @@ def _committed() -> list[Score]:
 
 def test_the_network_passes_its_gates_with_at_most_a_quarter_to_spare():
     scores = _committed()
-    gates = surrogate_gates(scores)
+    gates = make_gates(scores)
     assert len(gates) == len(BOUNDS) + 1 and all(gate["passed"] for gate in gates)
     for gate in gates:
         assert float(gate["bound"].removeprefix("at most ")) <= 1.25 * gate["value"], gate["what"]
-    lost = {kind for kind, *_ in defeats(scores)}
-    assert not lost & set(BOUNDS) and all(kind in told_first(scores) for kind in lost)
+    lost = {kind for kind, *_ in find_defeats(scores)}
+    assert not lost & set(BOUNDS) and all(kind in describe_defeats(scores) for kind in lost)
 
 
 @pytest.mark.parametrize("rival", TRIVIAL)
@@ -164,7 +172,7 @@ def test_no_trivial_rival_passes_a_gate_of_the_network(rival):
     scores = _committed()
     planted = [score for score in scores if score.method != NETWORK]
     planted += [replace(score, method=NETWORK) for score in scores if score.method == rival]
-    by_kind = surrogate_gates(planted)[:-1]
+    by_kind = make_gates(planted)[:-1]
     assert len(by_kind) == len(BOUNDS) and not any(gate["passed"] for gate in by_kind)
 
 
@@ -173,7 +181,7 @@ def test_derivatives_without_a_network_fail_the_gate_of_both(rival):
     scores = _committed()
     planted = [score for score in scores if score.method != HYBRID]
     planted += [replace(score, method=HYBRID) for score in scores if score.method == rival]
-    assert not surrogate_gates(planted)[-1]["passed"]
+    assert not make_gates(planted)[-1]["passed"]
 
 
 def test_the_model_card_has_the_committed_shares():
@@ -187,5 +195,5 @@ def test_the_model_card_has_the_committed_shares():
 def test_where_the_network_loses_is_said_first():
     shares = {(NETWORK, "gravity"): 0.2, (TRIVIAL[1], "gravity"): 0.1, (NETWORK, ALL): 0.3, (TRIVIAL[1], ALL): 0.5}
     scores = [Score(method=method, kind=kind, share=share) for (method, kind), share in shares.items()]
-    assert defeats(scores) == [("gravity", TRIVIAL[1], 0.2, 0.1)]
-    assert told_first(scores).startswith("The network loses to a rival without learning on: gravity")
+    assert find_defeats(scores) == [("gravity", TRIVIAL[1], 0.2, 0.1)]
+    assert describe_defeats(scores).startswith("The network loses to a rival without learning on: gravity")

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from softdeca.lhm import InputError, SoftdecaError
-from softdeca.surrogate.schedule import Schedule, results_of, schedule
+from softdeca.surrogate.schedule import Schedule, make_schedule, run_items
 
 # What travels to another process has to be importable there: here functions of the standard library.
 SERIAL, TWO = Schedule(), Schedule("processes", 2)
@@ -17,7 +17,7 @@ SERIAL, TWO = Schedule(), Schedule("processes", 2)
 
 @pytest.mark.parametrize("on", [SERIAL, TWO], ids=["serial", "processes"])
 def test_every_item_is_done_once(on):
-    assert sorted(results_of(operator.neg, list(range(30)), on=on)) == [-k for k in range(29, -1, -1)]
+    assert sorted(run_items(operator.neg, list(range(30)), on=on)) == [-k for k in range(29, -1, -1)]
     assert multiprocessing.active_children() == []
 
 
@@ -25,8 +25,8 @@ def test_an_existing_cluster_is_used_and_left_running():
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        on = schedule(7, cluster.scheduler_address)
-        assert sorted(results_of(operator.neg, [1, 2, 3], on=on)) == [-3, -2, -1]
+        on = make_schedule(7, cluster.scheduler_address)
+        assert sorted(run_items(operator.neg, [1, 2, 3], on=on)) == [-3, -2, -1]
         assert len(cluster.workers) == 1
 
 
@@ -34,17 +34,17 @@ def test_an_existing_cluster_is_used_and_left_running():
 def test_what_an_item_raises_ends_the_rest(on):
     begin = time.monotonic()
     with pytest.raises(ValueError, match="domain"):
-        list(results_of(math.sqrt, [4.0, -1.0] + [4.0] * 1000, on=on))
+        list(run_items(math.sqrt, [4.0, -1.0] + [4.0] * 1000, on=on))
     assert multiprocessing.active_children() == [] and time.monotonic() - begin < 60
 
 
 def test_a_worker_that_dies_each_time_is_named():
     with pytest.raises(SoftdecaError, match="^heads: a worker process died; run again"):
-        list(results_of(os._exit, [3, 3], on=TWO, name="heads"))
+        list(run_items(os._exit, [3, 3], on=TWO, name="heads"))
 
 
 def test_an_iterator_that_is_left_stops_its_workers():
-    results = results_of(time.sleep, [0.0] * 8 + [600.0] * 100, on=TWO)
+    results = run_items(time.sleep, [0.0] * 8 + [600.0] * 100, on=TWO)
     next(results)
     begin = time.monotonic()
     results.close()
@@ -52,7 +52,7 @@ def test_an_iterator_that_is_left_stops_its_workers():
 
 
 def test_nothing_is_started_for_nothing():
-    assert list(results_of(operator.neg, [], on=TWO)) == []
+    assert list(run_items(operator.neg, [], on=TWO)) == []
 
 
 @pytest.mark.parametrize(
@@ -76,4 +76,4 @@ def test_bad_schedules_are_named(options, message):
 def test_a_scheduler_that_is_not_there_is_named(address, monkeypatch):
     monkeypatch.setattr("softdeca.surrogate.schedule.PATIENCE", "2s")
     with pytest.raises(InputError, match=f"scheduler {address}: no Dask scheduler answers"):
-        list(results_of(operator.neg, [1, 2], on=schedule(1, address)))
+        list(run_items(operator.neg, [1, 2], on=make_schedule(1, address)))

@@ -1,9 +1,8 @@
-"""Work of hours in a folder, which goes on where it was stopped: a file that says what it is of, and what is done.
+"""Work of hours in a folder, which resumes: a store of rows, and a lock against a second run.
 
-Simulated takes and studies keep a line of JSON per piece here, takes and corpora what they are of. A piece that is
-arrays is a file of its own, whole or not there (`atomic`): a take's frame, and a corpus' person, whose shard has a
-checksum and its corpus' name as well, since it is copied and read without its folder. `lock_folder` keeps a second run
-out.
+A store says what its rows are of, and has a line of JSON for each; arrays lie beside them, a file each, whole or not
+there (`atomic`). Studies, takes and evaluations keep such stores. A corpus has shards instead, each with a checksum and
+its corpus' name, since they are copied and read without their folder; its manifest is checked as a store's.
 """
 
 from __future__ import annotations
@@ -15,81 +14,97 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import InputError
 from .atomic import write_whole
+from .npz import read_arrays, write_arrays
 from .text import read_json
 
 
-class Records:
-    """Lines of JSON, added as pieces of work are done; one that a kill has torn is as if it were not there."""
+class RowStore:
+    """Rows of a folder's work, in the order in which they were added: JSON in `file`, arrays in files by name.
 
-    def __init__(self, path: Path):
-        self.path = path
+    `manifest`, if given, is noted in WHAT.json, `what` being a word for the work. Raises InputError, naming what
+    differs, for a folder whose work is of another manifest, and where it cannot be written.
+    """
 
-    def read(self) -> list[dict[str, Any]]:
-        """All whole records in the order in which they were added; none where there is no file."""
+    def __init__(
+        self, folder: Path, what: str = "", manifest: Mapping[str, Any] | None = None, *, file: str = "rows.jsonl"
+    ):
+        self.folder, self.file = folder, folder / file
+        if manifest is not None and not check_manifest(folder / f"{what}.json", what, manifest):
+            write_whole(folder / f"{what}.json", json.dumps(dict(manifest), indent=1).encode())
+
+    def rows(self) -> list[dict[str, Any]]:
+        """All whole rows; a line that a kill has torn is left out."""
         try:
-            lines = self.path.read_bytes().splitlines()
+            lines = self.file.read_bytes().splitlines()
         except OSError:
             return []
-        return [record for line in lines if (record := _record(line)) is not None]
+        rows = []
+        for line in lines:
+            try:
+                row = json.loads(line)
+            except (ValueError, RecursionError):
+                continue
+            if isinstance(row, dict):
+                rows.append(row)
+        return rows
 
-    def add(self, record: Mapping[str, Any]) -> None:
-        """Append one, without NaN; InputError if it cannot be written."""
-        line = json.dumps(record, allow_nan=False).encode() + b"\n"
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Append a row, without NaN; InputError if it cannot be written."""
+        line = json.dumps(row, allow_nan=False).encode() + b"\n"
         try:
-            with self.path.open("a+b") as file:
+            with self.file.open("a+b") as file:
                 file.seek(max(0, file.tell() - 1))
                 torn = file.read() not in (b"", b"\n")
                 file.write(b"\n" + line if torn else line)
         except OSError as error:
-            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from None
+            raise InputError(f"{self.file}: cannot be written ({error.strerror})") from None
 
-    def keep(self, records: Iterable[Mapping[str, Any]]) -> None:
-        """Have these and no others."""
-        write_whole(self.path, b"".join(json.dumps(each, allow_nan=False).encode() + b"\n" for each in records))
+    def keep(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Have these rows and no others."""
+        write_whole(self.file, b"".join(json.dumps(row, allow_nan=False).encode() + b"\n" for row in rows))
 
+    def path(self, name: str) -> Path:
+        """The file of the arrays of a name."""
+        return self.folder / f"{name}.npz"
 
-def _record(line: bytes) -> dict[str, Any] | None:
-    try:
-        found = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) else None
+    def write(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write arrays under a name, whole or not at all; InputError if they cannot be written."""
+        write_arrays(self.path(name), arrays)
 
+    def read(self, name: str, *wanted: str) -> dict[str, np.ndarray]:
+        """Read the wanted arrays of a name, or all; InputError names a file that is missing or damaged."""
+        return read_arrays(self.path(name), *wanted)
 
-def read_manifest(path: Path, what: str, names: Iterable[str] = ()) -> dict[str, Any] | None:
-    """What a folder's file says that its work is of, `what` in words, with all these names; None if there is none.
-
-    Raises InputError for a file that says something else.
-    """
-    if not path.exists():
-        return None
-    try:
-        found = read_json(path)
-    except InputError:
-        found = None
-    if not isinstance(found, dict) or not set(names) <= set(found):
-        raise InputError(f"{path}: damaged, or of no {what} of softdeca; use another folder")
-    return found
+    def is_whole(self, name: str) -> bool:
+        """Whether the arrays of a name are there and can be read."""
+        try:
+            self.read(name)
+        except InputError:
+            return False
+        return True
 
 
 def check_manifest(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
     """Whether the folder's work has begun; InputError, naming what differs, if it is not of this manifest."""
-    found = read_manifest(path, what)
+    if not path.exists():
+        return False
+    try:
+        kept = read_json(path)
+    except InputError:
+        kept = None
+    if not isinstance(kept, dict):
+        raise InputError(f"{path}: damaged, or of no {what} of softdeca; use another folder")
     for name, value in manifest.items():
-        if found is not None and found.get(name) != value:
+        if kept.get(name) != value:
             raise InputError(
-                f"{path.parent}: holds a {what} of another {name} ({found.get(name)}, expected {value}); "
+                f"{path.parent}: holds a {what} of another {name} ({kept.get(name)}, expected {value}); "
                 "use another folder or remove it"
             )
-    return found is not None
-
-
-def begin_work(path: Path, what: str, manifest: Mapping[str, Any]) -> None:
-    """Note what a folder's work is of, where it has not begun; raises what `check_manifest` raises."""
-    if not check_manifest(path, what, manifest):
-        write_whole(path, json.dumps(dict(manifest), indent=1).encode())
+    return True
 
 
 @contextmanager
