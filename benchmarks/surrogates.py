@@ -18,15 +18,10 @@ from ..surrogate.corpus.plan import Split
 from ..surrogate.corpus.reading import Faces
 from ..surrogate.generalisation import PairStore, simulate_pairs
 from ..surrogate.heads import BindCosts, Heads, measure_binds
-from ..surrogate.networks.weights import Weights
-from ..surrogate.methods import Method
-from ..surrogate.methods import Blendshapes
-from ..surrogate.methods import BonesCarried
-from ..surrogate.methods import Derivatives
-from ..surrogate.methods import NetworkMethod
+from ..surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
 from ..surrogate.networks.responses import LearnedResponses
 from ..surrogate.networks.ridge import Ridge
-from ..surrogate.methods import BakedShapes, CoarsePD
+from ..surrogate.networks.weights import Weights
 from ..surrogate.schedule import count_processors, make_schedule
 from .surrogate_gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED
 

@@ -25,8 +25,8 @@ from .corpus.shard import ACCEPTED
 from .corpus.simulator import FaceSimulator
 from .evaluate import Score, Static, Trial, measure_frames
 from .heads import BindCosts, Heads
-from .networks.weights import Weights
 from .methods import Method
+from .networks.weights import Weights
 from .schedule import Schedule, run_items
 
 COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, SPLITS, SPLITS))

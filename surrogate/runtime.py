@@ -21,11 +21,11 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..lhm.identities import LinearSpace
 from ..reference import Parameters
+from ..reference.face.derivatives import differentiate_head
 from .baked import BakedRig, bake, compress
 from .corpus.face import Face
 from .corpus.mixture import STATIC
 from .dynamics import DynamicRig, Swing, dynamic_rig
-from .linear import derivatives
 from .local import around_vertices, of_static, on_wraps
 from .networks.features import Inputs
 from .networks.hypernetwork import HypernetworkRig, open_transfer
@@ -160,9 +160,20 @@ class Surrogate:
         return fit_head(load_template(identities.Anny()), skin)
 
 
+def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> tuple[Floats32, Floats32]:
+    """Compute T - S at w = 0, shape (n, 3), and its derivatives by shapes (k, n, 3), all [mm]; some seconds.
+
+    InputError for a face that does not settle under these parameters, and what the simulator raises.
+    """
+    first = differentiate_head(head, parameters)
+    deltas = shapes.astype(np.float64)
+    offset = (first.offset + first.face.displacement).astype(np.float32)
+    return offset, (first.skin_by_shapes(deltas) - deltas).astype(np.float32)
+
+
 @check_arguments
 def derivatives_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
-    """A rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
+    """Return a rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
 
     expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3); parameters: local values are one per
     face of the skin. What is not linear in the weights is left out. Raises InputError for other shapes, and what the

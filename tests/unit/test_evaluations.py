@@ -15,15 +15,12 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
+from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_distances
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.dynamics import Looseness
+from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives
 from softdeca.surrogate.networks.weights import TrainingNote
-from softdeca.surrogate.methods import Blendshapes
-from softdeca.surrogate.methods import BonesCarried
-from softdeca.surrogate.methods import Derivatives
-from softdeca.surrogate.methods import BakedShapes, CoarsePD
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -45,7 +42,7 @@ def corpus(tmp_path_factory):
 
 
 def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
-    looseness = Looseness.of(PEOPLE, count=8)
+    looseness = Looseness.from_people(PEOPLE, count=8)
     scores = evaluate_dynamic(METHODS, corpus, "train", HEADS, looseness)
     found = {(score.method, score.kind): score for score in scores}
     assert len(found) == 6 and all(score.frames % 16 == 0 and score.frame_ms > 0 for score in scores)

@@ -17,8 +17,7 @@ from softdeca.surrogate.generalisation import (
     evaluate_generalisation,
     simulate_pairs,
 )
-from softdeca.surrogate.methods import Blendshapes
-from softdeca.surrogate.methods import Derivatives
+from softdeca.surrogate.methods import Blendshapes, Derivatives
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
 

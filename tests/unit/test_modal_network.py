@@ -29,14 +29,23 @@ from softdeca.surrogate.heads import Heads
 from softdeca.surrogate.methods import Blendshapes, Derivatives, NetworkMethod
 from softdeca.surrogate.networks.face_wise import FaceWise
 from softdeca.surrogate.networks.features import Features
-from softdeca.surrogate.networks.modal import ModalConfig
-from softdeca.surrogate.networks.modal_training import ModalTraining, _Loop, train_modal
+from softdeca.surrogate.networks.modal import (
+    ModalConfig,
+    basis,
+    bind_modal,
+    hidden_features,
+    neutral,
+    remainder,
+    responses,
+)
+from softdeca.surrogate.networks.modal_training import ModalLesson, ModalTraining, train_modal
 from softdeca.surrogate.networks.responses import LearnedResponses
 from softdeca.surrogate.networks.ridge import Ridge
 from softdeca.surrogate.networks.softsmpl import SoftSMPL
+from softdeca.surrogate.networks.trainer import Trainer
 from softdeca.surrogate.networks.vertices_only import VerticesOnly
 from softdeca.surrogate.networks.weights import Weights
-from softdeca.surrogate.rig import Modal, add_combination
+from softdeca.surrogate.rig import add_combination
 from softdeca.surrogate.ruler import KINDS, STRENGTHS
 from softdeca.surrogate.sphere import Spheres
 
@@ -67,8 +76,9 @@ def test_people_with_shapes_of_their_own_are_bound(faces, weights):
     """A corpus keeps such shapes as it keeps what it simulates: in half precision."""
     face, method = faces["test"].face(0), NetworkMethod(weights)
     own = replace(face, person=replace(face.person, shapes=face.shapes.astype(np.float16)))
-    expressions = np.linspace(0.0, 1.0, 104).reshape(2, 52)
-    np.testing.assert_allclose(method.bind(own)(expressions), method.bind(face)(expressions), atol=0.02)
+    expression = np.linspace(0.0, 1.0, 52)
+    answers = [method.bind(one).frame(expression, blended=face.skin) for one in (own, face)]
+    np.testing.assert_allclose(*answers, atol=0.02)
 
 
 def test_the_note_names_the_people_held_out(faces, weights):
@@ -92,14 +102,19 @@ def bound(surrogate, **changes):
     return surrogate.bind(**{**arguments, "expressions": shapes(), **changes})
 
 
+def score(methods, test, training=None):
+    """Scores over all frames by method."""
+    return {one.method: one for one in evaluate(methods, test, HEADS, training) if one.kind == "all"}
+
+
 def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weights, faces):
     methods = [NetworkMethod(weights), NetworkMethod(weights, exact=True), Derivatives(), Blendshapes()]
-    scores = {score.method: score for score in evaluate(methods, faces["test"], HEADS) if score.kind == "all"}
+    scores = score(methods, faces["test"])
     assert scores["network"].everywhere < 0.5 * scores["blendshapes (T = S)"].everywhere
     # Small spheres answer all but linearly: what is left is float16's rounding.
     hybrid, linearised_alone = scores["network + simulator at bind"], scores["linearised simulator"]
     assert hybrid.everywhere < 1.2 * linearised_alone.everywhere < 0.01
-    assert not scores["network"].simulates and scores["network + simulator at bind"].simulates
+    assert not scores["network"].simulates and hybrid.simulates
 
 
 def test_rivals_that_learn_are_scored_by_kind(faces):
@@ -114,29 +129,31 @@ def test_rivals_that_learn_are_scored_by_kind(faces):
 
 def test_networks_of_others_learn_and_are_bound(faces):
     methods = [SoftSMPL("small", 150), SoftSMPL("large", 150), VerticesOnly(150), FaceWise(150)]
-    found = evaluate([*methods, Blendshapes()], faces["train"], HEADS, faces["train"])
-    *scores, nothing = [score for score in found if score.kind == "all"]
-    assert [score.method for score in scores] == [method.name for method in methods]
-    assert all(score.everywhere < 0.95 * nothing.everywhere and score.fit_seconds > 0 for score in scores)
-    # Bound or not, a network is the same function of w, p and h.
-    method, face, w = methods[2], faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
-    summary = (method._inputs.summary_of(face) - method._mean) / method._scale
-    with torch.no_grad():
-        whole = method._network(torch.from_numpy(w), torch.from_numpy(summary.astype(np.float32))[None], np.arange(N))
-    assert np.abs(method.bind(face)(w) - method._size * whole.numpy()).max() < 1e-4
+    scores = score([*methods, Blendshapes()], faces["train"], faces["train"])
+    *learned, nothing = scores.values()
+    assert all(one.everywhere < 0.95 * nothing.everywhere and one.fit_seconds > 0 for one in learned)
+    # In numpy or torch, a network is the same function of w, p and h.
+    face, w = faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)
+    for method in methods:
+        summary = ((method._inputs.summary_of(face) - method._mean) / method._scale).astype(np.float32)[None]
+        network = {name: torch.from_numpy(value) for name, value in method.arrays.items()}
+        bound = method.bound(network, torch.from_numpy(summary))
+        answer = method._size * method.answer(network, bound, torch.from_numpy(w[None]))[0].numpy()
+        assert np.abs(method.bind(face).correct(w) - answer).max() < 1e-4
 
 
 def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):
     state = tmp_path / "state.pt"
-    loop = _Loop(faces["train"], CONFIG)
-    loop.run(100)
-    loop.keep(state)
+    train_modal(faces["train"], replace(CONFIG, seconds=1e-9), state=state)  # stops at the first point of the curve
+    content = torch.load(state, weights_only=True)
+    assert content["step"] == CONFIG.validate_every
+    torch.save(content | {"of": [repr(CONFIG), *content["of"][1:]]}, state)
     resumed = train_modal(faces["train"], CONFIG, state=state)
     assert [point["loss"] for point in resumed.note.curve] == [point["loss"] for point in weights.note.curve]
     for name, value in weights.network.items():
         assert np.array_equal(value, resumed.network[name]), name
     with pytest.raises(InputError, match="of another training"):
-        train_modal(faces["train"], ModalTraining(network=NETWORK, steps=7, frames=4, vertices=42), state=state)
+        train_modal(faces["train"], replace(CONFIG, steps=7), state=state)
     state.write_text("not a state")
     with pytest.raises(InputError, match="state.pt: damaged"):
         train_modal(faces["train"], CONFIG, state=state)
@@ -187,8 +204,8 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
     weights.save(tmp_path / "weights.safetensors")
     start = Weights.load(tmp_path / "weights.safetensors")
     more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
-    begun = _Loop(faces["train"], CONFIG, start=start).weights()
-    assert all(np.array_equal(value, start.network[name]) for name, value in begun.network.items())
+    begun = ModalLesson(faces["train"], CONFIG, start=start).network
+    assert all(np.array_equal(value.detach(), start.network[name]) for name, value in begun.items())
     kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
         assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
@@ -205,48 +222,44 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
         train_modal(faces["train"], CONFIG, start=other)
 
 
-def test_run_time_equals_torch(faces):
-    loop = _Loop(faces["train"], CONFIG)
-    loop.run(3)
-    modal, network = Modal(loop.weights()), loop.network
-    face = faces["test"].face(1)
-    p = modal.features.at_vertices(face.coefficients)
-    found = modal.bound(face.code, face.skin, p, face.shapes)
-    every = np.arange(N)
-    expressions = np.random.default_rng(0).random((3, 52)).astype(np.float32)
+def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
+    lesson = ModalLesson(faces["train"], CONFIG)
+    trainer = Trainer(lesson, CONFIG)
+    trainer.run(3)
+    face, features, w = faces["test"].face(1), lesson.features, np.random.default_rng(0).random((3, 52))
+    p, every, size = features.at_vertices(face.coefficients), np.arange(N), lesson.code_size
+    bound = bind_modal(trainer.arrays(), features, lesson.inputs.code(face.code), face.skin, p, face.shapes)
+    network, shapes, offset = lesson.network, torch.from_numpy(face.shapes[None]).float(), 0.0
     with torch.no_grad():
-        local, summary, unmoved = loop._features([face], [p], every)
-        hidden = network.hidden(local, summary, every)
-        responses, remainder = network.bases(hidden, every, (2, 3))
-        lagging = (network.lags(hidden, local)[0, :, None] * torch.from_numpy(face.shapes).float()).flatten(1)
-        rested = modal.features.without_palsy(p)
-        of_rested = loop._features([face], [rested], every)
-        expected = [
-            network.neutral(1, hidden, summary, unmoved, loop._effects([p], [face.skin], every), every)
-            + network.neutral(
-                0,
-                network.hidden(of_rested[0], of_rested[1], every),
-                *of_rested[1:],
-                loop._effects([rested], [face.skin], every),
-                every,
-            ),
-            network.response_amplitudes(summary) @ responses - lagging,
-            network.remainder_amplitudes(summary, torch.from_numpy(expressions)[None]) @ remainder,
-        ]
-    for one, other in zip((found.offset, found.responses, found.remainder(expressions)), expected, strict=True):
+        for part, values in enumerate((features.without_palsy(p), p)):
+            local, summary, unmoved = lesson.inputs_of([face], [values], every)
+            hidden = hidden_features(network, local, summary[..., :size], every)
+            effects = lesson.effects_of([values], [face.skin], every)
+            offset = offset + neutral(network, part, hidden, summary, unmoved, effects, every)
+        amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
+        expected = (
+            offset,
+            responses(network, hidden, local, summary, shapes, every),
+            amplitudes @ basis(network, 3, hidden, every),
+        )
+    for one, other in zip((bound.offset, bound.responses, bound.remainder(w)), expected, strict=True):
         assert np.abs(one.ravel() - other.numpy().ravel()).max() < 1e-4 * max(1.0, np.abs(one).max())
 
 
 def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
-    loop = _Loop(faces["train"], CONFIG)
-    network = loop.network.double()
-    loop._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
+    lesson = ModalLesson(faces["train"], CONFIG)
+    learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
+    lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
+    lesson._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
 
     def loss():
-        return loop._loss(loop.training[:3], np.random.default_rng(5), np.arange(N))
+        return lesson.loss_of(lesson.training[:3], np.random.default_rng(5), np.arange(N))
 
+    for name in learned:
+        lesson.network[name].requires_grad_()
     loss().backward()
-    for name, value in network.named_parameters():
+    for name in learned:
+        value = lesson.network[name]
         place = np.unravel_index(int(value.grad.abs().reshape(-1).argmax()), value.shape)
         slope, h = float(value.grad[place]), 1e-6
         with torch.no_grad():
@@ -273,7 +286,7 @@ def test_a_face_is_the_same_wherever_it_lies(surrogate):
 
 
 def test_settling_knows_no_palsy(surrogate):
-    features = surrogate._modal.features
+    features = surrogate.inputs.features
     whole, half = (
         features.at_vertices(np.column_stack([chosen, np.zeros((len(chosen), WAVES))]))
         for chosen in (_normalised(soft_volume=1.2), _normalised(soft_volume=1.2, paralysis_left=0.8))
@@ -438,7 +451,7 @@ def test_files_that_are_no_weights_are_named(weights, tmp_path):
 def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
     with pytest.raises(InputError, match="dynamic: the weights do not tell where faces are loose"):
         bound(surrogate).dynamic()
-    known = Looseness.of(OfSpace(SPACE, SPACE.mean, SPACE.fit), count=8)
+    known = Looseness.from_people(OfSpace(SPACE, SPACE.mean, SPACE.fit), count=8)
     path = tmp_path / "modal.safetensors"
     replace(weights, looseness=known).save(path)
     rig = bound(Surrogate.load(path), parameters=Parameters(frequency=3.0))
@@ -466,7 +479,7 @@ def test_features_follow_the_mirror():
     if features.mirror is None:
         pytest.skip("this sphere is not symmetric")
     p = np.random.default_rng(0).uniform(-1.0, 1.0, size=(N, len(STATIC)))
-    assert np.array_equal(features.mirrored(features.mirrored(p)), p)
+    assert np.array_equal(features.mirror_parameters(features.mirror_parameters(p)), p)
     assert len(set(features.points.tolist())) == len(features.points)
 
 
