@@ -102,7 +102,7 @@ class Surrogate:
             self._check_exact()
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
-            rig = self._bind(skin, code, at_vertices, shapes, Swing.from_head(fitted, chosen))
+            rig = self._bind_modes(skin, code, at_vertices, shapes, Swing.from_head(fitted, chosen))
             return rig.with_derivatives(offset, responses)
         known = weights.looseness
         swing = None if known is None else Swing.from_shares(*known.at(code), chosen, skin)
@@ -112,11 +112,12 @@ class Surrogate:
         """Bind a face of a corpus; with `exact`, its own offset and responses."""
         skin = self.weights.mean.with_vertices(face.skin)
         shapes = np.asarray(face.shapes, dtype=np.float32)
-        rig = self._bind(skin, face.code, self.inputs.features.at_vertices(face.coefficients), shapes)
-        if exact:
-            self._check_exact()
-            return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
-        return rig
+        at_vertices = self.inputs.features.at_vertices(face.coefficients)
+        if not exact:
+            return self._bind(skin, face.code, at_vertices, shapes)
+        self._check_exact()
+        rig = self._bind_modes(skin, face.code, at_vertices, shapes)
+        return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
 
     def _check_exact(self) -> None:
         if self.weights.kind != "modal":
@@ -125,11 +126,17 @@ class Surrogate:
     def _bind(
         self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
     ) -> BoundSurrogate | HypernetworkRig:
-        network, code = self.weights.network, self.inputs.code(code)
+        if self.weights.kind == "hypernetwork":
+            network, code = self.weights.network, self.inputs.code(code)
+            return HypernetworkRig(network, self._transfer, code, at_vertices, skin, shapes, swing)
+        return self._bind_modes(skin, code, at_vertices, shapes, swing)
+
+    def _bind_modes(
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
+    ) -> BoundSurrogate:
+        network, features, code = self.weights.network, self.inputs.features, self.inputs.code(code)
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
-            if self.weights.kind == "hypernetwork":
-                return HypernetworkRig(network, self._transfer, code, at_vertices, skin, shapes, swing)
-            modes = _check_finite(bind_modal(network, self.inputs.features, code, skin.vertices, at_vertices, shapes))
+            modes = _check_finite(bind_modal(network, features, code, skin.vertices, at_vertices, shapes))
             return BoundSurrogate(skin, _check_finite(compress(modes)), shapes, swing)
 
     @cached_property

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numba
 import numpy as np
@@ -170,6 +171,10 @@ class HypernetworkRig:
         surface = self._skin.copy()
         add_combination(np.asarray(weights, dtype=np.float32), self._shapes, surface.reshape(-1))
         return surface
+
+    def bake(self, rank: int = 64) -> NoReturn:
+        """Raise InputError: its frames are no sum of shapes."""
+        raise InputError("bake: the frames of a hypernetwork are no sum of shapes; bake a modal network")
 
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
         """Return frames with inertia (Eq. 21), time_step [s] apart; see `BoundSurrogate.dynamic`."""

@@ -165,7 +165,7 @@ def test_parameters_per_face(surrogate):
     [
         (
             {"parameters": Parameters(soft_volume=1.2)},
-            r"soft_volume = 1.2 is beyond \[1, 1\], what the network has seen",
+            r"soft_volume = 1.2 is beyond \[1, 1\]",
         ),
         ({"exact": True}, "exact: a hypernetwork network has no offset and responses"),
         ({"expressions": None}, "expressions: not known"),
