@@ -5,7 +5,7 @@ import signal
 import sys
 import warnings
 
-from .streams import open_closed
+from .streams import open_closed_streams
 
 # One thread is the fastest for the solvers' small blocks; it must be set before a BLAS is loaded.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -19,7 +19,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Run the command: see `app.main`. Interrupted while its modules are being loaded it ends in one line too."""
-    open_closed()
+    open_closed_streams()
     warnings.showwarning = _in_one_line
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # elsewhere somebody has decided otherwise, as nohup has

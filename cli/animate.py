@@ -11,8 +11,8 @@ from ..lhm.template import DEFAULT_LEVEL
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .counts import counted
-from .progress import shown
 from .take_options import HeadChoice, load_take, take_options
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -72,7 +72,7 @@ def animate(
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     wanted = Output(out, kind, preview, dynamic, turned)  # type: ignore[arg-type]
     network = Surrogate.load(surrogate)
-    with shown() as progress:
+    with show_progress() as progress:
         if head_file is None and which.space.name == network.space == "anny":
             served = bind_person(
                 network,

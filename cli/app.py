@@ -1,4 +1,4 @@
-"""The command and how it ends: errors as one line on stderr, exit status 0 only when all asked for was done."""
+"""The command and how it ends: errors are one line on stderr; exit status 0 means that everything was done."""
 
 import sys
 
@@ -7,8 +7,8 @@ import click
 from ..lhm.base.errors import SoftdecaError
 from ..reference import ranks
 from . import animate, bench, corpus, head, simulate, study, train, view
-from .interruption import INTERRUPTED, interruptible
-from .streams import silence
+from .streams import silence_streams
+from .terminal import INTERRUPTED, end_at_ctrl_c
 
 ROOT = (
     "Several processes: mpirun -n 2 softdeca ... shares each FEniCSx solve among them. As root, Open MPI refuses to "
@@ -38,7 +38,7 @@ def main() -> None:
 
     Of processes that mpirun starts together the first one runs it, and the others help FEniCSx.
     """
-    with interruptible():
+    with end_at_ctrl_c():
         status = _run()
         ranks.leave(status)
         sys.exit(status)
@@ -51,14 +51,14 @@ def _run() -> int:
         sys.stdout.flush()
     except SoftdecaError as error:
         status = _fail(str(error))
-    except BrokenPipeError:  # as of `| head`, which has what it wanted
-        silence(1)
+    except BrokenPipeError:  # as of `| head`, which has read enough
+        silence_streams(1)
         status = 1
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         status = _fail(f"{where}{error.strerror or error}")
         if not _can_write():
-            silence(1)
+            silence_streams(1)
     except (RecursionError, MemoryError) as error:
         status = _fail(f"{type(error).__name__}: input nested too deeply, or too large for this machine's memory")
     except click.UsageError as error:
@@ -78,7 +78,7 @@ def _say(line: str, status: int) -> int:
     try:
         print(line, file=sys.stderr, flush=True)
     except OSError:
-        silence(2)
+        silence_streams(2)
     return status
 
 

@@ -10,8 +10,8 @@ from ..lhm.base.limits import SEED
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .counts import counted
-from .progress import shown
 from .study_command import Studies, changes, listed, report
+from .terminal import show_progress
 from .written_file import FOLDER
 
 AFile = click.Path(path_type=Path)
@@ -58,7 +58,7 @@ def registration(identities: str, upon: str, seed: int, as_json: bool) -> int:
     from ..benchmarks.registrations import median, run_registrations
     from ..lhm.identities import from_text
 
-    with shown() as progress:
+    with show_progress() as progress:
         results = run_registrations((from_text(identities), from_text(upon)), seed, progress)
     if as_json:
         click.echo(json.dumps(results, indent=1))
@@ -97,7 +97,7 @@ def closures(
 
     recorded = load_take(take, None, chosen, False)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
-    with shown() as progress:
+    with show_progress() as progress:
         rows, written = run(recorded, out, parameters, level=level, dynamic=dynamic, progress=progress)
     if as_json:
         click.echo(json.dumps([asdict(row) for row in rows], indent=1))

@@ -11,8 +11,8 @@ from ..lhm.base.errors import InputError
 from ..lhm.base.limits import PEOPLE, SEED
 from ..lhm.base.progress import OnProgress
 from .counts import counted
-from .progress import shown
 from .study_command import option_of
+from .terminal import show_progress
 from .written_file import FOLDER, PNG
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _generate(plan_file: Path | None, **options) -> int:
     A corpus of another plan in OUT is refused, and what differs is named. Exit status 1 if more than 5 % is rejected.
     """
     generation = Generation(**options)
-    with shown() as progress:
+    with show_progress() as progress:
         plan, made_with = generation.plan(plan_file)
         if generation.dry_run:
             generation.foretell(plan, made_with, progress)
@@ -236,7 +236,7 @@ def verify(folder: Path) -> int:
     """
     from ..surrogate.corpus.folder import verify_folder
 
-    with shown() as progress:
+    with show_progress() as progress:
         people = verify_folder(folder, on_progress=progress)
     click.echo(f"{folder}: {people} shards are whole")
     return 0
@@ -256,7 +256,7 @@ def sample(folder: Path, count: int, seed: int, out: Path | None) -> int:
     from ..lhm.base.files.atomic import write_whole
 
     out = folder / "sample.png" if out is None else out
-    with shown() as progress:
+    with show_progress() as progress:
         write_whole(out, draw_contact_sheet(folder, count, seed, progress))
     click.echo(out)
     return 0

@@ -18,19 +18,18 @@ from ..lhm.registration import read_landmarks
 from ..lhm.regressor.depths import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
 from ..lhm.template_file import read_template, save_template
-from .imports import import_bodyparts3d, import_ict
+from .imports import import_files
 from .landmarks import landmarks_command
 from .personalise import personalise
-from .progress import shown
+from .terminal import show_progress
 from .train_regressor import train_regressor
 from .written_file import ANY, FOLDER, NPZ, PNG
 
 ROUGH = (
-    "the skin is rougher than a wrap can follow, or the template lies badly on it: `head show` draws where; smooth "
-    "what is no face in the scan (straps, rags, hair) or give --landmarks. What lies off moves along, so that the "
-    "head can be used as it is"
+    "the skin is rougher than a wrap can follow, or the template lies badly on it: `head show` draws where. Smooth "
+    "straps, rags and hair in the scan, or give --landmarks. The head works as it is: parts that lie off move along"
 )
-"""What to do about a skin wrap that lies off the skin."""
+"""Advice for a skin wrap that lies off the skin."""
 AFile = click.Path(path_type=Path)
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
 
@@ -43,30 +42,33 @@ def head() -> None:
 head.add_command(train_regressor)
 head.add_command(landmarks_command)
 head.add_command(personalise)
-head.add_command(import_ict)
-head.add_command(import_bodyparts3d)
+head.add_command(import_files)
 
 
 @head.command()
 @click.option(
-    "--identities", "space_name", default="anny", help="whose topology: anny, ict:FILE, flame:FILE or folder:DIR"
+    "--identities", "space_name", default="anny", help="identity space: anny, ict:FILE, flame:FILE or folder:DIR"
 )
 @click.option("--skin", type=AFile, help="a neutral head of any topology (OBJ, PLY, STL, glTF, NPZ); default: the mean")
 @click.option(
-    "--unit", metavar="UNIT", help=f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: found"
+    "--unit", metavar="UNIT", help=f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: detected"
 )
-@click.option("--up", type=click.Choice(scans.AXES), help="the axis of --skin that is up; default: found")
-@click.option("--front", type=click.Choice(scans.AXES), help="the axis that its face looks along; default: found")
-@click.option("--no-repair", is_flag=True, help="take the mesh as it is, or refuse it; default: repair it and say how")
-@click.option("--keep-sealed", is_flag=True, help="leave a sealed mouth closed; default: open it between the lips")
+@click.option("--up", type=click.Choice(scans.AXES), help="axis of --skin that points up; default: detected")
 @click.option(
-    "--landmarks", type=AFile, help="JSON of named points on --skin, in its coordinates or in mm along its axes"
+    "--front", type=click.Choice(scans.AXES), help="axis of --skin that its face looks along; default: detected"
 )
-@click.option("--template", "template_file", type=AFile, help="a template by `head template`; default: the space's own")
+@click.option(
+    "--no-repair", is_flag=True, help="take the mesh as it is, or refuse it; default: repair it and list the changes"
+)
+@click.option("--keep-sealed", is_flag=True, help="keep a sealed mouth closed; default: open it between the lips")
+@click.option("--landmarks", type=AFile, help="JSON of named points on --skin, in its own unit or in mm")
+@click.option("--template", "template_file", type=AFile, help="template from `head template`; default: the space's own")
 @click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap")
-@click.option("--regressor", "regressor_file", type=AFile, help="depths by `head train-regressor`; default: a prior")
-@click.option("--seed", type=click.IntRange(min=0), help="sample a random identity instead")
-@click.option("--out", type=NPZ, default="out/head.npz", help="the head to write")
+@click.option("--regressor", "regressor_file", type=AFile, help="depths from `head train-regressor`; default: a prior")
+@click.option(
+    "--seed", type=click.IntRange(min=0), help="random seed of the identity; default: --skin, or the mean face"
+)
+@click.option("--out", type=NPZ, default="out/head.npz", help="file of the head")
 @click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
 @click.option("--picture", type=PNG, help="also draw the layers into this PNG")
 @as_json_option
@@ -88,9 +90,9 @@ def fit(
     picture: Path | None,
     as_json: bool,
 ) -> int:
-    """Fit the layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate.
+    """Fit a layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate.
 
-    A gate is a bound that a figure of the head has to keep, such as no inverted tet; `head check` names them all.
+    A gate is a bound on a figure of the head, such as no inverted tet. `head check` lists them all.
     """
     if skin is not None and seed is not None:
         raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
@@ -102,7 +104,7 @@ def fit(
         raise click.UsageError("--template has a level; --level is of the space's own", click.get_current_context())
     points = None if landmarks is None else read_landmarks(landmarks)
     where = scans.Hints(unit=unit, up=up, front=front, landmarks=points)
-    with shown() as progress:
+    with show_progress() as progress:
         progress("head: identity space", 0.0)
         space = identities.from_text(space_name)
         if template_file is None:
@@ -141,16 +143,21 @@ def fit(
 
 
 @head.command()
-@click.option("--identities", "space_name", default="ict:ict_facekit.npz", help="whose mean head: anny or ict:FILE")
+@click.option(
+    "--identities",
+    "space_name",
+    default="ict:ict_facekit.npz",
+    help="identity space of the mean head: anny or ict:FILE",
+)
 @click.option("--anatomy", type=AFile, required=True, help="bones and muscles: BodyParts3D's head as .npz")
 @click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
-@click.option("--out", type=NPZ, default="out/template.npz", help="the template to write; `head fit --template` it")
+@click.option("--out", type=NPZ, default="out/template.npz", help="file of the template, for `head fit --template`")
 @as_json_option
 def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: bool) -> int:
     """Build a template from real anatomy (some two minutes), write it and check its own head."""
     from ..lhm.anatomy.template import anatomical_template
 
-    with shown() as progress:
+    with show_progress() as progress:
         built = anatomical_template(identities.from_text(space_name), anatomy, level=level, progress=progress)
         progress("template", 1.0)
     save_template(out, built)
@@ -162,7 +169,7 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
 @click.argument("file", type=AFile)
 @as_json_option
 def check(file: Path, as_json: bool) -> int:
-    """Print every gate of the layered head in FILE (by `head fit`) with its figure; exit status 1 if one is missed."""
+    """Print every gate of the head in FILE with its figure; exit status 1 if it misses one."""
     with naming(file, "a layered head"):
         parts = read_parts(file)
         _warn(file, {} if parts.rig is None else parts.rig.doubtful)
@@ -177,11 +184,13 @@ def check(file: Path, as_json: bool) -> int:
 @head.command()
 @click.argument("file", type=AFile)
 @click.option("--out", type=FOLDER, default="out/head", help="folder of the pictures")
-@click.option("--expression", help="show layers and sections simulated in this expression, as jawOpen*0.5+cheekPuff")
-@click.option("--identities", "space_name", help="whose expressions ('anny' or 'ict:FILE'); default: the head's own")
+@click.option("--expression", help="simulate this expression, as jawOpen*0.5+cheekPuff, for layers and sections")
+@click.option(
+    "--identities", "space_name", help="identity space of the expressions (anny or ict:FILE); default: the head's own"
+)
 @click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
 def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
-    """Draw the layered head in FILE: layers cut open, sections, fit and worst tets, as PNG files in OUT."""
+    """Draw the head in FILE as PNG files in OUT: layers cut open, sections, fit, worst tets."""
     from ..animation.head_pictures import draw_head, expression_deltas, pose_head
     from ..lhm import expressions
 
@@ -191,7 +200,7 @@ def show(file: Path, out: Path, expression: str | None, space_name: str | None, 
         click.echo(f"softdeca: {file}: {note}", err=True)
     if shown_head.rig is not None and space_name is None:
         _warn(file, shown_head.rig.doubtful)
-    with shown() as progress:
+    with show_progress() as progress:
         progress("pictures", 0.0)
         pose = None
         if weights is not None:
@@ -208,11 +217,13 @@ def show(file: Path, out: Path, expression: str | None, space_name: str | None, 
 @head.command()
 @click.argument("file", type=AFile)
 @click.option("--layers", default="1,1", help="layers of soft tissue and of muscle")
-@click.option("--size", type=float, help="instead: free tets between the wraps, no larger than this inside [mm] (gmsh)")
-@click.option("--out", type=ANY, default="out/head.msh", help="the mesh to write: .msh, .vtu, .xdmf or .mesh")
+@click.option(
+    "--size", type=float, help="free tets of at most this size [mm] between the wraps, by gmsh, instead of layers"
+)
+@click.option("--out", type=ANY, default="out/head.msh", help="file of the mesh: .msh, .vtu, .xdmf or .mesh")
 @as_json_option
 def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) -> int:
-    """Write the tets of the layered head in FILE (by `head fit`) with tags and surfaces, and report their shape.
+    """Write the tets of the head in FILE with tags and surfaces, and report their shape.
 
     Tags: 1 soft tissue, 2 muscle; surfaces 11 skin wrap, 12 muscle wrap, 13 skull wrap.
     """
@@ -254,13 +265,13 @@ def _counts(text: str) -> tuple[int, int]:
 
 
 def _in_space(template: Template, space: LinearSpace) -> Template:
-    """A template with the expressions and identities of its own space, where that is the one given."""
+    """Give a template its expressions and identities, if it has the topology of this space."""
     same = np.array_equal(template.skin.triangles, space.triangles)
     return replace(template, space=space) if same else template
 
 
 def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
-    """A line for each reason why expressions will not look right."""
+    """Print a line for each reason why expressions will not look right."""
     for reason in dict.fromkeys(doubtful.values()):
         names = ", ".join(name for name, why in doubtful.items() if why == reason)
         click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
@@ -280,9 +291,9 @@ def _report(
     notes: Sequence[str] = (),
     posed: Sequence[Figure] = (),
 ) -> None:
-    """Print the figures and the files written; FitError names the gates missed, and what was written all the same.
+    """Print the figures and the files. FitError names the missed gates, and the files that were written nevertheless.
 
-    `posed`: gates of the head as it moves.
+    `posed`: gates of the moving head.
     """
     all_gates = (*report.gates, *posed)
     problems = [*report.problems, *(str(gate) for gate in posed if gate.missed)]

@@ -1,4 +1,4 @@
-"""softdeca head landmarks: which there are, where they are on the template, and on a scan."""
+"""softdeca head landmarks: their names, and their places on the template or on a scan."""
 
 import json
 from pathlib import Path
@@ -9,23 +9,23 @@ import numpy as np
 from ..lhm import Surface, identities, load_template, scans
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.registration import landmark_ids
-from .progress import shown
+from .terminal import show_progress
 from .written_file import ANY
 
 AFile = click.Path(path_type=Path)
 AROUND = 30.0
-"""[mm] What a picture shows around the landmarks."""
+"""[mm] Margin of the picture around the landmarks."""
 
 
 @click.command("landmarks")
-@click.option("--names", is_flag=True, help="print the names, and draw where they are on the template")
-@click.option("--skin", type=AFile, help="find them on this head (OBJ, PLY, STL, glTF, NPZ)")
+@click.option("--names", is_flag=True, help="print the names, and draw their places on the template")
+@click.option("--skin", type=AFile, help="find them on this scan (OBJ, PLY, STL, glTF, NPZ)")
 @click.option("--unit", metavar="UNIT", help="as for `head fit`")
 @click.option("--up", type=click.Choice(scans.AXES), help="as for `head fit`")
 @click.option("--front", type=click.Choice(scans.AXES), help="as for `head fit`")
-@click.option("--identities", "space_name", default="anny", help="whose mean head is the template")
-@click.option("--out", type=ANY, default="out/landmarks.json", help="the points found, for `head fit --landmarks`")
-@click.option("--picture", type=ANY, default="out/landmarks.png", help="where they are")
+@click.option("--identities", "space_name", default="anny", help="identity space of the template")
+@click.option("--out", type=ANY, default="out/landmarks.json", help="file of the points, for `head fit --landmarks`")
+@click.option("--picture", type=ANY, default="out/landmarks.png", help="picture of the points")
 def landmarks_command(
     names: bool,
     skin: Path | None,
@@ -36,13 +36,13 @@ def landmarks_command(
     out: Path,
     picture: Path,
 ) -> int:
-    """Name the landmarks, or find them on a scan: look at the picture, correct the JSON, give it to `head fit`.
+    """Name the landmarks, or find them on a scan. Look at the picture, correct the JSON, give it to `head fit`.
 
     The points are in the file's own unit and axes.
     """
     if names == (skin is not None):
         raise click.UsageError("either --names or --skin FILE", click.get_current_context())
-    with shown() as progress:
+    with show_progress() as progress:
         progress("landmarks", 0.0)
         template = load_template(identities.from_text(space_name), progress=progress)
         ids = landmark_ids(template.skin, template.parts)

@@ -9,7 +9,7 @@ from ..lhm import check_head, identities, load_template, scans
 from ..lhm.arkit import ARKIT
 from ..lhm.base.errors import FitError
 from ..lhm.head_file import load_head, save_head
-from .progress import shown
+from .terminal import show_progress
 from .written_file import NPZ
 
 AFile = click.Path(path_type=Path)
@@ -18,21 +18,23 @@ AFile = click.Path(path_type=Path)
 @click.command()
 @click.argument("head_file", metavar="HEAD", type=AFile)
 @click.argument("weights", type=AFile)
-@click.option("--identities", "space_name", default="anny", help="whose template HEAD was fitted from")
-@click.option("--out", type=NPZ, default="out/personal.npz", help="the head to write")
-@click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
+@click.option(
+    "--identities", "space_name", default="anny", help="identity space of the template that HEAD was fitted from"
+)
+@click.option("--out", type=NPZ, default="out/personal.npz", help="file of the new head")
+@click.option("--json", "as_json", is_flag=True, help="print the result as JSON")
 def personalise(head_file: Path, weights: Path, space_name: str, out: Path, as_json: bool) -> int:
-    """Fit the expressions of HEAD (by `head fit`) to scans of its person; half a minute for each scan.
+    """Fit the expressions of HEAD to scans of its person; half a minute for each scan.
 
     WEIGHTS names the scans beside it and guesses what each shows: JSON, {"smile.obj": {"mouthSmileLeft": 1}, ...}, or
-    CSV with the line "scan,mouthSmileLeft,..." and one for each scan. Expressions that it does not name stay as they
-    are. Exit status 1 if the head then misses a gate.
+    CSV with the header "scan,mouthSmileLeft,..." and a line per scan. Other expressions stay as they are. Exit
+    status 1 if the new head misses a gate that HEAD did not.
     """
     from ..reference.face.check import check_posed_head
 
     guesses = scans.read_guesses(weights)
     given = load_head(head_file)
-    with shown() as progress:
+    with show_progress() as progress:
         progress("head: template", 0.0)
         template = load_template(identities.from_text(space_name), progress=progress)
         done = scans.personalise_head(given, template, guesses, progress=progress)

@@ -8,8 +8,8 @@ import click
 
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
-from .progress import shown
 from .take_options import HeadChoice, load_take, take_options
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -59,7 +59,7 @@ def simulate(
     config = TakeConfig(out, kind, preview, dynamic, turned, choices=choices)  # type: ignore[arg-type]
     config = config if tolerance is None else replace(config, tolerance=tolerance)
     try:
-        with shown() as progress:
+        with show_progress() as progress:
             head, deltas = which.head(progress)
             result = run_take(config, head, deltas, recorded, parameters, progress)
     except KeyboardInterrupt:

@@ -5,7 +5,7 @@ import sys
 from contextlib import suppress
 
 
-def open_closed() -> None:
+def open_closed_streams() -> None:
     """Open the null device in place of each standard stream that is closed.
 
     A file opened later would else take its number, and a library's messages would be written into that file.
@@ -22,7 +22,7 @@ def open_closed() -> None:
             setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115
 
 
-def silence(*numbers: int) -> None:
+def silence_streams(*numbers: int) -> None:
     """Send what is still to be written to these streams nowhere: Python's last flush would fail, and tell it."""
     for number in numbers:
         with suppress(OSError):

@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from .progress import shown
 from .study_command import ONLY, gate_line
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -38,7 +38,7 @@ def study(identities: str, out: Path, expressions: str, surrogate: Path | None, 
 
     weights = "" if surrogate is None else str(surrogate)
     asked = Agreement(identities=identities, expressions=tuple(expressions.split(",")), weights=weights)
-    with shown() as progress:
+    with show_progress() as progress:
         done = run_study(asked, out, only=only, progress=progress)
     if as_json:
         click.echo((out / "report.json").read_text())

@@ -14,7 +14,7 @@ from ..benchmarks.studies import names, study_of
 from ..lhm.base.errors import InputError
 from ..lhm.base.limits import FACES, SEED, STUDIED_PAIRS, WORKERS, Bound
 from .counts import counted
-from .progress import shown
+from .terminal import show_progress
 from .written_file import WrittenFolder
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def _run(study: Study, match: str, only: Any, workers: int | None, out: Path, as
     from ..benchmarks.harness import run
     from ..benchmarks.harness.page import one as cell
 
-    with shown() as progress:
+    with show_progress() as progress:
         results = run(study, out, only=only, workers=workers, match=match, progress=progress)
     if as_json:
         click.echo((out / "results.json").read_text())

@@ -9,7 +9,7 @@ import click
 from ..lhm.base.files.atomic import replaced
 from ..lhm.base.limits import TRAINING_STEPS
 from .counts import counted
-from .progress import shown
+from .terminal import show_progress
 from .written_file import FOLDER
 
 
@@ -70,7 +70,7 @@ def train(
     options = {"steps": steps, "device": device, "precision": precision, "seconds": seconds}
     given = {name: value for name, value in options.items() if value is not None}
     read = {"partial": partial, "share": share}
-    with shown() as progress:
+    with show_progress() as progress:
         train_network = _modal if network == "modal" else _paper
         path, curve = train_network(corpus, neutrals, start, out, given, read, progress)
     with replaced(out / "curve.json") as temporary:

@@ -12,7 +12,7 @@ from ..lhm.base.files.surface_file import MILLIMETRES
 from ..lhm.regressor.depths import SKULL_PLACES, DepthRegressor, LeaveOneOut, leave_one_out
 from ..lhm.regressor.pairs import PairReport, read_pairs
 from ..lhm.regressor.prior import PAIRS, SEED, prior_pairs
-from .progress import shown
+from .terminal import show_progress
 from .written_file import NPZ, PNG
 
 AFile = click.Path(path_type=Path)
@@ -20,10 +20,10 @@ AFile = click.Path(path_type=Path)
 
 @click.command("train-regressor")
 @click.argument("folder", metavar="[DIR]", type=AFile, required=False)
-@click.option("--prior", type=click.IntRange(min=3, max=1000), help="this many synthetic pairs instead of DIR  [60]")
-@click.option("--identities", "space_name", default="anny", help="whose topology: 'anny' (default head) or 'ict:FILE'")
+@click.option("--prior", type=click.IntRange(min=3, max=1000), help="number of synthetic pairs instead of DIR  [60]")
+@click.option("--identities", "space_name", default="anny", help="identity space: anny or ict:FILE")
 @click.option("--unit", type=click.Choice(list(MILLIMETRES)), default="mm", help="unit of the files in DIR")
-@click.option("--out", type=NPZ, default="out/depth_regressor.npz", help="the regressor to write")
+@click.option("--out", type=NPZ, default="out/depth_regressor.npz", help="file of the regressor")
 @click.option("--picture", type=PNG, help="also draw the error per vertex into this PNG")
 @click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
 def train_regressor(
@@ -35,14 +35,14 @@ def train_regressor(
     picture: Path | None,
     as_json: bool,
 ) -> int:
-    """Learn skull depths from the pairs NAME_skin.* and NAME_skull.* in DIR, test with each left out, write.
+    """Learn skull depths from pairs NAME_skin.* and NAME_skull.* in DIR, test by leaving each out, and write.
 
-    Skins of another topology than the identities' are registered; they look along +z with +y up. Without DIR the
-    pairs are drawn from published mean depths and their spread: a prior, not anatomy.
+    Skins of another topology are registered; they look along +z with +y up. Without DIR, pairs are drawn from
+    published mean depths and their spread: a prior, not anatomy.
     """
     if folder is not None and prior is not None:
         raise click.UsageError("DIR and --prior both say which pairs; give one", click.get_current_context())
-    with shown() as progress:
+    with show_progress() as progress:
         progress("depth regressor: identity space", 0.0)
         space = identities.from_text(space_name)
         template = load_template(space, progress=progress)

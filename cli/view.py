@@ -10,8 +10,8 @@ from ..lhm.base.limits import SEED
 from ..reference import Parameters
 from ..reference.face.parameters import read_parameters
 from .counts import counted
-from .progress import shown
 from .take_options import HeadChoice
+from .terminal import show_progress
 from .written_file import HTML
 
 AFile = click.Path(path_type=Path)
@@ -39,7 +39,7 @@ def view(
     which = HeadChoice(head_file, space_name, seed, None)
     parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
     named = "default parameters" if parameter_file is None else parameter_file.name
-    with shown() as progress:
+    with show_progress() as progress:
         head, shapes = which.head(progress)
         rigs, surrogate = [], Surrogate.load()
         if np.array_equal(head.skin.triangles, surrogate.weights.mean.triangles):

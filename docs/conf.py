@@ -10,7 +10,12 @@ copyright = author
 root = Path(__file__).resolve().parent
 out = root.parent / "out" / "docs"
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.intersphinx"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.intersphinx",
+    "sphinx_click",
+]
 nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
@@ -42,6 +47,13 @@ html_sidebars = dict.fromkeys(
         "scaling",
         "bounds",
         "gates",
+        "limits",
+        "python",
+        "own-head",
+        "corpus",
+        "parallel",
+        "studies",
+        "architecture",
     ),
     [],
 )

@@ -1,4 +1,4 @@
-"""What files of one's own add: laws and solvers, which studies then have beside those that are here."""
+"""Laws and solvers that files of one's own add: studies then have them beside those of the package."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def add_file(path: Path | str):
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with _without_exit(path):
+        with _refuse_exit(path):
             spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
@@ -65,7 +65,7 @@ def add_file(path: Path | str):
 
 
 @contextmanager
-def _without_exit(path: Path) -> Iterator[None]:
+def _refuse_exit(path: Path) -> Iterator[None]:
     """Let os._exit raise while a file is run: it would end the process without a word."""
     ends = os._exit
 

@@ -150,7 +150,7 @@ def evaluated(expression: str) -> float:
         "one": one, "every": every, "of": of, "gate": gate, "min": min, "max": max, "sum": sum, "len": len,
         "mean": statistics.fmean, "median": statistics.median, "sqrt": math.sqrt,
     }  # fmt: skip
-    return eval(expression, {"__builtins__": {}}, known)  # noqa: S307  # of this repository's own file
+    return eval(expression, {"__builtins__": {}} | known)  # noqa: S307  # of this repository's own file
 
 
 def mapped() -> tuple[list[Figure], dict[str, list[str]], list[str]]:

@@ -14,7 +14,7 @@ from ...reference import solve
 from ...reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
 from ...reference.materials.material import Isotropic, lame
 from ...reference.problems.homogeneous import Row as Cube
-from ...reference.problems.homogeneous import held
+from ...reference.problems.homogeneous import held_scene
 from ...reference.problems.meshes import unstructured
 from ...reference.terms import Hyperelastic, Strain, Term, Volume
 from ..harness.gates import at_most
@@ -143,7 +143,7 @@ def _stress(terms: Sequence[Term], mode: str, stretch: float) -> float:
     densities = []
     for at in (stretch - STEP, stretch + STEP):
         cube = Cube("", tuple(terms), loaded, at, 0.0, 0.0, confined)
-        solution = solve(held(cube, unstructured(1)), solver=SOLVER, tolerance=TOLERANCE)
+        solution = solve(held_scene(cube, unstructured(1)), solver=SOLVER, tolerance=TOLERANCE)
         if not solution.converged:
             raise SoftdecaError(f"stretch {at:g}: {solution.reason}")
         densities.append(solution.energy)

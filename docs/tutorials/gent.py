@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from softdeca.reference import add_law, terms
 from softdeca.reference.materials import EnergyLaw
 from softdeca.reference.materials.material import check_lame, lame
-from softdeca.reference.problems.homogeneous import Row, free_stretch, under_load
+from softdeca.reference.problems.homogeneous import Row, free_stretch, loaded_stretch
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,6 @@ add_law(
     problems=tuple(
         make(row, BOUNDS, source="Gent 1996; one equation")
         for row in ROWS
-        for make in (free_stretch, under_load)
+        for make in (free_stretch, loaded_stretch)
     ),
 )

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Bring your own law
 #
-# A law of hyperelasticity is one file. It holds the parameters, and the energy twice: in UFL, from which FEniCSx
-# derives stress and tangent, and by the invariants with derivatives by hand, which scikit-fem takes. Two ways to
-# write one thing, so that one checks the other; a third, in stretches, gives the values that verification asks for.
+# A law of hyperelasticity is one file. It holds the parameters and the energy, written twice, so that one form checks
+# the other. FEniCSx derives stress and tangent from the density in UFL. scikit-fem takes derivatives by the invariants,
+# made by hand. A third form, in stretches, gives the values that verification asks for.
 #
 # ```{literalinclude} gent.py
 # :language: python
@@ -92,6 +92,6 @@ for study in (Verification(), Hard(), WorkPrecision(slow=True)):
     assert tasks
 
 # %% [markdown]
-# A law of the package itself is such a file in `reference/materials/`, with a line in the `__init__.py` there. One
-# that mixed elements or a closed-form tangent are to have as well is written in each solver, as the neo-Hookean law
-# is.
+# A law of the package itself is such a file in `reference/materials/`, with a line in the `__init__.py` there.
+# `neo_hookean.py` has more forms of its energy: `mixed_density` and `isochoric`, by which mixed elements take it, and
+# `by_stretches`, a tangent by hand for FEniCSx. A law of one's own may have them too.

@@ -9,7 +9,7 @@ How to read it, from what is asked to what is solved:
   `dynamics` marches through time by minimisations. What can be modelled is in `scope`.
 - What they solve: `problem` has energy, gradient and Hessian of a scene, of `solids` (Strain, Volume, and laws by their
   singular values by `principal`, integrated by `quadrature`; `hyperelastic` laws by UFL), surfaces
-  (`surface_strain`, `bending`, `pressure`) and loads. `bodies` makes parts rigid, `moving` adds a time step.
+  (`surface_strain`, `bending`) and `loads`. `bodies` makes parts rigid, `moving` adds a time step.
 - Where it lives: `numbering` is the scene's mesh and its nodes, `parts` a mesh read in parallel that no process has
   whole, `shared` how processes divide them, `assembly` the matrix. `linear` and, with a pressure, `saddle` solve
   systems, by name. `dolfinx_version` is the only module that knows which dolfinx there is.

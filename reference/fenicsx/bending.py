@@ -39,7 +39,7 @@ class Rings:
     stiffness: Floats
 
     @classmethod
-    def of(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
+    def from_term(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
         """The term's rings, one Rings per number of neighbours.
 
         vertices [mm], shape (n, 3), are the scene's; `order` (n,) numbers them for the solver, the `owned` ones first.
@@ -49,15 +49,15 @@ class Rings:
         inner = _inner(term.triangles, len(X))
         inner = inner[(order[inner] >= 0) & (order[inner] < owned)]
         count = np.diff(cotangents.indptr)
-        found = []
+        rings = []
         for k in np.unique(count[inner]):
             centre = inner[count[inner] == k]
             slots = cotangents.indptr[centre][:, None] + np.arange(k)
             ring, w = cotangents.indices[slots], cotangents.data[slots]
             s = stiffness[centre] * area[centre]
             nodes = order[np.column_stack([centre, ring])]
-            found.append(cls(nodes, w / area[centre][:, None], np.maximum(w, 0.0), X[ring] - X[centre][:, None], s))
-        return found
+            rings.append(cls(nodes, w / area[centre][:, None], np.maximum(w, 0.0), X[ring] - X[centre][:, None], s))
+        return rings
 
     def _turned(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """R, Y, Rᵀl and b at positions x."""

@@ -27,16 +27,16 @@ def symbols(material: Material, domain, cells: Ints) -> SimpleNamespace:
 
     Vectors of shape (3,) or, in the order of cells (k,), (k, 3).
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field in fields(material):
         value = getattr(material, field.name)
         if isinstance(value, np.ndarray):
-            found[field.name] = seam.cell_vectors(domain, cells, value)
+            values[field.name] = seam.cell_vectors(domain, cells, value)
         elif isinstance(value, (int, float, np.number)):
-            found[field.name] = seam.constant(domain, float(value))
+            values[field.name] = seam.constant(domain, float(value))
         else:
-            found[field.name] = value
-    return SimpleNamespace(**found)
+            values[field.name] = value
+    return SimpleNamespace(**values)
 
 
 def density(displacement, cells: Ints, material: Material, growth: Floats | float = 1.0, pressure=None):
@@ -77,11 +77,11 @@ def elastic_part(F, growth: Floats | float, domain, cells: Ints):
     return F * ratio ** (-1 / 3), ratio
 
 
-WhenAsked = Callable[[], Callable[[Ints], Floats]]
+LazyEvaluator = Callable[[], Callable[[Ints], Floats]]
 
 
-def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
-    """What gives the function of cells for an expression at a rule's points; the code may be large, and not needed."""
+def lazy_evaluator(expression, degree: int, domain) -> LazyEvaluator:
+    """Compile an expression's evaluator at a rule's points on first use: its code may be large, and not needed."""
 
     @cache
     def evaluator() -> Callable[[Ints], Floats]:
@@ -90,17 +90,17 @@ def evaluated_when_asked(expression, degree: int, domain) -> WhenAsked:
     return evaluator
 
 
-def stress_and_tangent(psi, F, degree: int, domain) -> tuple[WhenAsked, WhenAsked]:
+def stress_and_tangent(psi, F, degree: int, domain) -> tuple[LazyEvaluator, LazyEvaluator]:
     """P and dP/dF of a density, evaluated when asked."""
     P = ufl.diff(psi, F)
-    return evaluated_when_asked(P, degree, domain), evaluated_when_asked(ufl.diff(P, F), degree, domain)
+    return lazy_evaluator(P, degree, domain), lazy_evaluator(ufl.diff(P, F), degree, domain)
 
 
 @dataclass(frozen=True, eq=False)
 class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there.
 
-    Of a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
+    For a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
     and that by the pressure twice, negative semi-definite [mm³/kPa].
     """
 
@@ -108,14 +108,14 @@ class HyperelasticForms:
     energy: Any
     gradient: Any
     tangent: Any
-    _P: WhenAsked
-    _dP_dF: WhenAsked
+    _P: LazyEvaluator
+    _dP_dF: LazyEvaluator
     by_pressure: Any = None
     coupling: Any = None
     by_pressure_twice: Any = None
 
     @classmethod
-    def of(
+    def compile(
         cls,
         displacement,
         cells: Ints,

@@ -1,8 +1,8 @@
-"""Follower pressure on linear or quadratic triangles: nodal forces and their tangent, of the present shape.
+"""Loads and springs on nodes: Gravity and Traction, which are dead, Pressure, which follows, Target and Inertia.
 
-With x(ξ, η) on a triangle the outer normal times area is x_ξ × x_η, so the pressure p adds p ∫ N_a x_ξ × x_η dξ dη to
-the gradient. Its derivative is symmetric where the border of the triangles is held or slides in a plane that closes
-the volume, and not else (Bonet and Wood 2008, Section 8.5.2).
+Follower pressure on linear or quadratic triangles: with x(ξ, η) on a triangle the outer normal times area is
+x_ξ × x_η, so the pressure p adds p ∫ N_a x_ξ × x_η dξ dη to the gradient. Its derivative is symmetric where the border
+of the triangles is held or slides in a plane that closes the volume, and not else (Bonet and Wood 2008, Section 8.5.2).
 """
 
 from __future__ import annotations
@@ -12,12 +12,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...lhm.base.mesh import Floats, Ints
-from ..terms import Pressure
+from ..scene import Scene
+from ..terms import Gravity, Pressure, Target, Traction
 from . import dolfinx_version as seam
 from .assembly import add_forces, skew
+from .numbering import CELL_SHARES, FACE_SHARES, Numbering
 
-DEGREES = {3: 2, 6: 6}
+PRESSURE_DEGREES = {3: 2, 6: 6}
 """Degree of the rule that is exact, by the nodes of a triangle."""
+
+
+def dead_loads(scene: Scene, order: Numbering) -> Floats:
+    """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
+    forces = np.zeros(order.X.shape)
+    for term in scene.of(Gravity):
+        tets = scene.tets_of(term)
+        weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
+        cells = order.cell[tets]
+        nodes = order.cell_dofs[cells[cells >= 0]]
+        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
+        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
+    for term in scene.of(Traction):
+        if not term.triangles.size:
+            continue
+        here, nodes = order.faces(term.name, term.triangles)
+        a, b, c = (scene.vertices[term.triangles[here, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+        shares = np.outer(area, FACE_SHARES[order.degree])
+        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
+    return order.nodes.summed(forces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +54,10 @@ class FollowerPressure:
     derivatives: Floats
 
     @classmethod
-    def of(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
+    def from_term(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
         """The term on its triangles that are `here`, by default all, with nodes (m, 3) or (m, 6), corners first."""
         k = nodes.shape[1]
-        points, weights = seam.quadrature_rule(DEGREES[k], "triangle")
+        points, weights = seam.quadrature_rule(PRESSURE_DEGREES[k], "triangle")
         value = np.broadcast_to(term.value, len(term.triangles))
         value = value if here is None else value[here]
         return cls(nodes, value, weights, *seam.shapes(k // 3, points, "triangle"))
@@ -63,3 +86,44 @@ class FollowerPressure:
         scaled = np.einsum("m,q,qa->mqa", self.value, self.weights, self.shapes)
         tangent = np.einsum("mqa,qb,mqij->mabij", scaled, by_across, along, optimize=True)
         return tangent - np.einsum("mqa,qb,mqij->mabij", scaled, by_along, across, optimize=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Springs of a Target, or of inertia, at nodes that this process owns.
+
+    dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
+    """
+
+    dofs: Ints
+    positions: Floats
+    stiffness: Floats
+
+    @classmethod
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[Springs]:
+        """The springs of a scene's targets, and of its inertia."""
+        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
+        stiffness, places = scene.inertia()
+        moving = np.flatnonzero(stiffness)
+        owned = []
+        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
+            mine, dofs = order.own_dofs(name, vertices)
+            owned.append(cls(dofs, positions[mine], np.broadcast_to(values, len(vertices))[mine]))
+        return owned
+
+    @property
+    def nodes(self) -> Ints:
+        """The node of each spring, shape (k, 1)."""
+        return self.dofs[:, None]
+
+    def energy(self, x: Floats) -> float:
+        """Energy [µJ] at nodes x [mm], shape (n, 3)."""
+        return 0.5 * float(self.stiffness @ np.sum((x[self.dofs] - self.positions) ** 2, axis=1))
+
+    def add_gradient(self, x: Floats, into: Floats):
+        """Add the energy's gradient [mN] to an array (n, 3)."""
+        into[self.dofs] += self.stiffness[:, None] * (x[self.dofs] - self.positions)
+
+    def hessian(self) -> Floats:
+        """The Hessian's blocks [mN/mm], shape (k, 1, 1, 3, 3)."""
+        return np.multiply.outer(self.stiffness, np.eye(3))[:, None, None]

@@ -28,7 +28,7 @@ class Modes:
     twist: Floats
     flip: Floats
 
-    def softened(self, kept: float) -> Modes:
+    def soften(self, kept: float) -> Modes:
         """The tangent with every negative eigenvalue multiplied by `kept`; at 0 the nearest semi-definite one."""
         block = np.array(self.block)
         indefinite = _indefinite(block)
@@ -53,14 +53,14 @@ def modes(s: Floats, p: Floats, h: Floats) -> Modes:
 
 @njit(cache=True)
 def _indefinite(block):
-    """Which of symmetric blocks (m, 3, 3) are not positive definite, by their leading minors."""
-    found = np.empty(len(block), dtype=np.bool_)
+    """Mask the symmetric blocks (m, 3, 3) that are not positive definite, by their leading minors."""
+    indefinite = np.empty(len(block), dtype=np.bool_)
     for e in range(len(block)):
         a, b, c = block[e, 0, 0], block[e, 0, 1], block[e, 0, 2]
         d, f, g = block[e, 1, 1], block[e, 1, 2], block[e, 2, 2]
         det = a * (d * g - f * f) - b * (b * g - c * f) + c * (b * f - c * d)
-        found[e] = not (a > 0.0 and a * d - b * b > 0.0 and det > 0.0)
-    return found
+        indefinite[e] = not (a > 0.0 and a * d - b * b > 0.0 and det > 0.0)
+    return indefinite
 
 
 @njit(cache=True)

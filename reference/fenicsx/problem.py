@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,14 +13,11 @@ from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import (
     Bending,
-    Gravity,
     Hyperelastic,
     Pressure,
     RigidBody,
     Strain,
     SurfaceStrain,
-    Target,
-    Traction,
     Volume,
 )
 from . import dolfinx_version as seam
@@ -30,8 +26,8 @@ from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
-from .loads import FollowerPressure
-from .numbering import CELL_SHARES, FACE_SHARES, Numbering
+from .loads import FollowerPressure, Springs, dead_loads
+from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
 from .shared import Shared, anywhere
 from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at
@@ -39,18 +35,6 @@ from .surface_strain import Membrane
 
 Law = tuple[Ints, HasStretches]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Spring:
-    """Springs of targets or of inertia at nodes that this process owns.
-
-    dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
-    """
-
-    dofs: Ints
-    positions: Floats
-    stiffness: Floats
 
 
 class Problem:
@@ -103,7 +87,7 @@ class Problem:
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
         owned = numbering.nodes.owned
         self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
-        springs = [spring.dofs for spring in self._springs_of(scene)]
+        springs = [spring.dofs for spring in Springs.from_scene(scene, numbering)]
         supported = np.zeros(len(numbering.X), dtype=bool)
         for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
             supported[dofs.ravel()] = True
@@ -120,7 +104,7 @@ class Problem:
 
     def _solids(self, scene: Scene) -> list[Solid]:
         return [
-            Solid.of(scene, term, self.numbering)
+            Solid.from_term(scene, term, self.numbering)
             for term in scene.terms
             if isinstance(term, (Strain, Volume, Hyperelastic))
         ]
@@ -136,7 +120,7 @@ class Problem:
     def _forms(self, solid: Solid) -> HyperelasticForms:
         cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
         pressure = self.pressure if self.mixed else None
-        return HyperelasticForms.of(self._displacement, cells, material, self._degree, growth, pressure)
+        return HyperelasticForms.compile(self._displacement, cells, material, self._degree, growth, pressure)
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
@@ -145,10 +129,10 @@ class Problem:
         self.loads = dead_loads(scene, order)
         self._surfaces = self._surfaces_of(scene)
         self._followers = [
-            FollowerPressure.of(term, nodes, here)
+            FollowerPressure.from_term(term, nodes, here)
             for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
         ]
-        self._springs = self._springs_of(scene)
+        self._springs = Springs.from_scene(scene, order)
         solids = self._solids(scene)
         by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
         hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
@@ -172,24 +156,13 @@ class Problem:
 
     def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
         surfaces: list[Membrane | Rings] = [
-            Membrane.of(term, scene.vertices, *faces)
+            Membrane.from_term(term, scene.vertices, *faces)
             for term, faces in zip(scene.of(SurfaceStrain), self._faces, strict=True)
         ]
         for term in scene.of(Bending):
             self.numbering.dofs_of(term.name, term.triangles)
-            surfaces += Rings.of(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
+            surfaces += Rings.from_term(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
         return surfaces
-
-    def _springs_of(self, scene: Scene) -> list[Spring]:
-        """Those of targets, and of inertia."""
-        springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
-        stiffness, places = scene.inertia()
-        moving = np.flatnonzero(stiffness)
-        found = []
-        for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
-            mine, dofs = self.numbering.own_dofs(name, vertices)
-            found.append(Spring(dofs, positions[mine], np.broadcast_to(values, len(vertices))[mine]))
-        return found
 
     def _law(self, solid: Solid) -> Law:
         term, points = solid.term, self._points(solid.cells)
@@ -281,9 +254,7 @@ class State:
         energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
         energy += sum(surface.energy(self._x) for surface in problem._surfaces)
         energy += sum(self.share * follower.energy(self._x) for follower in problem._followers)
-        for spring in problem._springs:
-            away = self._x[spring.dofs] - spring.positions
-            energy += 0.5 * float(spring.stiffness @ np.sum(away**2, axis=1))
+        energy += sum(spring.energy(self._x) for spring in problem._springs)
         return problem.comm.allreduce(energy)
 
     def gradient(self) -> Floats:
@@ -303,7 +274,7 @@ class State:
         for follower in problem._followers:
             follower.add_gradient(self._x, total, self.share)
         for spring in problem._springs:
-            total[spring.dofs] += spring.stiffness[:, None] * (self._x[spring.dofs] - spring.positions)
+            spring.add_gradient(self._x, total)
         return problem.numbering.nodes.summed(total)
 
     def strain(self) -> Floats:
@@ -365,14 +336,13 @@ class State:
         if problem._laws or problem._stretched:
             U, s, V = self._svd()
             p, h = self._curvature()
-            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).softened(kept), stiffness)
+            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).soften(kept), stiffness)
         for slots, surface in zip(problem._slots, problem._surfaces, strict=True):
             stiffness.add(surface.nodes, slots, surface.hessian(self._x, kept))
         for slots, follower in zip(problem._pressed_slots, problem._followers, strict=True):
             stiffness.add(follower.nodes, slots, self.share * follower.tangent(self._x))
         for spring in problem._springs:
-            nodes = spring.dofs[:, None]
-            stiffness.add(nodes, stiffness.slots(nodes), np.multiply.outer(spring.stiffness, np.eye(3))[:, None, None])
+            stiffness.add(spring.nodes, stiffness.slots(spring.nodes), spring.hessian())
         return stiffness.assembled()
 
     def _curvature(self) -> tuple[Floats, Floats]:
@@ -381,24 +351,3 @@ class State:
         if problem._stretched:
             return self._principal([*problem._laws, *problem._stretched])[1:]
         return self._p, self._h
-
-
-def dead_loads(scene: Scene, order: Numbering) -> Floats:
-    """Forces [mN] of Gravity and Traction, a vector (owned, 3); exact, and of degree 1 the scene's lumped ones."""
-    forces = np.zeros(order.X.shape)
-    for term in scene.of(Gravity):
-        tets = scene.tets_of(term)
-        weight = np.broadcast_to(term.density, tets.shape) * scene.volumes[tets]
-        cells = order.cell[tets]
-        nodes = order.cell_dofs[cells[cells >= 0]]
-        shares = np.outer(weight[cells >= 0], CELL_SHARES[order.degree])
-        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.acceleration
-    for term in scene.of(Traction):
-        if not term.triangles.size:
-            continue
-        here, nodes = order.faces(term.name, term.triangles)
-        a, b, c = (scene.vertices[term.triangles[here, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-        shares = np.outer(area, FACE_SHARES[order.degree])
-        forces += np.bincount(nodes.ravel(), shares.ravel(), minlength=len(forces))[:, None] * term.vector
-    return order.nodes.summed(forces)

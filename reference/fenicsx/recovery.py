@@ -1,6 +1,6 @@
 """Stresses and reactions of an answer on finite elements: P at the points of the rule, and the gradient where held.
 
-Any process may ask for them, alone: it integrates over the whole mesh once. Of a scene in parts all ask together.
+Any process may ask for them, alone: it integrates over the whole mesh once. For a scene in parts all ask together.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class Solid:
         return self.term
 
     @classmethod
-    def of(cls, scene: Scene, term: Strain | Volume | Hyperelastic, numbering: Numbering) -> Solid:
+    def from_term(cls, scene: Scene, term: Strain | Volume | Hyperelastic, numbering: Numbering) -> Solid:
         """The part of a scene's term on the cells of this process."""
         cells = numbering.cell[scene.tets_of(term)]
         mine = cells >= 0

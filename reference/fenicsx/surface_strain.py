@@ -33,7 +33,7 @@ class Membrane:
     stretch: Floats
 
     @classmethod
-    def of(cls, term: SurfaceStrain, vertices: Floats, here: Ints, nodes: Ints) -> Membrane:
+    def from_term(cls, term: SurfaceStrain, vertices: Floats, here: Ints, nodes: Ints) -> Membrane:
         """The term on rest vertices [mm], shape (n, 3), and on those of its triangles (t,) that are `here`.
 
         Of these the nodes are (t, 3), or (t, 6) of quadratic ones, those on edges numbered by the opposite corner.

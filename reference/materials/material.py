@@ -1,4 +1,4 @@
-"""What all hyperelastic laws have in common, and the forms of its energy by which a law tells solvers what it is.
+"""The base of all hyperelastic laws, and the forms in which a law gives its energy to solvers.
 
 A law is one file of this folder: a frozen dataclass of its parameters [kPa], checked when made, with its energy density
 written twice or more. FEniCSx derives stress and tangent from the density in UFL; scikit-fem takes derivatives by hand.

@@ -10,7 +10,7 @@ H6: a bar turned through 360° at nu = .49, one end against the other. H9: layer
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -102,7 +102,7 @@ PULLED_LENGTH, PULLED_CELLS, FEW_CELLS = 6.0, (24, 4, 4), (12, 2, 2)
 CLAMPED = 3.0
 """From the clamp on, widths of the bar that are left out."""
 START = 0.9
-"""Of the stretch is where a solve starts, so that the answer is not given away."""
+"""The share of the stretch that a solve starts from, so that the answer is not given away."""
 FLAT = 4.0
 """The stretch from which on tets of Strain + Volume are flat rather than round."""
 STRETCHES = (2.0, 5.0, 10.0)
@@ -118,7 +118,7 @@ def strain_law(stretch: float) -> tuple[Floats, float]:
 
 
 def strain_and_volume_law(stretch: float) -> tuple[Floats, float]:
-    """Of ‖F - R‖²/2 + VOLUME/2 min ‖F - T‖² over det T = 1.
+    """The same of ‖F - R‖²/2 + VOLUME/2 min ‖F - T‖² over det T = 1.
 
     For T = diag(1/(a b), a, b) the best lateral stretches are (1 + VOLUME (a, b)) / (1 + VOLUME), which leaves a
     problem in a and b.
@@ -136,7 +136,7 @@ def strain_and_volume_law(stretch: float) -> tuple[Floats, float]:
 
 
 def neo_hookean_law(stretch: float, poisson: float = POISSON) -> tuple[Floats, float]:
-    """Of the neo-Hookean law: mu (s - 1/s) + lmbda ln J / s along each axis, which vanishes along the lateral ones."""
+    """The same of the neo-Hookean law: mu (s - 1/s) + lmbda ln J / s along each axis, 0 along the lateral ones."""
     mu, lmbda = lame(YOUNG, poisson)
 
     def stress(along: float, s: float, lateral: float) -> float:
@@ -147,7 +147,7 @@ def neo_hookean_law(stretch: float, poisson: float = POISSON) -> tuple[Floats, f
 
 
 def stretch_error(
-    energies: Callable[[], list[Term]], law: Law, stretch: float, attempt: Attempt, *, at_rest: bool = False
+    energies: Sequence[Term], law: Law, stretch: float, attempt: Attempt, *, at_rest: bool = False
 ) -> float:
     """The largest relative error of the tets' principal stretches, in the mean beyond the clamp.
 
@@ -157,7 +157,7 @@ def stretch_error(
     lateral, stress = law(stretch)
     clamp = Fixed(vertices_at(X, 0, 0.0))
     pull = Traction(triangles_at(X, tets, 0, PULLED_LENGTH), stress * np.eye(3)[0])
-    scene = Scene(X, tets, (*energies(), clamp, pull))
+    scene = Scene(X, tets, (*energies, clamp, pull))
     start = None if at_rest else X * [START * stretch, 1.0, 1.0]
     x = attempt.solve(attempt.prepare(scene), start=start).positions
     away = tets[X[tets, 0].min(axis=1) >= CLAMPED]
@@ -166,15 +166,15 @@ def stretch_error(
     return float(np.abs(stretches / [stretch, *lateral] - 1.0).max())
 
 
-ENERGIES: dict[str, tuple[Callable[[], list[Term]], Law, tuple[str, ...]]] = {
-    "Strain": (lambda: [Strain(1.0)], strain_law, ("projective", "fenicsx", "skfem")),
+ENERGIES: dict[str, tuple[Sequence[Term], Law, tuple[str, ...]]] = {
+    "Strain": ((Strain(1.0),), strain_law, ("projective", "fenicsx", "skfem")),
     "Strain + 10 Volume": (
-        lambda: [Strain(1.0), Volume(VOLUME)],
+        (Strain(1.0), Volume(VOLUME)),
         strain_and_volume_law,
         ("projective", "fenicsx", "skfem"),
     ),
     "NeoHookean nu=.45": (
-        lambda: [Hyperelastic(NeoHookean.from_young(YOUNG, POISSON))],
+        (Hyperelastic(NeoHookean.from_young(YOUNG, POISSON)),),
         neo_hookean_law,
         ("fenicsx", "skfem"),
     ),
@@ -218,7 +218,7 @@ TURN = 2.0 * np.pi
 TWISTED_YOUNG, TWISTED_POISSON = 10.0, 0.49
 
 
-def twisted(X: Floats, turn: float = TURN) -> Floats:
+def twist(X: Floats, turn: float = TURN) -> Floats:
     """Sections of the bar along x turned about its middle line, the last by `turn` [rad]."""
     angle = turn * X[:, 0] / TWISTED_LENGTH
     y, z = X[:, 1] - 0.5, X[:, 2] - 0.5
@@ -231,25 +231,25 @@ def twisted_bar() -> Scene:
     mu, lmbda = lame(TWISTED_YOUNG, TWISTED_POISSON)
     X, tets = box(TWISTED_CELLS, (TWISTED_LENGTH, 1.0, 1.0))
     ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, TWISTED_LENGTH)])
-    return Scene(X, tets, (Strain(2 * mu), Volume(3 * lmbda), Fixed(ends, twisted(X)[ends])))
+    return Scene(X, tets, (Strain(2 * mu), Volume(3 * lmbda), Fixed(ends, twist(X)[ends])))
 
 
-def _solved(attempt: Attempt) -> tuple[Scene, Solution]:
+def _solve_twist(attempt: Attempt) -> tuple[Scene, Solution]:
     scene = twisted_bar()
-    return scene, attempt.solve(attempt.prepare(scene), start=twisted(scene.vertices))
+    return scene, attempt.solve(attempt.prepare(scene), start=twist(scene.vertices))
 
 
 def difference_to_newton(attempt: Attempt) -> float:
     """The largest distance from scikit-fem's minimiser of the same energy, relative to the largest displacement."""
-    scene, solution = _solved(attempt)
-    other = solve(scene, solver="skfem", start=twisted(scene.vertices), tolerance=1e-10).positions
+    scene, solution = _solve_twist(attempt)
+    other = solve(scene, solver="skfem", start=twist(scene.vertices), tolerance=1e-10).positions
     moved = np.linalg.norm(other - scene.vertices, axis=1).max()
     return float(np.linalg.norm(solution.positions - other, axis=1).max() / moved)
 
 
 def volume_error(attempt: Attempt) -> float:
     """How much the bar's volume changed, relative to it."""
-    scene, solution = _solved(attempt)
+    scene, solution = _solve_twist(attempt)
     return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
 
 

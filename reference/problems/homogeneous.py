@@ -181,30 +181,30 @@ def rollers(X: Floats) -> list[Term]:
     return [Fixed(vertices_at(X, axis, 0.0), components=(axis,)) for axis in range(3)]
 
 
-def confined(row: Row, X: Floats) -> list[Term]:
+def confine(row: Row, X: Floats) -> list[Term]:
     """The far faces of the confined axes slide in themselves."""
     axes = range(row.loaded, row.loaded + row.confined)
     return [Fixed(vertices_at(X, axis, 1.0), components=(axis,)) for axis in axes]
 
 
-def held(row: Row, mesh: tuple[Floats, Ints] | None = None) -> Scene:
+def held_scene(row: Row, mesh: tuple[Floats, Ints] | None = None) -> Scene:
     """The far faces of the loaded axes held at the stretch, on a mesh of the unit cube."""
     X, tets = unstructured(CELLS) if mesh is None else mesh
     faces = [vertices_at(X, axis, 1.0) for axis in range(row.loaded)]
     ends: list[Term] = [Fixed(face, X[face] * row.stretch, components=(axis,)) for axis, face in enumerate(faces)]
-    return Scene(X, tets, (*row.energies, *rollers(X), *confined(row, X), *ends))
+    return Scene(X, tets, (*row.energies, *rollers(X), *confine(row, X), *ends))
 
 
-def pulled(row: Row) -> Scene:
+def pulled_scene(row: Row) -> Scene:
     """The far faces of the loaded axes under the nominal stress."""
     X, tets = unstructured(CELLS)
     faces = [triangles_at(X, tets, axis, 1.0) for axis in range(row.loaded)]
     loads: list[Term] = [Traction(face, row.stress * np.eye(3)[axis]) for axis, face in enumerate(faces)]
-    return Scene(X, tets, (*row.energies, *rollers(X), *confined(row, X), *loads))
+    return Scene(X, tets, (*row.energies, *rollers(X), *confine(row, X), *loads))
 
 
 def stretch_along(axis: int, reference: float) -> Callable[[Scene, Solution], float]:
-    """Of the vertices at the far face, the stretch along `axis` that is farthest from the reference."""
+    """Measure the stretch along `axis` at the far face, that of the vertex farthest from the reference."""
 
     def quantity(scene: Scene, solution: Solution) -> float:
         stretches = solution.positions[vertices_at(scene.vertices, axis, 1.0), axis]
@@ -218,7 +218,7 @@ def energy(scene: Scene, solution: Solution) -> float:
     return solution.energy
 
 
-def _stretched(row: Row) -> Callable[[Scene], Floats]:
+def stretched_start(row: Row) -> Callable[[Scene], Floats]:
     """A start at the row's held stretch, its free stretch 1."""
     return lambda scene: scene.vertices * np.where(np.arange(3) < row.loaded, row.stretch, 1.0)
 
@@ -227,56 +227,56 @@ def free_stretch(row: Row, bounds: dict[str, float], source: str = SOURCE) -> Pr
     """The free stretch where the row's stretch is held."""
     quantity = stretch_along(2, row.free_stretch)
     name = f"{row.label}, stretch {row.stretch:g}: free stretch"
-    return Problem(name, source, lambda: held(row), quantity, row.free_stretch, bounds, _stretched(row))
+    return Problem(name, source, lambda: held_scene(row), quantity, row.free_stretch, bounds, stretched_start(row))
 
 
-def under_load(
+def loaded_stretch(
     row: Row, bounds: dict[str, float], start: Callable[[Scene], Floats] | None = None, source: str = SOURCE
 ) -> Problem:
     """The stretch under the row's nominal stress as a dead load."""
     quantity = stretch_along(0, row.stretch)
     name = f"{row.label}, {row.stress:g} kPa: stretch"
-    return Problem(name, source, lambda: pulled(row), quantity, row.stretch, bounds, start)
+    return Problem(name, source, lambda: pulled_scene(row), quantity, row.stretch, bounds, start)
 
 
 def held_energy(row: Row, bounds: dict[str, float], density: float, source: str = SOURCE) -> Problem:
     """The energy where the row's stretch is held; its derivative by the stretch is the stress."""
     name = f"{row.label}, stretch {row.stretch:g}: energy"
-    return Problem(name, source, lambda: held(row), energy, density, bounds, _stretched(row))
+    return Problem(name, source, lambda: held_scene(row), energy, density, bounds, stretched_start(row))
 
 
 def _problems() -> list[Problem]:
     problems = []
     for row in NEO_HOOKEAN_ROWS:
-        problems += [free_stretch(row, TEN_DIGITS), under_load(row, TEN_DIGITS)]
+        problems += [free_stretch(row, TEN_DIGITS), loaded_stretch(row, TEN_DIGITS)]
     for row in STRAIN_ROWS:
         problems.append(free_stretch(row, SIX_DIGITS))
         if row.stress > 0:
-            problems.append(under_load(row, SIX_DIGITS))
+            problems.append(loaded_stretch(row, SIX_DIGITS))
     for row, density in COMPRESSED_DENSITIES:
         problems.append(held_energy(row, SIX_DIGITS, density))
     # The limit leaves the free stretch undetermined, so energy and loaded stretch are all there is to compare; at rest
     # it leaves no stiffness at all, so the load starts beyond it.
     beyond = (LIMITED_ROW.stretch - LIMIT) ** 2 / 2
     problems.append(held_energy(LIMITED_ROW, SIX_DIGITS, beyond))
-    problems.append(under_load(LIMITED_ROW, SIX_DIGITS, lambda scene: scene.vertices * [LIMIT + 0.1, 1.0, 1.0]))
+    problems.append(loaded_stretch(LIMITED_ROW, SIX_DIGITS, lambda scene: scene.vertices * [LIMIT + 0.1, 1.0, 1.0]))
     for rows, source in ((CLOSED_ROWS, "closed form"), (SOLVED_ROWS, SOURCE)):
         for row in rows:
-            problems += [free_stretch(row, TEN_DIGITS, source), under_load(row, TEN_DIGITS, source=source)]
+            problems += [free_stretch(row, TEN_DIGITS, source), loaded_stretch(row, TEN_DIGITS, source=source)]
     # A dead load that halves the corotated cube buckles it: the energy of the held state stands for the stress.
     crushed = YOUNG / 2 * (CRUSHED_ROW.stretch - 1) ** 2
     problems.append(free_stretch(CRUSHED_ROW, TEN_DIGITS, "closed form"))
     problems.append(held_energy(CRUSHED_ROW, TEN_DIGITS, crushed, "closed form"))
     for row in FIBRE_ROWS:
         bounds = {"fenicsx": TEN_DIGITS["fenicsx"]}
-        problems += [free_stretch(row, bounds), under_load(row, bounds)]
+        problems += [free_stretch(row, bounds), loaded_stretch(row, bounds)]
     for row in RIVLIN_ROWS:
         # Terms of second order are smaller by the relative change of volume, 1e-4.
         held_bounds, load_bounds = (
             dict.fromkeys(TEN_DIGITS, 1.001 * error(row)) for error in (free_stretch_error, stretch_error)
         )
         problems.append(free_stretch(row, held_bounds, RIVLIN_SOURCE))
-        problems.append(under_load(row, load_bounds, source=RIVLIN_SOURCE))
+        problems.append(loaded_stretch(row, load_bounds, source=RIVLIN_SOURCE))
     return problems
 
 
@@ -333,11 +333,11 @@ ROWS: tuple[tuple[Row, tuple[str, ...], tuple[str, ...]], ...] = (
 
 def position_error(row: Row, mesh: Mesh, attempt: Attempt) -> float:
     """The largest distance [mm] of a vertex from the homogeneous stretch."""
-    scene = held(row, mesh())
+    scene = held_scene(row, mesh())
     exact = scene.vertices * [row.stretch, row.free_stretch, row.free_stretch]
     start = scene.vertices * [row.stretch, 1.0, 1.0]
-    found = attempt.solve(attempt.prepare(scene), start=start, tolerance=TOLERANCE).positions
-    return float(np.linalg.norm(found - exact, axis=1).max())
+    positions = attempt.solve(attempt.prepare(scene), start=start, tolerance=TOLERANCE).positions
+    return float(np.linalg.norm(positions - exact, axis=1).max())
 
 
 CASES = tuple(

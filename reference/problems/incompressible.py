@@ -141,7 +141,7 @@ def offset() -> float:
     return float(np.sqrt(BLOCK_RADIUS**4 + BLOCK_RADIUS**2))
 
 
-def bent(X: Floats) -> Floats:
+def bend(X: Floats) -> Floats:
     """Where places X [mm] of the block go, shape (n, 3)."""
     r = np.sqrt(2 * BLOCK_RADIUS * X[:, 0] + offset())
     angle = X[:, 1] / BLOCK_RADIUS
@@ -160,7 +160,7 @@ def bent_block(law: Material, cells: int) -> Scene:
     X = X - [0.5, BLOCK_LENGTH / 2, 0.0]
     ends = np.flatnonzero(np.isclose(np.abs(X[:, 1]), BLOCK_LENGTH / 2))
     sides = np.concatenate([vertices_at(X, 2, height) for height in (0.0, 1.0 / cells)])
-    return Scene(X, tets, (Hyperelastic(law), Fixed(ends, bent(X)[ends]), Fixed(sides, components=(2,))))
+    return Scene(X, tets, (Hyperelastic(law), Fixed(ends, bend(X)[ends]), Fixed(sides, components=(2,))))
 
 
 def bending_energy(scene: Scene, solution: Solution) -> float:
@@ -178,7 +178,7 @@ def _bent(cells: int, bounds: tuple[float, float]) -> tuple[Problem, ...]:
     radius = float(np.sqrt(offset() - BLOCK_RADIUS))
     return tuple(
         Problem(
-            f"bent block, {law.law.name}, P2P1, {cells} cells: {what}",
+            f"bent block, {law.law.name}, P2P1, {cells} cells: {name}",
             FLEXURE_SOURCE,
             partial(bent_block, law, cells),
             quantity,
@@ -188,7 +188,7 @@ def _bent(cells: int, bounds: tuple[float, float]) -> tuple[Problem, ...]:
             tolerance=1e-9,
         )
         for law in BLOCK_LAWS
-        for (what, quantity, value), bound in zip(
+        for (name, quantity, value), bound in zip(
             (("energy", bending_energy, energy_per_depth()), ("inner radius", inner_radius, radius)),
             bounds,
             strict=True,
@@ -222,7 +222,7 @@ def cylinder(cells: int) -> tuple[Floats, Ints]:
     return X, positive(X, tets)
 
 
-def twisted(X: Floats, stretch: float) -> Floats:
+def twist(X: Floats, stretch: float) -> Floats:
     """Where places X [mm] of the cylinder go, shape (n, 3)."""
     angle = TURN * X[:, 2]
     x, y = X[:, 0] / np.sqrt(stretch), X[:, 1] / np.sqrt(stretch)
@@ -243,7 +243,7 @@ def twisted_cylinder(C10: float, C01: float, stretch: float, cells: int) -> Scen
     law = MooneyRivlin(C10, C01) if C01 else NeoHookean(2 * C10, 2 * C10)
     X, tets = cylinder(cells)
     ends = np.concatenate([vertices_at(X, 2, height) for height in (0.0, CYLINDER_LENGTH)])
-    return Scene(X, tets, (Hyperelastic(Incompressible(law)), Fixed(ends, twisted(X, stretch)[ends])))
+    return Scene(X, tets, (Hyperelastic(Incompressible(law)), Fixed(ends, twist(X, stretch)[ends])))
 
 
 def total_energy(scene: Scene, solution: Solution) -> float:

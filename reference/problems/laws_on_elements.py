@@ -82,7 +82,7 @@ def standing(law: str) -> Scene:
     return Scene(X, tets, (*_energies(law), Fixed(vertices_at(X, 2, 0.0))))
 
 
-def _right(law: str, source: str, mixed: bool) -> tuple[str, ...]:
+def _allowed_outcomes(law: str, source: str, mixed: bool) -> tuple[str, ...]:
     """The outcomes that are no fault where a law starts from collapse, inversion or at random."""
     added = added_laws().get(law)
     if added is not None:
@@ -94,7 +94,7 @@ def _right(law: str, source: str, mixed: bool) -> tuple[str, ...]:
     return (*PASSED, "missed") if law in MANY_MINIMA and source == "H1" else PASSED
 
 
-def _right_after_crush(law: str, share: float, element: str) -> tuple[str, ...]:
+def _allowed_after_crush(law: str, share: float, element: str) -> tuple[str, ...]:
     if law == "Corotated" or (share < 0.6 and element == "P1" and law not in BLIND):
         return PASSED
     return ANYTHING
@@ -130,7 +130,7 @@ def twist_error(law: str, attempt: Attempt) -> float:
     """How much the volume of a bar changed, relative to it, one end turned against the other by TURN."""
     X, tets = box(bars.TWISTED_CELLS, (bars.TWISTED_LENGTH, 1.0, 1.0))
     ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, bars.TWISTED_LENGTH)])
-    turned = bars.twisted(X, TURN)
+    turned = bars.twist(X, TURN)
     scene = Scene(X, tets, (*_energies(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
     solution = attempt.solve(attempt.prepare(scene), start=turned, tolerance=1e-8)
     return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
@@ -138,12 +138,12 @@ def twist_error(law: str, attempt: Attempt) -> float:
 
 def share_error(poisson: float, attempt: Attempt) -> float:
     """How far Cook's membrane falls short of Taylor-Hood's element on a finer mesh, relative to it."""
-    found = []
+    rises = []
     for way, cells in ((Attempt("fenicsx", "P2P1"), 16), (attempt, 12)):
         scene = cook.locking_panel(poisson, cells)
         solution = way.solve(way.prepare(scene), tolerance=cook.LOCKING_TOLERANCE)
-        found.append(cook.rise(cook.MIDDLE, scene, solution))
-    return abs(found[1] / found[0] - 1.0)
+        rises.append(cook.rise(cook.MIDDLE, scene, solution))
+    return abs(rises[1] / rises[0] - 1.0)
 
 
 def _elements(law: str) -> tuple[str, ...]:
@@ -156,12 +156,12 @@ def _recoveries(law: str) -> list[HardCase]:
     for element in _elements(law):
         for name, (source, start) in STARTS.items():
             error = partial(recovery.from_start, pose, start)
-            right = _right(law, source, element in MIXED)
+            right = _allowed_outcomes(law, source, element in MIXED)
             cases.append(_case(f"{name}, {law}", source, recovery.CRITERION, error, 1e-6, element, right))
         for share in recovery.CRUSHED:
             name = f"crushed by {100 * share:g} % and released, {law}"
             error = partial(recovery.from_crush, pose, share)
-            right = _right_after_crush(law, share, element)
+            right = _allowed_after_crush(law, share, element)
             cases.append(_case(name, "H7", recovery.CRITERION, error, 1e-6, element, right))
     return cases
 

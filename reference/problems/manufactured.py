@@ -131,21 +131,21 @@ def errors(field: Field, element: str, poisson: float, cells: int) -> Errors:
     prepared: Any = prepare(scene, solver="fenicsx", element=element)
     prepared.set_body_force(lambda places: body_force(field, law, places))
     solution = prepared.solve(tolerance=1e-9)
-    found = prepared.fields(ERROR_DEGREE)
-    u, gradient, _ = field(found.X)
+    at = prepared.fields(ERROR_DEGREE)
+    u, gradient, _ = field(at.X)
 
     def norm(difference: Floats) -> float:
-        return float(np.sqrt(found.weights @ np.sum(difference.reshape(len(difference), -1) ** 2, axis=1)))
+        return float(np.sqrt(at.weights @ np.sum(difference.reshape(len(difference), -1) ** 2, axis=1)))
 
     pressure = None
-    if found.pressure is not None:
-        pressure = norm(found.pressure - law.lmbda * np.log(np.linalg.det(np.eye(3) + gradient)))
+    if at.pressure is not None:
+        pressure = norm(at.pressure - law.lmbda * np.log(np.linalg.det(np.eye(3) + gradient)))
     return Errors(
         element,
         poisson,
         cells,
-        norm(found.u - u),
-        norm(found.gradient - gradient),
+        norm(at.u - u),
+        norm(at.gradient - gradient),
         pressure,
         solution.converged,
         solution.iterations,

@@ -1,4 +1,4 @@
-"""Verification problems and hard cases as data, and what a solver makes of them."""
+"""Verification problems and hard cases as data, and the results of solvers."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class HardCase:
 
 @dataclass(frozen=True)
 class HardOutcome:
-    """What one solver made of one case.
+    """One solver's result of one case.
 
     `outcome` is "passed"; "missed" for an answer that is off, such as an equilibrium that is not the one sought; or the
     name of the reason it stopped.
@@ -202,7 +202,7 @@ def run_hard(case: HardCase, solver: str, element: str = "P1") -> HardOutcome:
     if solver not in solvers:
         raise SceneError(f"hard case {case.name!r} is not for solver {solver!r}; it is for {', '.join(solvers)}")
     if (solver, element) not in case.ways:
-        names = ", ".join(known for s, known in case.ways if s == solver)
+        names = ", ".join(its_element for s, its_element in case.ways if s == solver)
         raise SceneError(f"hard case {case.name!r} is not for element {element!r}; it is for {names}")
     attempt = Attempt(solver, element)
     begin = time.perf_counter()

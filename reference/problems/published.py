@@ -25,7 +25,7 @@ COMPRESSION = {20: 21.98, 40: 42.50, 60: 58.55}
 """Percent at the middle of the loaded face, by the load p/p0."""
 
 
-def heightened(cells: int) -> tuple[Floats, Ints]:
+def graded_block(cells: int) -> tuple[Floats, Ints]:
     """The unit cube with cells that are lower towards its top, their diagonals falling away from the loaded corner."""
     X, tets = block(cells)
     X = X * 1.0
@@ -35,7 +35,7 @@ def heightened(cells: int) -> tuple[Floats, Ints]:
 
 def pressed(load: float, cells: int) -> Scene:
     """The block under a dead pressure of 4 p/p0 MPa on x, z < 1/2 of its top; `cells` per side must be even."""
-    X, tets = heightened(cells)
+    X, tets = graded_block(cells)
     top = triangles_at(X, tets, 1, 1.0)
     loaded = top[(X[top][:, :, [0, 2]] <= 0.5 + 1e-9).all(axis=(1, 2))]
     return Scene(

@@ -50,12 +50,12 @@ def away_from_rest(scene: Scene, solution: Solution) -> float:
     return float(distances.max()) if solution.volume_ratio.min() >= 0.9999 else np.inf
 
 
-def scattered(seed: int) -> Start:
+def scattered_start(seed: int) -> Start:
     """Vertices anywhere in [-1, 1]³."""
     return lambda X: np.random.default_rng(seed).uniform(-1.0, 1.0, X.shape)
 
 
-def scaled(x: float, y: float, z: float) -> Start:
+def scaled_start(x: float, y: float, z: float) -> Start:
     """Positions times a factor per axis."""
     return lambda X: X * [x, y, z]
 
@@ -86,12 +86,12 @@ def from_crush(pose: Block, share: float, attempt: Attempt) -> float:
 
 
 STARTS: dict[str, tuple[str, Start]] = {
-    "flattened to a plane": ("H2", scaled(1, 1, 0)),
-    "flattened to a line": ("H2", scaled(1, 0, 0)),
-    "flattened to a point": ("H2", scaled(0, 0, 0)),
-    "mirrored": ("H3", scaled(1, 1, -1)),
+    "flattened to a plane": ("H2", scaled_start(1, 1, 0)),
+    "flattened to a line": ("H2", scaled_start(1, 0, 0)),
+    "flattened to a point": ("H2", scaled_start(0, 0, 0)),
+    "mirrored": ("H3", scaled_start(1, 1, -1)),
     "a vertex pulled through its face": ("H3", pulled_through),
-    **{f"random start, seed {seed}": ("H1", scattered(seed)) for seed in range(SEEDS)},
+    **{f"random start, seed {seed}": ("H1", scattered_start(seed)) for seed in range(SEEDS)},
 }
 BLOCKS: dict[str, tuple[Block, tuple[str, ...]]] = {
     "Strain + Volume": (free_block, ("projective",)),

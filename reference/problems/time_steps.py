@@ -52,7 +52,7 @@ def free_fall_error(attempt: Attempt) -> float:
     return float(np.abs(fallen - depth[:, None, None] * DOWN).max() / depth[-1])
 
 
-def oscillator_error(what: str, attempt: Attempt) -> float:
+def oscillator_error(part: str, attempt: Attempt) -> float:
     """Relative error of the "amplitude" ratio 1/√(1 + (ωh)²) per step or of the "angle" atan(ωh) per step.
 
     Springs of ω² times each vertex' mass swing the block as one. A swing obeys x_n+1 = 2 r cos(a) x_n - r² x_n-1.
@@ -66,11 +66,11 @@ def oscillator_error(what: str, attempt: Attempt) -> float:
     x = np.array([np.mean(s.positions - X, axis=0)[0] for s in _march(scene, attempt, first, STEPS, 1e-12)])
     (last, before), *_ = np.linalg.lstsq(np.column_stack([x[1:-1], x[:-2]]), x[2:], rcond=None)
     ratio = np.sqrt(-before)
-    found, expected = {
+    value, expected = {
         "amplitude": (ratio, 1.0 / np.sqrt(1.0 + (omega * h) ** 2)),
         "angle": (np.arccos(last / (2.0 * ratio)), np.arctan(omega * h)),
-    }[what]
-    return abs(found / expected - 1.0)
+    }[part]
+    return abs(value / expected - 1.0)
 
 
 def hanging(time_step: float) -> tuple[Scene, Scene]:
@@ -108,14 +108,14 @@ CASES = (
     ),
     *(
         HardCase(
-            f"oscillator by implicit Euler: {what} per step",
+            f"oscillator by implicit Euler: {part} per step",
             "V3; closed form: 1/√(1 + (ωh)²), atan(ωh)",
             "ratio within 1e-9",
-            partial(oscillator_error, what),
+            partial(oscillator_error, part),
             1e-9,
             SOLVERS,
         )
-        for what in ("amplitude", "angle")
+        for part in ("amplitude", "angle")
     ),
     *(
         HardCase(

@@ -86,7 +86,7 @@ class Elements:
         return gradient.reshape(-1, 3, gradient.shape[-1])
 
     def integral(self, psi: Floats) -> float:
-        """Of a density at the points, shape (m q,)."""
+        """Integrate a density at the points, shape (m q,)."""
         return float(self.weights.ravel() @ psi)
 
     def forces(self, stress: Floats) -> Floats:
@@ -94,7 +94,7 @@ class Elements:
         k, d = self.gradients.shape[2:]
         weighted = (self.weights.reshape(-1, 1, 1) * stress).reshape(len(self.dofs), -1, 3, d)
         forces = self._by_node() @ weighted.transpose(0, 1, 3, 2).reshape(len(self.dofs), -1, 3)
-        return self._gathered(forces.reshape(-1, 3 * k))
+        return self._gather(forces.reshape(-1, 3 * k))
 
     def stiffness(self, tangent: Floats) -> csr_matrix:
         """The integral of grad v : C : grad u, shape (size, size), from C at the points (m q, 3, d, 3, d)."""
@@ -113,9 +113,9 @@ class Elements:
     def loads(self, force: Floats) -> Floats:
         """Nodal forces [mN], shape (size,), of one force per weight and element, shape (m, 3)."""
         shares = self.weights @ self.shapes
-        return self._gathered(shares[:, :, None] * force[:, None, :])
+        return self._gather(shares[:, :, None] * force[:, None, :])
 
-    def _gathered(self, parts: Floats) -> Floats:
+    def _gather(self, parts: Floats) -> Floats:
         """The sum over the elements by degree of freedom, shape (size,), of parts (m, k, 3)."""
         return np.bincount(self.dofs.ravel(), parts.ravel(), minlength=len(self.rest)).astype(np.float64, copy=False)
 
@@ -167,15 +167,15 @@ class Discretisation:
         self._keys = keys[self._order]
         self.tets = self._tets()
 
-    def flat(self, values: Floats) -> Floats:
+    def by_dof(self, values: Floats) -> Floats:
         """Values per vertex, shape (n, 3), by degree of freedom; on edges the mean of their ends."""
         values = np.asarray(values)
         result = np.empty(self.size)
         result[self.dofs] = (values[self.ends[:, 0]] + values[self.ends[:, 1]]) / 2
         return result
 
-    def held(self, vertices: np.ndarray) -> np.ndarray:
-        """Which degrees of freedom (size,) are held where components of vertices are, a mask (n, 3).
+    def held_dofs(self, vertices: np.ndarray) -> np.ndarray:
+        """Mask the degrees of freedom (size,) that are held where components of vertices are, a mask (n, 3).
 
         A node on an edge is held where all of a face of the boundary is: an edge through the inside that joins two held
         faces stays free.
@@ -222,7 +222,7 @@ class Discretisation:
         # The last two barycentric coordinates are scikit-fem's on the reference triangle.
         gradients = by_reference @ linear[:, None, 1:]
         return Elements(
-            self.flat(self._scene.vertices), self.dofs[nodes], np.outer(areas, 2 * weights), shapes, gradients
+            self.by_dof(self._scene.vertices), self.dofs[nodes], np.outer(areas, 2 * weights), shapes, gradients
         )
 
     def _tets(self) -> Elements:
@@ -232,4 +232,4 @@ class Discretisation:
         points, _ = tet_rule(self._degree)
         shapes = [TETS[self._degree].lbasis(points, a)[0] + np.zeros(points.shape[1]) for a in range(k)]
         dofs = self.basis.element_dofs.T.reshape(m, k, 3).astype(np.int64)
-        return Elements(self.flat(self._scene.vertices), dofs, self.basis.dx, np.stack(shapes, axis=1), gradients)
+        return Elements(self.by_dof(self._scene.vertices), dofs, self.basis.dx, np.stack(shapes, axis=1), gradients)

@@ -76,7 +76,7 @@ class DeadLoads:
         for term in scene.of(terms.Traction):
             faces = at.triangles(term.name, term.triangles)
             self._forces += faces.loads(np.broadcast_to(term.vector, (len(term.triangles), 3)))
-        self._rest = at.flat(scene.vertices)
+        self._rest = at.by_dof(scene.vertices)
 
     def value(self, x: Floats) -> float:
         """See Part."""

@@ -29,7 +29,7 @@ OnStep = Callable[[Floats, float, float], bool]
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """What is large for a scene: a length [mm] no step exceeds, and a vertex' stiffness [mN/mm]."""
+    """A scene's scales: a length [mm] that no step exceeds, and a vertex' stiffness [mN/mm]."""
 
     length: float
     stiffness: float
@@ -74,26 +74,26 @@ def minimise(
         if iteration == max_iterations:
             return state.x, Reason.MAX_ITERATIONS, iteration
         near = norm < NEAR * first
-        found: State | Reason | None = _eager(energy, state, unknowns, scales) if eager and not near else None
-        eager = found is not None
-        if found is None:
-            found = _step(energy, state, unknowns, scales, near=near)
-        if isinstance(found, Reason):
-            return state.x, Reason.STAGNATED if near and found is Reason.LINE_SEARCH else found, iteration
-        state = found
+        after: State | Reason | None = _eager_step(energy, state, unknowns, scales) if eager and not near else None
+        eager = after is not None
+        if after is None:
+            after = _step(energy, state, unknowns, scales, near=near)
+        if isinstance(after, Reason):
+            return state.x, Reason.STAGNATED if near and after is Reason.LINE_SEARCH else after, iteration
+        state = after
         iteration += 1
 
 
-def _eager(energy: Energy, state: State, unknowns: Unknowns, scales: Scales) -> State | None:
+def _eager_step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales) -> State | None:
     """A step by the exact Hessian where it halves the gradient and lowers the energy, as it does from a near start.
 
     From the start on, and for as long as it does: projected Hessians get there by a constant factor a step.
     """
-    found = _step(energy, state, unknowns, scales, near=True)
-    if isinstance(found, Reason) or not found.value < state.value:
+    after = _step(energy, state, unknowns, scales, near=True)
+    if isinstance(after, Reason) or not after.value < state.value:
         return None
-    halved = np.linalg.norm(found.gradient) <= 0.5 * np.linalg.norm(state.gradient)
-    return found if halved else None
+    halved = np.linalg.norm(after.gradient) <= 0.5 * np.linalg.norm(state.gradient)
+    return after if halved else None
 
 
 def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, near: bool) -> State | Reason:
@@ -111,7 +111,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
     if step is None:
         return Reason.LINEAR_SOLVER
     if near:
-        x = unknowns.moved(state.x, step)
+        x = unknowns.move(state.x, step)
         value = energy.value(x)
         full = _state(energy, unknowns, x, value) if np.isfinite(value) else None
         if full is not None and np.linalg.norm(full.gradient) <= 0.5 * np.linalg.norm(state.gradient):
@@ -119,7 +119,7 @@ def _step(energy: Energy, state: State, unknowns: Unknowns, scales: Scales, *, n
     slope = float(state.gradient @ step)
     length = min(1.0, scales.length / float(np.abs(step).max()))
     for _ in range(HALVINGS):
-        x = unknowns.moved(state.x, length * step)
+        x = unknowns.move(state.x, length * step)
         value = energy.value(x)
         if value < state.value and value <= state.value + ARMIJO * length * slope:
             return _state(energy, unknowns, x, value)

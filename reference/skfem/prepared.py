@@ -65,13 +65,13 @@ class Prepared:
         check_restrained(scene, loads=scene.loads())
         held, positions = scene.dirichlet()
         begin, at_rest = first_positions(scene, start, warm), start is None and warm is None
-        free = ~at.held(held)
-        goal = np.where(free, at.flat(begin), at.flat(positions))
-        bodies = Body.all_of(scene, at)
+        free = ~at.held_dofs(held)
+        goal = np.where(free, at.by_dof(begin), at.by_dof(positions))
+        bodies = Body.from_scene(scene, at)
         for body in bodies:
             free[body.dofs] = False
             goal[body.dofs] = body.rest if at_rest else body.nearest(goal)
-        x = at.flat(begin)
+        x = at.by_dof(begin)
         carried = carry(energy, x, goal, free=free, scales=scales) if np.isfinite(energy.value(x)) else None
         x, forces = (goal, 0.0) if carried is None else carried
         unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
@@ -115,7 +115,7 @@ def recover(scene: Scene, element: str, x: Floats) -> Stresses:
     at = Discretisation(scene, element)
     F, P = Tets(scene, at).stress(x)
     volume = at.tets.weights
-    forces = np.where(at.held(scene.dirichlet()[0]), Energy(scene, at).gradient(x), 0.0)[at.dofs]
+    forces = np.where(at.held_dofs(scene.dirichlet()[0]), Energy(scene, at).gradient(x), 0.0)[at.dofs]
     reactions = np.zeros(scene.vertices.shape)
     for end in at.ends.T:  # an edge's node gives half to each of its ends
         np.add.at(reactions, end, 0.5 * forces)

@@ -31,7 +31,7 @@ LEVI_CIVITA = np.zeros((3, 3, 3))
 LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1.0
 Treatment = Callable[[Floats], Floats]
-"""What is done to the tangents at points before they are assembled: `project_spd`, or nothing."""
+"""A treatment of the tangents at points before they are assembled: `project_spd`, or none."""
 
 
 class Tets:
@@ -108,7 +108,7 @@ class Law(Protocol):
 
 @dataclass(frozen=True)
 class ByInvariants:
-    """A law as a function of I1, I2 and J, by the chain rule; F's polynomials, they have derivatives for every F."""
+    """A law of I1, I2 and J, by the chain rule; these are polynomials of F, with derivatives everywhere."""
 
     law: HasInvariants
 
@@ -125,7 +125,7 @@ class ByInvariants:
         I1, I2, J = _invariants(F)
         _, gradient, hessian = self.law.by_invariants(I1, I2, J)
         by_F = _gradients(F)
-        tangent = np.einsum("maij,mab,mbkl->mijkl", by_F, hessian, by_F, optimize=True)
+        tangent = _chain(by_F, hessian)
         tangent += (2 * gradient[:, 0])[:, None, None, None, None] * IDENTITY
         tangent += np.einsum(
             "ika,jlb,mab->mijkl", LEVI_CIVITA, LEVI_CIVITA, gradient[:, 2, None, None] * F, optimize=True
@@ -137,6 +137,12 @@ class ByInvariants:
             of_I2 -= 2 * np.einsum("mik,jl->mijkl", F @ FT, eye)
             tangent += gradient[:, 1, None, None, None, None] * of_I2
         return tangent
+
+
+def _chain(by_F: Floats, hessian: Floats) -> Floats:
+    """Give the tangent's part from a Hessian (m, k, k) by k quantities and their derivatives by F (m, k, 3, 3)."""
+    flat = by_F.reshape(*by_F.shape[:2], 9)
+    return (flat.transpose(0, 2, 1) @ (hessian @ flat)).reshape(-1, 3, 3, 3, 3)
 
 
 def _invariants(F: Floats) -> tuple[Floats, Floats, Floats]:
@@ -158,31 +164,31 @@ class ByRotation:
 
     law: HasRotation
 
-    def _at(self, F: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """R, and psi with its derivatives by d and t."""
-        U, _, Vt = signed_svd(F)
-        R = U @ Vt
-        d, t = np.sum((F - R) ** 2, axis=(1, 2)), np.einsum("mij,mij->m", R, F) - 3
-        return R, *self.law.by_rotation(d, t)
+    def _by_rotation(self, F: Floats, R: Floats) -> tuple[Floats, Floats, Floats]:
+        return self.law.by_rotation(np.sum((F - R) ** 2, axis=(1, 2)), np.einsum("mij,mij->m", R, F) - 3)
 
     def psi(self, F: Floats) -> Floats:
         """See Law."""
-        return self._at(F)[1]
+        U, _, Vt = signed_svd(F)
+        return self._by_rotation(F, U @ Vt)[0]
 
     def stress(self, F: Floats) -> Floats:
         """See Law; d changes by 2 (F - R), t by R."""
-        R, _, gradient, _ = self._at(F)
-        return np.einsum("ma,maij->mij", gradient, np.stack([2 * (F - R), R], axis=1))
+        U, _, Vt = signed_svd(F)
+        R = U @ Vt
+        return np.einsum("ma,maij->mij", self._by_rotation(F, R)[1], np.stack([2 * (F - R), R], axis=1))
 
     def tangent(self, F: Floats) -> Floats:
         """See Law."""
-        R, _, gradient, hessian = self._at(F)
         U, sigma, Vt = signed_svd(F)
+        R = U @ Vt
+        _, gradient, hessian = self._by_rotation(F, R)
         turning = projection_derivative(U, sigma, Vt, np.ones_like(sigma), np.zeros_like(F))
-        by_F = np.stack([2 * (F - R), R], axis=1)
-        tangent = np.einsum("maij,mab,mbkl->mijkl", by_F, hessian, by_F, optimize=True)
         by_d, by_t = (gradient[:, a, None, None, None, None] for a in range(2))
-        return tangent + 2 * by_d * IDENTITY + (by_t - 2 * by_d) * turning
+        tangent = _chain(np.stack([2 * (F - R), R], axis=1), hessian)
+        tangent += 2 * by_d * IDENTITY
+        tangent += (by_t - 2 * by_d) * turning
+        return tangent
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,7 +374,7 @@ def _root(sigma: Floats, target: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def _nearest_root(sigma: Floats, target: Floats) -> Floats:
-    """Of the smallest and the largest root in (0, sigma_3), the one whose stretches are nearer to sigma."""
+    """Choose the smallest or the largest root in (0, sigma_3): the one whose stretches are nearer to sigma."""
     if not len(sigma):
         return np.zeros(0)
     fractions = np.linspace(0, 1, 33)

@@ -1,4 +1,4 @@
-"""What Newton's method moves: free degrees of freedom, and each rigid body as a whole.
+"""The unknowns of Newton's method: free degrees of freedom, and each rigid body as a whole.
 
 A body's six unknowns are a translation t and a turn w, both [mm]: with y the places of its vertices about their mean
 and ρ their RMS, the vertices move by t and y turns to C y, C = (I - W)⁻¹ (I + W) with W = [w/2ρ]ₓ (Cayley). That is
@@ -32,16 +32,16 @@ class Body:
     vertices: int
 
     @classmethod
-    def all_of(cls, scene: Scene, at: Discretisation) -> list[Body]:
+    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Body]:
         """A scene's bodies."""
         bodies = []
         for term in scene.of(terms.RigidBody):
             places, member = np.array(scene.vertices), np.zeros(scene.vertices.shape, dtype=bool)
             places[term.vertices], member[term.vertices] = scene.body_rest(term), True
-            held = at.held(member)[at.dofs[:, 0]]
+            held = at.held_dofs(member)[at.dofs[:, 0]]
             held[: len(places)] = False
             dofs = np.concatenate([at.dofs[term.vertices], at.dofs[held]])
-            bodies.append(cls(dofs, at.flat(places)[dofs], len(term.vertices)))
+            bodies.append(cls(dofs, at.by_dof(places)[dofs], len(term.vertices)))
         return bodies
 
     @property
@@ -71,7 +71,7 @@ class Unknowns:
         self.count = len(free) + 6 * len(bodies)
         self._select = sparse_identity(size, format="csc")[:, free]
 
-    def moved(self, x: Floats, step: Floats) -> Floats:
+    def move(self, x: Floats, step: Floats) -> Floats:
         """Positions after a step [mm], shape (count,)."""
         x = x.copy()
         x[self._free] += step[: len(self._free)]
@@ -84,11 +84,11 @@ class Unknowns:
 
     def gradient(self, x: Floats, forces: Floats) -> Floats:
         """The gradient [mN], shape (count,), from the one by degree of freedom: sums of forces, torques over ρ."""
-        return self._followed(x).T @ forces
+        return self._dependence(x).T @ forces
 
     def hessian(self, x: Floats, forces: Floats, matrix: csc_matrix) -> csc_matrix:
         """The exact Hessian [mN/mm] from the one by degree of freedom."""
-        return self._reduced(x, matrix, [self._turning(body, x, forces) for body in self._bodies])
+        return self._reduce(x, matrix, [self._turning(body, x, forces) for body in self._bodies])
 
     def projected_hessian(self, x: Floats, forces: Floats, matrix: csc_matrix) -> csc_matrix:
         """The same from a positive semi-definite one, with the curvature by turning made so too."""
@@ -96,11 +96,11 @@ class Unknowns:
         for body in self._bodies:
             values, vectors = np.linalg.eigh(self._turning(body, x, forces))
             turning.append((vectors * np.maximum(values, 0)) @ vectors.T)
-        return self._reduced(x, matrix, turning)
+        return self._reduce(x, matrix, turning)
 
-    def _reduced(self, x: Floats, matrix: csc_matrix, turning: list[Floats]) -> csc_matrix:
-        followed = self._followed(x)
-        reduced = followed.T @ matrix @ followed
+    def _reduce(self, x: Floats, matrix: csc_matrix, turning: list[Floats]) -> csc_matrix:
+        dependence = self._dependence(x)
+        reduced = dependence.T @ matrix @ dependence
         if turning:
             none = csr_matrix((len(self._free), len(self._free)))
             reduced += block_diag([none, *(block_diag([np.zeros((3, 3)), turn]) for turn in turning)])
@@ -111,15 +111,15 @@ class Unknowns:
         moment = body.levers(x).T @ forces[body.dofs] / body.radius**2
         return (moment + moment.T) / 2 - np.trace(moment) * np.eye(3)
 
-    def _followed(self, x: Floats) -> csc_matrix:
+    def _dependence(self, x: Floats) -> csc_matrix:
         """How degrees of freedom follow the unknowns, shape (size, count)."""
         columns = [self._select]
         for body in self._bodies:
             y = body.levers(x) / body.radius
             moves = np.concatenate([np.broadcast_to(np.eye(3), (len(y), 3, 3)), _skew(y).transpose(0, 2, 1)], axis=2)
             rows = np.repeat(body.dofs.ravel(), 6)
-            which = np.tile(np.arange(6), body.dofs.size)
-            columns.append(csc_matrix((moves.ravel(), (rows, which)), shape=(self._size, 6)))
+            unknown = np.tile(np.arange(6), body.dofs.size)
+            columns.append(csc_matrix((moves.ravel(), (rows, unknown)), shape=(self._size, 6)))
         return hstack(columns, format="csc")
 
 

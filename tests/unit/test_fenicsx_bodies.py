@@ -190,7 +190,7 @@ def total_gradient(rings, x):
 
 def test_bending_derivatives():
     X, term, x = rings_of_a_bump()
-    rings = Rings.of(term, X, np.arange(len(X)), len(X))
+    rings = Rings.from_term(term, X, np.arange(len(X)), len(X))
     assert sum(len(ring.nodes) for ring in rings) == 3 * 4
     d, h = np.random.default_rng(1).normal(size=x.shape), 1e-5
     ahead, behind = (sum(ring.energy(x + s * d) for ring in rings) for s in (h, -h))
@@ -208,7 +208,7 @@ def test_bending_derivatives():
 def test_bending_knows_turns_and_dents():
     """Nothing for a rigid motion; a bump turned into a dent has twice the curvature of the bump to undo."""
     X, term, x = rings_of_a_bump()
-    rings = Rings.of(term, X, np.arange(len(X)), len(X))
+    rings = Rings.from_term(term, X, np.arange(len(X)), len(X))
     turned = Rotation.from_rotvec([2.0, -1.0, 0.3]).apply(X) + 4.0
     assert sum(ring.energy(turned) for ring in rings) < 1e-20
     flat, bump = np.array(X), np.array(X)
@@ -216,9 +216,9 @@ def test_bending_knows_turns_and_dents():
     flattened = terms.Bending(term.triangles, 1.0, rest=flat)
     bump[:, 2] = 1e-4 * np.cos(X[:, 0])
     dent = bump * [1.0, 1.0, -1.0]
-    from_flat = sum(ring.energy(bump) for ring in Rings.of(flattened, X, np.arange(len(X)), len(X)))
+    from_flat = sum(ring.energy(bump) for ring in Rings.from_term(flattened, X, np.arange(len(X)), len(X)))
     bent_over = terms.Bending(term.triangles, 1.0, rest=bump)
-    from_bump = sum(ring.energy(dent) for ring in Rings.of(bent_over, X, np.arange(len(X)), len(X)))
+    from_bump = sum(ring.energy(dent) for ring in Rings.from_term(bent_over, X, np.arange(len(X)), len(X)))
     assert from_bump == pytest.approx(4.0 * from_flat, rel=1e-3)
 
 

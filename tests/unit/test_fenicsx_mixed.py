@@ -93,12 +93,12 @@ def test_follower_pressure_on_a_turned_cube(degree):
     face = meshes.triangles_at(X, tets, 2, 1.0)
     turn = np.array([[1.0, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]) * 2.0
     gradient = np.zeros(order.X.shape)
-    FollowerPressure.of(terms.Pressure(face, 3.0), order.face_dofs("face", face)).add_gradient(
+    FollowerPressure.from_term(terms.Pressure(face, 3.0), order.face_dofs("face", face)).add_gradient(
         order.X @ turn.T, gradient
     )
     assert np.allclose(gradient.sum(axis=0), 3.0 * 4.0 * np.array([0.0, -0.8, 0.6]), atol=1e-13)
     skin = meshes.boundary_triangles(tets)
-    closed = FollowerPressure.of(terms.Pressure(skin, 3.0), order.face_dofs("skin", skin))
+    closed = FollowerPressure.from_term(terms.Pressure(skin, 3.0), order.face_dofs("skin", skin))
     assert closed.energy(order.X @ turn.T) == pytest.approx(3.0 * 8.0, rel=1e-13)
 
 

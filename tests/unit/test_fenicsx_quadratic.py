@@ -7,8 +7,9 @@ from scipy.sparse import csr_matrix
 pytest.importorskip("dolfinx")
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
+from softdeca.reference.fenicsx.loads import dead_loads
 from softdeca.reference.fenicsx.numbering import Numbering
-from softdeca.reference.fenicsx.problem import Problem, dead_loads
+from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.problems import meshes
 
 SOFT = terms.Hyperelastic(materials.NeoHookean.from_young(1.0, 0.3))

@@ -41,13 +41,13 @@ def test_every_figure_is_on_a_page_that_is_read():
 
 
 def test_a_changed_figure_a_new_one_and_an_unused_setting_are_named():
-    page = "README.md"
+    page = "docs/corpus.md"
     text, here = (ROOT / page).read_text(), [figure for figure in FIGURES if figure.page == page]
     (figure,) = (figure for figure in here if "simulates takes {:.0f} MB" in figure.text)
     match = figures.places(text, figure)
     changed = text[: match.start(1)] + "417,000" + text[match.end(1) :]
     (told,) = figures.wrong(changed, here)
-    assert told.startswith(f"README.md: 417,000 should be {match[1]} in ")
+    assert told.startswith(f"docs/corpus.md: 417,000 should be {match[1]} in ")
     assert figures.updated(changed, here) == text
     more = text + "\nIt is 3.7 mm off,\ntakes two minutes and .5 s.\n\n| a | 17 |\n|---|---|\n"
     told = figures.unknown(page, more, here, SETTINGS[page])

@@ -60,7 +60,7 @@ def small(facekit, monkeypatch):
 
 def test_a_folder_of_facekits_form_becomes_a_space(small, command, tmp_path):
     file = tmp_path / "ict.npz"
-    ended = command("head", "import-ict", small.parent, "--out", file)
+    ended = command("head", "import", "ict", small.parent, "--out", file)
     assert ended.status == 0 and ended.out.splitlines()[-1] == f"wrote {file}"
     assert "2 identity shapes, 3 expression shapes" in ended.out and "without browDownLeft, " in ended.out
     assert NOTICE in str(np.load(file)["license"]) and "#" not in str(np.load(file)["license"])
@@ -140,7 +140,7 @@ def body(request, tmp_path):
 
 def test_a_folder_of_bodyparts_becomes_anatomy(body, command, tmp_path):
     file = tmp_path / "bones.npz"
-    ended = command("head", "import-bodyparts3d", body.parent, "--out", file)
+    ended = command("head", "import", "bodyparts3d", body.parent, "--out", file)
     assert ended.status == 0 and ended.out.splitlines()[-1] == f"wrote {file}" and "without" not in ended.out
     anatomy = bodyparts.load(file)
     assert len(anatomy.muscles) == 59 and "left zygomaticus major" in anatomy.muscles
@@ -160,7 +160,7 @@ def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path
     text = file.read_text()
     file.unlink()
     assert bodyparts.missing_parts(bodyparts.read_folder(body)) == ["vomer"]
-    ended = command("head", "import-bodyparts3d", body, "--out", tmp_path / "bones.npz")
+    ended = command("head", "import", "bodyparts3d", body, "--out", tmp_path / "bones.npz")
     assert ended.status == 0 and "without vomer" in ended.out
     file.write_text(text.replace("f 1/1", "f 99/1"))
     with pytest.raises(InputError, match=rf"{file.name}: triangles: 1 refer to vertices outside"):
@@ -174,6 +174,6 @@ def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path
     for file in body.glob("*.obj"):
         if "FMA52748" in file.stem or "FMA52748\n" in file.read_text():
             file.unlink()
-    ended = command("head", "import-bodyparts3d", body, "--out", tmp_path / "none.npz")
+    ended = command("head", "import", "bodyparts3d", body, "--out", tmp_path / "none.npz")
     assert ended.status == 1 and not (tmp_path / "none.npz").exists()
     assert len(arrays["part_fma"]) in (111, 112)

@@ -1,63 +1,29 @@
-"""The scikit-fem solver: numbering, derivatives of the whole energy, what is refused, and why it stops."""
+"""The scikit-fem solver: what it reaches, what is refused, why it stops, orders of convergence, and rigid bodies."""
 
 import numpy as np
 import pytest
+from numpy.polynomial.legendre import leggauss
+from scipy.optimize import brentq
 from scipy.sparse import csc_matrix
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from softdeca.reference import Reason, Scene, SceneError, prepare, solve
+from softdeca.lhm.head import CRANIUM, MANDIBLE
+from softdeca.reference import Reason, Scene, SceneError, prepare, solve, terms
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems import meshes
 from softdeca.reference.skfem.discretisation import Discretisation
 from softdeca.reference.skfem.energy import Energy
 from softdeca.reference.skfem.newton import solve_definite, solve_semidefinite
-from softdeca.reference.terms import Fixed, Gravity, Hyperelastic, Strain, SurfaceStrain, Target, Traction, Volume
+from softdeca.reference.skfem.unknowns import Body, Unknowns
+from softdeca.reference.terms import Fixed, Gravity, Hyperelastic, Strain, Target, Volume
+
+from .test_skfem_energy import pulled_block
 
 
-def every_term(head, rng):
-    n = len(head.skin_wrap.vertices)
-    half = np.arange(len(head.soft.tets))
-    rest = np.arange(len(head.soft.tets), len(head.tets))
-    return [
-        Strain(rng.uniform(1, 5, len(half)), rng.uniform(1, 1.2, len(half)), tets=half),
-        Volume(30.0, 1.1, tets=half),
-        Hyperelastic(NeoHookean(2.0, 9.0), tets=rest),
-        SurfaceStrain(head.skin_wrap.triangles, 40.0, 1.1),
-        Target(np.arange(n), head.skin_wrap.vertices + rng.normal(size=(n, 3)), rng.uniform(5, 50, n)),
-        Fixed(2 * n + np.flatnonzero(head.bone == 1)),
-        Fixed(2 * n + np.flatnonzero(head.bone == 2), components=(1,)),
-        Gravity((0, -9810, 0), 1e-6),
-        Traction(head.skin_wrap.triangles[:5], (0.1, 0.0, 0.2)),
-    ]
-
-
-@pytest.fixture
-def scene(sphere_head):
-    return Scene(sphere_head.vertices, sphere_head.tets, every_term(sphere_head, np.random.default_rng(0)))
-
-
-def test_gradient_and_hessian_are_the_derivatives_of_the_energy(scene):
-    rng = np.random.default_rng(1)
-    at = Discretisation(scene)
-    energy = Energy(scene, at)
-    x = at.flat(scene.vertices + 0.2 * rng.normal(size=scene.vertices.shape))
-    d = rng.normal(size=at.size)
-    h = 1e-4
-    slope = (energy.value(x + h * d) - energy.value(x - h * d)) / (2 * h)
-    assert np.isclose(energy.gradient(x) @ d, slope, rtol=1e-6)
-    h = 1e-6  # so small that no tet crosses its strain limit
-    turning = (energy.gradient(x + h * d) - energy.gradient(x - h * d)) / (2 * h)
-    assert np.allclose(energy.exact_hessian(x) @ d, turning, rtol=1e-5, atol=1e-6 * np.abs(turning).max())
-    assert d @ energy.projected_hessian(x) @ d >= d @ energy.exact_hessian(x) @ d
-
-
-def test_energy_of_an_affine_map_is_psi_times_volume(sphere_head):
-    """F is the same everywhere, in scikit-fem's numbering as in ours, also for tets in any corner order."""
-    A = Rotation.random(random_state=3).as_matrix() @ np.diag([1.2, 0.9, 1.1])
-    scene = Scene(sphere_head.vertices, sphere_head.tets[::-1], [Strain(2.0)])
-    at = Discretisation(scene)
-    expected = (0.2**2 + 0.1**2 + 0.1**2) * scene.volumes.sum()
-    assert np.isclose(Energy(scene, at).value(at.flat(scene.vertices @ A.T)), expected, rtol=1e-12)
+@pytest.fixture(scope="module")
+def scene():
+    return pulled_block()
 
 
 def test_solves_every_term_tightly_and_holds_what_is_fixed(scene):
@@ -191,7 +157,7 @@ def test_a_block_comes_back_from_inverted_tets(element, cells):
     assert len(solution.history.energy) == len(seen) == solution.iterations + 1
     assert all(np.abs(a - b).max() > 0 for a, b in zip(seen[1:], seen[:-1], strict=True))
     at = Discretisation(scene, element)
-    assert solution.history.energy[0] == pytest.approx(Energy(scene, at).value(at.flat(start)), rel=1e-12)
+    assert solution.history.energy[0] == pytest.approx(Energy(scene, at).value(at.by_dof(start)), rel=1e-12)
 
 
 def test_a_way_out_of_inverted_tets_may_be_interrupted_and_bounded():
@@ -210,3 +176,156 @@ def test_a_body_that_nothing_holds_is_named_and_not_told_to_take_smaller_steps()
     weight = Gravity((0, 0, -9810.0), 1e-6)
     with pytest.raises(SceneError, match="nothing holds translation along x, .* of the part with vertex 0"):
         solve(Scene(vertices, tets, [Strain(1.0), weight]), solver="skfem")
+
+
+def hanging_energy(law, load, length):
+    """Of a neo-Hookean column [0, length] of 1 mm² that rollers hold at its sides, pulled by `load` [mN/mm³].
+
+    Its stress mu (J - 1/J) + lmbda ln J / J carries what hangs below, load (length - x), where J = 1 + u'. Twice
+    integrated by parts, the load's potential is -∫ load (length - x) u' dx.
+    """
+    t, w = leggauss(40)
+    total = 0.0
+    for x, weight in zip(length * (t + 1) / 2, length * w / 2, strict=True):
+        carried = load * (length - x)
+        J = brentq(lambda J, c=carried: law.mu * (J - 1 / J) + law.lmbda * np.log(J) / J - c, 0.9, 3.0, xtol=1e-15)
+        psi = law.mu / 2 * (J**2 - 1) - law.mu * np.log(J) + law.lmbda / 2 * np.log(J) ** 2
+        total += weight * (psi - carried * (J - 1))
+    return total
+
+
+@pytest.mark.parametrize(("element", "order"), [("P1", 2), ("P2", 4)])
+def test_orders_of_the_energy(element, order):
+    """The energy's error is the square of the displacement's in H1, of order h² and h⁴."""
+    law, load, length = NeoHookean(1.0, 2.0), 1.0, 2.0
+    exact, errors = hanging_energy(law, load, length), []
+    for cells in (4, 8):
+        X, tets = meshes.box((cells, 1, 1), (length, 1.0, 1.0))
+        walls = [terms.Fixed(meshes.vertices_at(X, c, end), components=c) for c in (1, 2) for end in (0.0, 1.0)]
+        held = terms.Fixed(meshes.vertices_at(X, 0, 0.0))
+        scene = Scene(X, tets, [terms.Hyperelastic(law), terms.Gravity((load, 0, 0), 1.0), held, *walls])
+        solution = solve(scene, solver="skfem", element=element, tolerance=1e-12)
+        assert solution.converged
+        errors.append(solution.energy - exact)
+    assert min(errors) > 0
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+
+
+def jaw_scene(head, *more, scale=1.0):
+    """Tissue pulled by a skin whose lower part turns, a held cranium, and a free mandible `scale` times its size."""
+    V, n = np.array(head.vertices), len(head.bone)
+    turned = Rotation.from_euler("x", 15.0, degrees=True).apply(V[:n])
+    share = np.clip((-V[:n, 1] - 20.0) / 40.0, 0.0, 1.0)[:, None]
+    mandible = 2 * n + np.flatnonzero(head.bone == MANDIBLE)
+    centre = V[mandible].mean(axis=0)
+    body = terms.RigidBody(mandible, centre + scale * (V[mandible] - centre))
+    held = terms.Fixed(2 * n + np.flatnonzero(head.bone == CRANIUM))
+    target = terms.Target(np.arange(n), V[:n] + share * (turned - V[:n]), 5.0 * head.skin_wrap.vertex_areas)
+    return Scene(V, head.tets, [terms.Strain(5.0), terms.Volume(60.0), target, held, body, *more])
+
+
+@pytest.fixture(scope="module")
+def turned(sphere_head):
+    """An energy, its unknowns, and positions with the body turned far and the tissue disturbed."""
+    scene = jaw_scene(sphere_head)
+    at = Discretisation(scene)
+    bodies = Body.from_scene(scene, at)
+    free = ~at.held_dofs(scene.dirichlet()[0])
+    free[bodies[0].dofs] = False
+    unknowns = Unknowns(np.flatnonzero(free), at.size, bodies)
+    step = np.random.default_rng(3).normal(0.0, 1.0, unknowns.count)
+    step[-3:] *= 20.0
+    return Energy(scene, at), unknowns, unknowns.move(at.by_dof(scene.vertices), step)
+
+
+def reduced_gradient(energy, unknowns, x):
+    return unknowns.gradient(x, energy.gradient(x))
+
+
+def test_gradient_over_the_unknowns(turned):
+    energy, unknowns, x = turned
+    gradient = reduced_gradient(energy, unknowns, x)
+    for seed in range(3):
+        d = np.random.default_rng(seed).normal(size=unknowns.count)
+        d[:-6] *= seed
+        ahead, behind = (energy.value(unknowns.move(x, h * d)) for h in (1e-4, -1e-4))
+        assert (ahead - behind) / 2e-4 == pytest.approx(gradient @ d, rel=1e-6)
+
+
+def test_hessian_over_the_unknowns(turned):
+    """Along s w the Cayley turn is by 2 atan(s |w| / 2ρ), so the slope is gradient · d, its turn over 1 + |s w / 2ρ|².
+
+    At s = h that factor is 1 + O(h²) and even: the difference ahead and behind does not see it.
+    """
+    energy, unknowns, x = turned
+    H = unknowns.hessian(x, energy.gradient(x), energy.exact_hessian(x)).toarray()
+    np.testing.assert_allclose(H, H.T, rtol=0.0, atol=1e-12 * np.abs(H).max())
+    for seed in range(3):
+        d = np.random.default_rng(seed).normal(size=unknowns.count)
+        d[:-6] *= seed
+        moved = [unknowns.move(x, h * d) for h in (1e-4, -1e-4)]
+        ahead, behind = (reduced_gradient(energy, unknowns, y) @ d for y in moved)
+        assert (ahead - behind) / 2e-4 == pytest.approx(d @ H @ d, rel=1e-6)
+
+
+def test_projected_hessian_is_semidefinite(turned):
+    energy, unknowns, x = turned
+    projected = unknowns.projected_hessian(x, energy.gradient(x), energy.projected_hessian(x)).toarray()
+    values = np.linalg.eigvalsh(projected)
+    assert values.min() > -1e-10 * values.max()
+
+
+@pytest.mark.parametrize(
+    ("element", "subdivisions", "scale"), [("P1", 2, 1.0), ("P1", 2, 1.1), ("P2", 1, 1.1)], ids=str
+)
+def test_a_body_stays_rigid_and_a_sequence_goes_on(spheres, element, subdivisions, scale):
+    """Held vertices and the body's are where they belong; a start at the answer needs its edges' nodes alone."""
+    scene = jaw_scene(spheres(subdivisions), scale=scale)
+    prepared = prepare(scene, solver="skfem", element=element)
+    answer = prepared.solve(tolerance=1e-11)
+    assert answer.converged and answer.iterations <= 15
+    body = scene.of(terms.RigidBody)[0]
+    rest = scene.body_rest(body)
+    np.testing.assert_allclose(pdist(answer.positions[body.vertices]), pdist(rest), rtol=1e-12)
+    assert np.linalg.norm(answer.positions[body.vertices] - rest, axis=1).max() > 5.0
+    held, places = scene.dirichlet()
+    assert np.array_equal(answer.positions[held], places[held])
+    if element == "P1":
+        again = prepared.solve(start=answer.positions, tolerance=1e-3)
+        np.testing.assert_allclose(again.positions, answer.positions, atol=1e-6)
+        return
+    again = prepared.solve(start=answer.positions, tolerance=1e-11)
+    assert again.converged
+    np.testing.assert_allclose(again.positions, answer.positions, atol=1e-8)
+    assert answer.energy < solve(scene, solver="skfem").energy
+
+
+def test_another_size_of_a_body_is_solved_from_the_pose_before(sphere_head):
+    prepared = prepare(jaw_scene(sphere_head), solver="skfem")
+    answer = prepared.solve(tolerance=1e-11)
+    larger = jaw_scene(sphere_head, scale=1.1)
+    scaled = prepared.solve(larger, start=answer.positions, tolerance=1e-11)
+    np.testing.assert_allclose(scaled.positions, solve(larger, solver="skfem", tolerance=1e-11).positions, atol=1e-7)
+
+
+def test_body_alone_takes_the_best_rigid_motion():
+    """All vertices in one body, springs to scattered places: the least-squares rotation of their covariance."""
+    X, tets = meshes.unstructured(2, 2.0)
+    goal = Rotation.from_rotvec([1.0, -2.0, 0.5]).apply(X) + [3.0, 1.0, 2.0]
+    goal += np.random.default_rng(0).normal(0.0, 0.1, X.shape)
+    best, _ = Rotation.align_vectors(goal - goal.mean(axis=0), X - X.mean(axis=0))
+    scene = Scene(X, tets, [terms.RigidBody(np.arange(len(X))), terms.Target(np.arange(len(X)), goal, 2.0)])
+    answer = solve(scene, solver="skfem", tolerance=1e-11)
+    assert answer.converged
+    np.testing.assert_allclose(answer.positions, best.apply(X - X.mean(axis=0)) + goal.mean(axis=0), atol=1e-10)
+
+
+def test_free_body_falls_for_one_step(sphere_head):
+    """With inertia alone everything moves on by h v + h² g, a body of it too."""
+    V, n, h = np.array(sphere_head.vertices), len(sphere_head.bone), 1 / 60
+    g, v = np.array([0.0, -9810.0, 0.0]), np.array([100.0, 30.0, -50.0])
+    body = terms.RigidBody(2 * n + np.flatnonzero(sphere_head.bone == MANDIBLE))
+    moving = terms.Inertia(1e-6, h, velocities=np.tile(v, (len(V), 1)))
+    scene = Scene(V, sphere_head.tets, [terms.Strain(5.0), moving, terms.Gravity(g, 1e-6), body])
+    answer = solve(scene, solver="skfem", tolerance=1e-12)
+    np.testing.assert_allclose(answer.positions - V, np.tile(h * v + h**2 * g, (len(V), 1)), atol=1e-9)

@@ -127,9 +127,9 @@ def test_energy_gradient_and_hessian_agree_far_from_rest(spheres, element, subdi
 
     scene = moving_jaw(spheres(subdivisions))
     at = Discretisation(scene, element)
-    energy, bodies = Energy(scene, at), Body.all_of(scene, at)
+    energy, bodies = Energy(scene, at), Body.from_scene(scene, at)
     rng = np.random.default_rng(4)
-    flat = at.flat(scene.vertices) + rng.normal(0.0, 0.5, at.size)
+    flat = at.by_dof(scene.vertices) + rng.normal(0.0, 0.5, at.size)
     pose = Rotation.from_rotvec([0.4, -0.2, 0.1])
     flat[bodies[0].dofs] = pose.apply(bodies[0].rest) + [1.0, -6.0, 2.0]
     loose = np.flatnonzero(~np.isin(at.dofs[:, 0], bodies[0].dofs))

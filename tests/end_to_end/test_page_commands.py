@@ -1,8 +1,8 @@
-"""Every command of the README's shell blocks: read as it stands, and run, those of minutes by smaller options.
+"""Every command in a shell block of README and docs is read as it stands, and run, long ones with smaller options.
 
 A line of `RUN` is run with the words beside it put after its own: of an option given twice the last one counts. One
 of `ELSEWHERE` would take minutes however small, so that another test runs its work; one of `NOT_HERE` needs what a
-test has not. A new line of the README has to be put into one of the three.
+test has not. A new line has to be put into one of the three.
 """
 
 import ast
@@ -20,7 +20,9 @@ from softdeca.lhm import expressions, load_template
 from softdeca.surrogate.corpus.plan import read_plan
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text()
+NAMES = ("README", "docs/own-head", "docs/corpus", "docs/parallel", "docs/studies")
+PAGES = [ROOT / f"{name}.md" for name in NAMES]
+TEXT = "\n".join(page.read_text() for page in PAGES)
 
 RUN = {
     "softdeca head fit --seed 3 --out head.npz --vtk layers --picture head.png": "--level 1",
@@ -32,6 +34,7 @@ RUN = {
         "--frames 0:2"
     ),
     "softdeca animate take.csv --head head.npz --parameters p.toml --dynamic --format gltf": "--frames 0:2",
+    "softdeca animate take.csv --head head.npz --format gltf": "--frames 0:2",
     "softdeca head fit --skin scan.glb --out head.npz": "--level 1",
     "softdeca bench list": "",
     "softdeca simulate take.csv --head head.npz": "--frames 0:2 --out out/scan",
@@ -41,7 +44,7 @@ ELSEWHERE = {
     "softdeca study --identities ict:ict_facekit.npz --out out/ict": (
         "test_head_default.py::test_template_passes_its_gates"
     ),
-    "softdeca study --expressions jawOpen*0.5,cheekPuff+mouthPucker": ("test_agreement.py::test_the_study_of_a_sphere"),
+    "softdeca study --expressions jawOpen*0.5,cheekPuff": ("test_agreement.py::test_the_study_of_a_sphere"),
     "softdeca train corpus --out trained": (
         "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
     ),
@@ -57,8 +60,8 @@ ELSEWHERE = {
     "softdeca evaluate corpus --generalisation 16 --workers 2": (
         "test_generalisation.py::test_each_combination_has_its_people_parameters_and_recordings"
     ),
-    "softdeca head import-ict ICT-FaceKit": "test_imports.py::test_a_folder_of_facekits_form_becomes_a_space",
-    "softdeca head import-bodyparts3d isa_BP3D_4.0_obj_99": (
+    "softdeca head import ict ICT-FaceKit": "test_imports.py::test_a_folder_of_facekits_form_becomes_a_space",
+    "softdeca head import bodyparts3d isa_BP3D_4.0_obj_99": (
         "test_imports.py::test_a_folder_of_bodyparts_becomes_anatomy"
     ),
     "softdeca head template --identities ict:ict_facekit.npz --anatomy bodyparts3d_head.npz --out template.npz": (
@@ -80,7 +83,7 @@ ELSEWHERE = {
     "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench minimal": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
-    "softdeca bench hard --laws": "test_laws_recovery.py::test_a_collapsed_or_inverted_block_comes_back",
+    "softdeca bench hard --laws": "test_laws_recovery.py::test_a_collapsed_or_inverted_block_of_the_stable_law_comes_back",
     "softdeca bench convergence": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
     "softdeca bench dynamics": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
     "softdeca bench closures conversation:3 --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
@@ -107,10 +110,11 @@ ELSEWHERE = {
     "softdeca bench parts": "test_fenicsx_parts.py::test_the_study_of_parts_compares_answers_and_memory",
     "softdeca bench ranks": "test_fenicsx_mpi.py::test_the_study_of_ranks_compares_answers_and_phases",
     "softdeca corpus generate plan.toml --out corpus --workers 2": CORPUS,
-    "softdeca corpus generate --preset small --takes takes/ --dry-run": CORPUS,
+    "softdeca corpus generate --preset small --takes takes/ --out corpus --dry-run": CORPUS,
+    "softdeca corpus generate --preset small --out corpus": CORPUS,
     "softdeca corpus generate --preset small --takes takes/ --out corpus --workers 2": CORPUS,
-    "softdeca corpus status corpus": CORPUS,
     "softdeca corpus generate --out corpus --workers 2": CORPUS,
+    "softdeca corpus status corpus": CORPUS,
     "softdeca corpus verify corpus": CORPUS,
     "softdeca corpus sample corpus --count 12": CORPUS,
     "mpirun --bind-to none -n 2 softdeca study": "test_harness.py::test_under_mpirun_the_first_process_measures_itself",
@@ -140,7 +144,7 @@ def lines(text: str) -> list[list[str]]:
     return found
 
 
-COMMANDS = [words for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL) for words in lines(block)]
+COMMANDS = [words for block in re.findall(r"```sh\n(.*?)```", TEXT, flags=re.DOTALL) for words in lines(block)]
 
 
 def key(words: list[str]) -> str:
@@ -151,7 +155,7 @@ def key(words: list[str]) -> str:
 def test_every_line_is_in_one_table():
     tables = [*RUN, *ELSEWHERE, *NOT_HERE]
     assert len(set(tables)) == len(tables) and set(tables) == {key(words) for words in COMMANDS}
-    assert "```\n" in README and not re.search(r"^```(?!sh$|python$|toml$|text$|$)", README, flags=re.MULTILINE)
+    assert "```\n" in TEXT and not re.search(r"^```(?!sh$|python$|toml$|text$|$)", TEXT, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize("where", sorted(set(ELSEWHERE.values())))
@@ -163,8 +167,8 @@ def test_the_tests_that_stand_for_a_line_are_there(where):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What the README takes for granted: a scan, a take, parameters, takes, a plan."""
-    folder = tmp_path_factory.mktemp("readme")
+    """What the pages take for granted: a scan, a take, parameters, takes, a plan."""
+    folder = tmp_path_factory.mktemp("pages")
     skin = load_template(level=1).skin
     # Metres, and triangles in another order than the template's: a scan as any other.
     trimesh.Trimesh(1e-3 * skin.vertices, skin.triangles[::-1], process=False).export(folder / "scan.glb")
@@ -175,7 +179,7 @@ def folder(tmp_path_factory):
     weights[:, expressions.index("jawOpen")] = np.linspace(0.0, 0.25, 6)
     rows = [f"10:00:00:{k:02d}.000,52,{','.join(map(str, row))}" for k, row in enumerate(weights)]
     (folder / "take.csv").write_text("\n".join([",".join(["Timecode", "BlendShapeCount", *names]), *rows]) + "\n")
-    (plan,) = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
+    (plan,) = re.findall(r"```toml\n(.*?)```", TEXT, flags=re.DOTALL)
     (folder / "plan.toml").write_text(plan)
     return folder
 

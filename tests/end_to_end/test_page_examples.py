@@ -1,4 +1,4 @@
-"""Each Python block of the README runs alone, as it stands; those that build a head, on the coarsest."""
+"""Each Python block of README and docs runs alone, as it stands; those that build a head, on the coarsest."""
 
 import re
 from pathlib import Path
@@ -12,12 +12,13 @@ from softdeca.lhm import expressions, load_template
 from softdeca.reference import Parameters, facial_scene, solve
 from softdeca.reference.problems.meshes import box, triangles_at
 
-README = Path(__file__).resolve().parents[2] / "README.md"
-EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(), flags=re.DOTALL)
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EXAMPLES = [block for page in PAGES for block in re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)]
 
 
 def example(words: str) -> str:
-    """The one Python block of the README with these words."""
+    """The one Python block with these words."""
     (found,) = [block for block in EXAMPLES if words in block]
     return found
 
@@ -58,7 +59,7 @@ def test_a_face_by_three_solvers():
 def test_a_heavier_face():
     names = ran("heavier = settle", level=1)
     assert names["heavier"].solution.converged and names["answer"].converged
-    # The README's picture: 40 % more soft tissue shows, as it does not by targets alone.
+    # As in the picture: 40 % more soft tissue shows, as it does not by targets alone.
     head = names["head"]
     assert 2.0 < np.linalg.norm(names["neutral"] - head.skin.vertices, axis=1).max() < 10.0
     leaner = solve(facial_scene(head, Parameters(), names["targets"])).positions[: len(head.skin_wrap.vertices)]

@@ -1,21 +1,20 @@
-"""Quadratic tets on scikit-fem: rules, nodes, what is held, loads, closed-form energies, derivatives, orders."""
+"""scikit-fem's discretisation and energy: rules, nodes, what is held, loads, closed-form energies, derivatives."""
 
 from math import factorial
 
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
-from scipy.optimize import brentq
-from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
 from skfem import BilinearForm, LinearForm
 
-from softdeca.lhm.head import CRANIUM, MANDIBLE
-from softdeca.reference import Scene, SceneError, prepare, solve, terms
+from softdeca.reference import Scene, SceneError, solve, terms
 from softdeca.reference.materials import Corotated, NeoHookean, StVenantKirchhoff
 from softdeca.reference.problems import meshes
 from softdeca.reference.skfem.discretisation import Discretisation, tet_rule, triangle_rule
 from softdeca.reference.skfem.energy import Energy
-from softdeca.reference.skfem.solids import ByInvariants
+from softdeca.reference.skfem.solids import ByInvariants, project_spd
+from softdeca.reference.skfem.surfaces import Bends
 
 SOFT = terms.Hyperelastic(NeoHookean.from_young(1.0, 0.3))
 
@@ -39,7 +38,7 @@ def test_nodes_lie_where_scikit_fem_has_them():
     at = Discretisation(Scene(X, tets, []), "P2")
     edges = np.unique(np.sort(tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1), axis=0)
     assert len(at.dofs) == len(X) + len(edges)
-    nodes = at.flat(X)[at.dofs]
+    nodes = at.by_dof(X)[at.dofs]
     for c in range(3):
         np.testing.assert_allclose(at.basis.doflocs[:, at.dofs[:, c]].T, nodes, atol=1e-14)
     triangles = meshes.boundary_triangles(tets)
@@ -64,14 +63,14 @@ def test_an_edge_through_the_inside_is_free_between_held_faces():
     """Of a cube of one cell all vertices are held, or two sides in other components; the diagonal's middle is not."""
     X, tets = meshes.block(1)
     at = Discretisation(Scene(X, tets, []), "P2")
-    nodes = at.flat(X)[at.dofs]
+    nodes = at.by_dof(X)[at.dofs]
     inside = (nodes == 0.5).all(axis=1)
     assert inside.sum() == 1
-    assert np.array_equal(at.held(np.ones(X.shape, dtype=bool))[at.dofs], np.repeat(~inside[:, None], 3, axis=1))
+    assert np.array_equal(at.held_dofs(np.ones(X.shape, dtype=bool))[at.dofs], np.repeat(~inside[:, None], 3, axis=1))
     some = np.zeros(X.shape, dtype=bool)
     some[X[:, 0] == 0] = True
     some[X[:, 1] == 0, 2] = True
-    held = at.held(some)[at.dofs]
+    held = at.held_dofs(some)[at.dofs]
     assert np.array_equal(held[:, 1], nodes[:, 0] == 0)
     assert np.array_equal(held[:, 2], (nodes[:, 0] == 0) | (nodes[:, 1] == 0))
 
@@ -88,7 +87,7 @@ def test_linear_loads_are_the_scenes():
     X, tets = meshes.unstructured(2)
     scene = Scene(X, tets, loaded(X, tets))
     at = Discretisation(scene)
-    forces = -Energy(scene, at).gradient(at.flat(X))[at.dofs]
+    forces = -Energy(scene, at).gradient(at.by_dof(X))[at.dofs]
     np.testing.assert_allclose(forces, scene.loads(), rtol=0.0, atol=1e-14)
 
 
@@ -99,7 +98,7 @@ def test_quadratic_loads_work_on_quadratic_fields():
     for term, load in ((terms.Gravity((0, 2.0, -3.0), density=2.0), [0, 4.0, -6.0]), (top, [0.5, 0.0, 4.0])):
         scene = Scene(X, tets, [term])
         at = Discretisation(scene, "P2")
-        x = at.flat(X)
+        x = at.by_dof(X)
         forces = -Energy(scene, at).gradient(x)[at.dofs]
         np.testing.assert_allclose(x[at.dofs][:, 0] ** 2 @ forces, np.array(load) / 3, atol=1e-13)
 
@@ -111,7 +110,7 @@ def test_energy_of_a_quadratic_displacement():
     H = np.random.default_rng(0).normal(0.0, 0.2, (3, 3, 3))  # u_i = X · H_i X / 2
     scene = Scene(X, tets, [terms.Hyperelastic(law)])
     at = Discretisation(scene, "P2")
-    nodes = at.flat(X)[at.dofs]
+    nodes = at.by_dof(X)[at.dofs]
     x = np.empty(at.size)
     x[at.dofs] = nodes + np.einsum("ijk,nj,nk->ni", H, nodes, nodes) / 2
     t, w = leggauss(3)
@@ -130,7 +129,7 @@ def test_membrane_of_a_quadratic_stretch():
     surface = terms.SurfaceStrain(meshes.triangles_at(X, tets, 2, 1.0), 3.0)
     scene = Scene(X, tets, [surface])
     at = Discretisation(scene, "P2")
-    nodes = at.flat(X)[at.dofs]
+    nodes = at.by_dof(X)[at.dofs]
     x = np.empty(at.size)
     x[at.dofs] = nodes + nodes**2 * np.array([0.4, 0.3, 0.0]) / 2
     assert Energy(scene, at).value(x) == pytest.approx(1.5 * (0.16 + 0.09) / 3, rel=1e-12)
@@ -154,12 +153,13 @@ def pulled_block():
     return Scene(X, tets, [*energies, *loaded(X, tets)])
 
 
-def test_gradient_and_hessian_are_derivatives():
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_gradient_and_hessian_are_derivatives(element):
     scene = pulled_block()
-    at = Discretisation(scene, "P2")
+    at = Discretisation(scene, element)
     energy = Energy(scene, at)
     rng = np.random.default_rng(1)
-    x, d = at.flat(scene.vertices) + rng.normal(0.0, 0.01, at.size), rng.normal(size=at.size)
+    x, d = at.by_dof(scene.vertices) + rng.normal(0.0, 0.01, at.size), rng.normal(size=at.size)
     h = 1e-6
     slope = (energy.value(x + h * d) - energy.value(x - h * d)) / (2 * h)
     assert energy.gradient(x) @ d == pytest.approx(slope, rel=1e-6)
@@ -176,7 +176,7 @@ def test_assembly_is_scikit_fems(element):
     X, tets = meshes.unstructured(2)
     scene = Scene(X, tets, [SOFT])
     at = Discretisation(scene, element)
-    x = at.flat(X) + np.random.default_rng(2).normal(0.0, 0.02, at.size)
+    x = at.by_dof(X) + np.random.default_rng(2).normal(0.0, 0.02, at.size)
     law = ByInvariants(SOFT.material)
 
     def at_points(w):
@@ -200,70 +200,50 @@ def test_assembly_is_scikit_fems(element):
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
 
 
-def test_patch():
-    X, tets = meshes.unstructured(2)
-    A = np.array([[1.1, 0.05, 0.0], [0.0, 0.95, 0.1], [0.02, 0.0, 1.03]])
-    skin = np.unique(meshes.boundary_triangles(tets))
-    scene = Scene(X, tets, [terms.Strain(2.0), SOFT, terms.Fixed(skin, X[skin] @ A.T)])
-    solution = solve(scene, solver="skfem", element="P2", tolerance=1e-12)
-    assert solution.converged
-    np.testing.assert_allclose(solution.positions, X @ A.T, atol=1e-12)
+def test_energy_of_an_affine_map_is_psi_times_volume(sphere_head):
+    """F is the same everywhere, in scikit-fem's numbering as in ours, also for tets in any corner order."""
+    A = Rotation.random(random_state=3).as_matrix() @ np.diag([1.2, 0.9, 1.1])
+    scene = Scene(sphere_head.vertices, sphere_head.tets[::-1], [terms.Strain(2.0)])
+    at = Discretisation(scene)
+    expected = (0.2**2 + 0.1**2 + 0.1**2) * scene.volumes.sum()
+    assert np.isclose(Energy(scene, at).value(at.by_dof(scene.vertices @ A.T)), expected, rtol=1e-12)
 
 
-def hanging_energy(law, load, length):
-    """Of a neo-Hookean column [0, length] of 1 mm² that rollers hold at its sides, pulled by `load` [mN/mm³].
-
-    Its stress mu (J - 1/J) + lmbda ln J / J carries what hangs below, load (length - x), where J = 1 + u'. Twice
-    integrated by parts, the load's potential is -∫ load (length - x) u' dx.
-    """
-    t, w = leggauss(40)
-    total = 0.0
-    for x, weight in zip(length * (t + 1) / 2, length * w / 2, strict=True):
-        carried = load * (length - x)
-        J = brentq(lambda J, c=carried: law.mu * (J - 1 / J) + law.lmbda * np.log(J) / J - c, 0.9, 3.0, xtol=1e-15)
-        psi = law.mu / 2 * (J**2 - 1) - law.mu * np.log(J) + law.lmbda / 2 * np.log(J) ** 2
-        total += weight * (psi - carried * (J - 1))
-    return total
+def bent_side():
+    """A block with Bending on one of its sides, positions far from rest, and the term's part of the energy."""
+    rng = np.random.default_rng(0)
+    X, tets = meshes.unstructured(4, 4.0)
+    triangles = meshes.triangles_at(X, tets, 2, 4.0)
+    X = X + rng.normal(0.0, 0.05, X.shape)
+    term = terms.Bending(triangles, rng.uniform(1.0, 2.0, len(triangles)))
+    scene = Scene(X, tets, [term])
+    at = Discretisation(scene)
+    return Bends(scene, term, at), at, X, at.by_dof(X + rng.normal(0.0, 0.2, X.shape))
 
 
-@pytest.mark.parametrize(("element", "order"), [("P1", 2), ("P2", 4)])
-def test_orders_of_the_energy(element, order):
-    """The energy's error is the square of the displacement's in H1, of order h² and h⁴."""
-    law, load, length = NeoHookean(1.0, 2.0), 1.0, 2.0
-    exact, errors = hanging_energy(law, load, length), []
-    for cells in (4, 8):
-        X, tets = meshes.box((cells, 1, 1), (length, 1.0, 1.0))
-        walls = [terms.Fixed(meshes.vertices_at(X, c, end), components=c) for c in (1, 2) for end in (0.0, 1.0)]
-        held = terms.Fixed(meshes.vertices_at(X, 0, 0.0))
-        scene = Scene(X, tets, [terms.Hyperelastic(law), terms.Gravity((load, 0, 0), 1.0), held, *walls])
-        solution = solve(scene, solver="skfem", element=element, tolerance=1e-12)
-        assert solution.converged
-        errors.append(solution.energy - exact)
-    assert min(errors) > 0
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
+def test_bending_derivatives():
+    part, _, _, x = bent_side()
+    d, h = np.random.default_rng(1).normal(size=x.shape), 1e-5
+    gradient = part.gradient(x)
+    assert (part.value(x + h * d) - part.value(x - h * d)) / (2 * h) == pytest.approx(gradient @ d, rel=1e-7)
+    expected = (part.gradient(x + h * d) - part.gradient(x - h * d)) / (2 * h)
+    found = part.hessian(x, lambda tangent: tangent) @ d
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
+    values = np.linalg.eigvalsh(part.hessian(x, project_spd).toarray())
+    assert values.min() > -1e-10 * values.max()
 
 
-def jaw(head):
-    """Tissue drawn along by its skin, a held cranium and a free mandible, which is a tenth larger than in the scene."""
-    V, n = np.array(head.vertices), len(head.bone)
-    mandible = 2 * n + np.flatnonzero(head.bone == MANDIBLE)
-    target = terms.Target(np.arange(n), V[:n] + [0.0, -6.0, 3.0], 5.0 * head.skin_wrap.vertex_areas)
-    held = terms.Fixed(2 * n + np.flatnonzero(head.bone == CRANIUM))
-    body = terms.RigidBody(mandible, V[mandible].mean(axis=0) + 1.1 * (V[mandible] - V[mandible].mean(axis=0)))
-    return Scene(V, head.tets, [terms.Strain(5.0), terms.Volume(60.0), target, held, body])
+def test_bending_knows_rigid_motions():
+    part, at, X, x = bent_side()
+    turn = Rotation.from_rotvec([2.0, -1.0, 0.3])
+    assert part.value(at.by_dof(turn.apply(X) + 4.0)) < 1e-20 < part.value(x)
+    assert part.value(at.by_dof(turn.apply(x[at.dofs]) + 4.0)) == pytest.approx(part.value(x), rel=1e-10)
 
 
-def test_a_body_is_rigid_and_a_sequence_goes_on(spheres):
-    """Held vertices and the body's are where they belong; a start at the answer needs its edges' nodes alone."""
-    scene = jaw(spheres(1))
-    prepared = prepare(scene, solver="skfem", element="P2")
-    answer = prepared.solve(tolerance=1e-11)
-    assert answer.converged
-    body = scene.of(terms.RigidBody)[0]
-    np.testing.assert_allclose(pdist(answer.positions[body.vertices]), pdist(body.rest), rtol=1e-12)
-    held, places = scene.dirichlet()
-    assert np.array_equal(answer.positions[held], places[held])
-    again = prepared.solve(start=answer.positions, tolerance=1e-11)
-    assert again.converged
-    np.testing.assert_allclose(again.positions, answer.positions, atol=1e-8)
-    assert answer.energy < solve(scene, solver="skfem").energy
+def test_surface_seeks_another_rest_shape():
+    """F is measured from `rest`, the area from the scene: a block's side 1.2 times as large in rest, all held."""
+    X, tets = meshes.unstructured(3, 2.0)
+    triangles = meshes.triangles_at(X, tets, 2, 2.0)
+    term = terms.SurfaceStrain(triangles, 3.0, 1.1, rest=1.2 * X)
+    answer = solve(Scene(X, tets, [term, terms.Fixed(np.arange(len(X)))]), solver="skfem", max_iterations=0)
+    assert answer.energy == pytest.approx(0.5 * 3.0 * 4.0 * 2.0 * (1 / 1.2 - np.sqrt(1.1)) ** 2, rel=1e-12)

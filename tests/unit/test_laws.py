@@ -1,0 +1,439 @@
+"""One loop over every law in every form that a solver takes: psi, P, tangent, frames, rest, projection, inversion.
+
+FEniCSx has laws by UFL and by principal stretches, scikit-fem derivatives by hand.
+"""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip("dolfinx")
+
+from softdeca.reference import Scene, materials, prepare, terms
+from softdeca.reference.fenicsx import dolfinx_version as seam
+from softdeca.reference.fenicsx import principal
+from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms, density
+from softdeca.reference.fenicsx.numbering import Numbering
+from softdeca.reference.fenicsx.solids import Grown as GrownStretches
+from softdeca.reference.fenicsx.solids import StrainLaw, VolumeLaw, nearest_with_determinant
+from softdeca.reference.materials.material import HasDensity, HasInvariants, HasRotation, HasStretches
+from softdeca.reference.problems import meshes
+from softdeca.reference.skfem import solids as skfem
+from softdeca.reference.skfem.discretisation import rest_gradients
+from softdeca.reference.skfem.surfaces import Membrane
+
+from .tangents import tangent
+
+STEP = 1e-5
+ROOM = 64
+FIBRE = np.array([2.0, -1.0, 2.0]) / 3.0
+MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
+GROWTH = 1.4
+
+
+class ByStretches:
+    """A law of FEniCSx' singular values; `make` gives it for m points, every parameter an array."""
+
+    def __init__(self, make, *parameters):
+        self.make = lambda m: make(*(np.full(m, value) for value in parameters))
+
+    def _at(self, F):
+        U, s, V = principal.signed_svd(np.ascontiguousarray(F))
+        return U, s, V, *self.make(len(F)).by_stretches(s)
+
+    def energy(self, F):
+        return self._at(F)[3]
+
+    def stress(self, F):
+        U, _, V, _, p, _ = self._at(F)
+        return principal.stress(U, V, p)
+
+    def tangent(self, F):
+        U, s, V, _, p, h = self._at(F)
+        return tangent(U, V, principal.modes(s, p, h))
+
+    def projected(self, F):
+        U, s, V, _, p, h = self._at(F)
+        return tangent(U, V, principal.modes(s, p, h).soften(0.0))
+
+
+class ByHand:
+    """A law of scikit-fem; `make` gives it for m points, every parameter an array."""
+
+    def __init__(self, make, *parameters):
+        self.make = lambda m: make(*(np.full(m, value) for value in parameters))
+
+    def energy(self, F):
+        return self.make(len(F)).psi(F)
+
+    def stress(self, F):
+        return self.make(len(F)).stress(F)
+
+    def tangent(self, F):
+        return self.make(len(F)).tangent(F).reshape(-1, 9, 9)
+
+    def projected(self, F):
+        return skfem.project_spd(self.make(len(F)).tangent(F)).reshape(-1, 9, 9)
+
+
+class ByUfl:
+    """A law's density in UFL and what UFL derives, on as many separate tets as there are deformation gradients."""
+
+    def __init__(self, material, growth=1.0):
+        self.material, self.growth = material, growth
+        self.forms = None
+
+    def _compile(self):
+        corners = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+        X = (corners + 2.0 * np.arange(ROOM)[:, None, None] * [1.0, 0.0, 0.0]).reshape(-1, 3)
+        numbering = Numbering(Scene(X, np.arange(4 * ROOM).reshape(-1, 4), []))
+        u, points = seam.function(numbering.space), seam.quadrature_rule(1)[0]
+        cells = numbering.cell
+        self.forms = HyperelasticForms.compile(u, cells, self.material, growth=self.growth)
+        psi, F = density(u, cells, self.material, self.growth)
+        self._psi = seam.evaluator(psi, points, numbering.space.mesh)
+        self._stress = seam.evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)
+        self._numbering, self._u = numbering, u
+
+    def set(self, F):
+        if self.forms is None:
+            self._compile()
+        padded = np.concatenate([F, np.tile(np.eye(3), (ROOM - len(F), 1, 1))])
+        corners = self._numbering.to_scene(self._numbering.X, np.empty((4 * ROOM, 3))).reshape(ROOM, 4, 3)
+        moved = corners @ (padded - np.eye(3)).transpose(0, 2, 1)
+        self._u.x.array[:] = self._numbering.to_dofs(moved.reshape(-1, 3)).ravel()
+        return slice(len(F))
+
+    def energy(self, F):
+        at = self.set(F)
+        return self._psi(self._numbering.cell[at]).ravel()
+
+    def stress(self, F):
+        at = self.set(F)
+        return self._stress(self._numbering.cell[at]).reshape(-1, 3, 3)
+
+    def tangent(self, F):
+        at = self.set(F)
+        return self.forms.point_tangent()[at]
+
+    def projected(self, F):
+        at = self.set(F)
+        return self.forms.softened_tangent(0.0)[at]
+
+
+def forms(law):
+    """A material in each form that it has."""
+    found = {}
+    if isinstance(law, HasDensity):
+        found["by UFL"] = ByUfl(law)
+    if isinstance(law, HasStretches):
+        found["by stretches"] = ByStretches(lambda: law)
+    if isinstance(law, HasInvariants):
+        found["by hand"] = ByHand(lambda: skfem.ByInvariants(law))
+    if isinstance(law, HasRotation):
+        found["by hand"] = ByHand(lambda: skfem.ByRotation(law))
+    return found
+
+
+MATERIALS = {
+    "corotated": materials.Corotated(MU, LMBDA),
+    "neo-Hookean": materials.NeoHookean(MU, LMBDA),
+    "stable": materials.StableNeoHookean(MU, LMBDA),
+    "St. Venant-Kirchhoff": materials.StVenantKirchhoff(MU, LMBDA),
+    "isochoric, quadratic": materials.IsochoricNeoHookean(MU, KAPPA),
+    "isochoric, logarithmic": materials.IsochoricNeoHookean(MU, KAPPA, "kappa/4 (J^2-1-2 ln J)"),
+    "Mooney-Rivlin": materials.MooneyRivlin(0.3, 0.2, KAPPA, C20=0.4),
+    "Guccione": materials.Guccione(2.0, 8.0, 2.0, 4.0, FIBRE, KAPPA),
+}
+SHARE = GROWTH ** (2 / 3)
+NEO_HOOKEAN, COROTATED = MATERIALS["neo-Hookean"], MATERIALS["corotated"]
+FORMS = {
+    **{name: forms(law) for name, law in MATERIALS.items()},
+    "strain": {
+        "by stretches": ByStretches(StrainLaw, 2.0, 1.0, 1.0),
+        "by hand": ByHand(skfem.Strain, 2.0, 1.0),
+    },
+    "strain limit": {
+        "by stretches": ByStretches(StrainLaw, 2.0, 1.1, 1.0),
+        "by hand": ByHand(skfem.Strain, 2.0, 1.1),
+    },
+    "volume": {"by stretches": ByStretches(VolumeLaw, 3.0, 1.0), "by hand": ByHand(skfem.Volume, 3.0, 1.0)},
+    "volume grown": {"by stretches": ByStretches(VolumeLaw, 3.0, GROWTH), "by hand": ByHand(skfem.Volume, 3.0, GROWTH)},
+    "strain grown": {
+        "by stretches": ByStretches(StrainLaw, 2.0, 1.0, GROWTH),
+        "by hand": ByHand(lambda k, g, w: skfem.Grown(skfem.Strain(k, k / k), g, w), 2.0, GROWTH, SHARE),
+    },
+    "corotated grown": {
+        "by stretches": ByStretches(lambda g: GrownStretches(COROTATED, g), GROWTH),
+        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByRotation(COROTATED), g, g), GROWTH),
+    },
+    "neo-Hookean grown": {
+        "by UFL": ByUfl(NEO_HOOKEAN, GROWTH),
+        "by stretches": ByStretches(lambda g: GrownStretches(NEO_HOOKEAN, g), GROWTH),
+        "by hand": ByHand(lambda g: skfem.Grown(skfem.ByInvariants(NEO_HOOKEAN), g, g), GROWTH),
+    },
+}
+LAWS = {(name, form): law for name, of_name in FORMS.items() for form, law in of_name.items()}
+FINITE = ("strain", "volume", "corotated", "stable", "St. Venant-Kirchhoff")
+every_law = pytest.mark.parametrize(("name", "form"), LAWS)
+finite_law = pytest.mark.parametrize(("name", "form"), [key for key in LAWS if key[0].startswith(FINITE)])
+infinite_law = pytest.mark.parametrize(
+    ("name", "form"), [key for key in LAWS if not key[0].startswith(FINITE) and key[1] != "by stretches"]
+)
+
+
+def rotations(count, seed):
+    q = np.linalg.qr(np.random.default_rng(seed).normal(size=(count, 3, 3)))[0]
+    return q * np.sign(np.linalg.det(q))[:, None, None]
+
+
+def gradients(upright):
+    """Deformation gradients: generic, repeated singular values, far from rest, and (not upright) inverted."""
+    rng = np.random.default_rng(1)
+    s = [[1.3, 1.3, 0.8], [0.7, 0.7, 0.7], [1.4, 0.9, 0.9], [1.0 + 1e-7, 1.0, 0.9], [2.5, 0.5, 0.4], [1.2, 1.2, 1.2]]
+    if not upright:
+        s += [[1.2, 0.8, -0.3], [1.5, 1.5, -0.2], [0.9, 0.5, -0.1], [1.3, 0.7, 1e-3]]
+        s += list(np.sort(rng.uniform(0.3, 2.0, (10, 3)))[:, ::-1] * [1.0, 1.0, -1.0])
+    s = np.array(s)
+    special = rotations(len(s), 2) @ (s[:, :, None] * rotations(len(s), 3))
+    generic = np.eye(3) + 0.25 * rng.normal(size=(20, 3, 3))
+    generic = generic[np.linalg.det(generic) > 0.2]
+    return np.concatenate([special, generic])
+
+
+def samples(name, smooth=False):
+    """Gradients where the law holds; smooth: away from the kinks of the strain limit."""
+    F = gradients(upright=not name.startswith(FINITE))
+    if smooth and name == "strain limit":
+        s = principal.signed_svd(F)[1]
+        F = F[(np.abs(s[:, :, None] - [1.1, 1 / 1.1]) > 1e-3).all(axis=(1, 2))]
+    return F
+
+
+def assert_close(actual, expected, relative=1e-7):
+    """Within `relative` of each sample's largest entry, or of 1 where that is less."""
+    actual, expected = (np.asarray(a).reshape(len(a), -1) for a in (actual, expected))
+    assert (np.abs(actual - expected).max(axis=1) <= relative * np.maximum(1.0, np.abs(expected).max(axis=1))).all()
+
+
+def differences(function, F, step=STEP):
+    """Central differences by each entry of F, in the last axis; fourth order."""
+    columns = []
+    for i, j in product(range(3), range(F.shape[2])):
+        d = np.zeros(F.shape[1:])
+        d[i, j] = step
+        near = function(F + d) - function(F - d)
+        far = function(F + 2 * d) - function(F - 2 * d)
+        columns.append((8 * near - far) / (12 * step))
+    return np.stack(columns, axis=-1)
+
+
+@every_law
+def test_stress_and_tangent_are_the_derivatives(name, form):
+    law, F = LAWS[name, form], samples(name, smooth=True)
+    assert_close(differences(law.energy, F), law.stress(F).reshape(-1, 9))
+    C = law.tangent(F)
+    assert_close(differences(lambda G: law.stress(G).reshape(-1, 9), F), C)
+    assert_close(C.transpose(0, 2, 1), C, 1e-13)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_the_forms_of_a_law_are_one_law(name):
+    """Energy, stress and tangent of each against those of the first."""
+    F = samples(name, smooth=True)
+    first, *others = FORMS[name].values()
+    for law in others:
+        assert_close(law.energy(F), first.energy(F), 1e-12)
+        assert_close(law.stress(F), first.stress(F), 1e-11)
+        assert_close(law.tangent(F), first.tangent(F), 1e-8)
+
+
+@every_law
+def test_frame_invariance(name, form):
+    law, F = LAWS[name, form], samples(name)
+    R, Q = rotations(len(F), 4), rotations(len(F), 5)
+    if name == "Guccione":  # turned about its fibres at rest, it stays the same
+        Q = np.broadcast_to(Rotation.from_rotvec(FIBRE).as_matrix(), R.shape)
+    assert_close(law.energy(R @ F @ Q), law.energy(F), 1e-12)
+    assert_close(law.stress(R @ F @ Q), R @ law.stress(F) @ Q, 1e-11)
+
+
+@every_law
+def test_rest_and_rotations_are_free_of_stress(name, form):
+    """Rest of grown tissue is its shape at that volume."""
+    R = np.concatenate([np.eye(3)[None], rotations(8, 6)]) * (GROWTH ** (1 / 3) if "grown" in name else 1.0)
+    assert np.abs(LAWS[name, form].energy(R)).max() < 1e-14
+    assert np.abs(LAWS[name, form].stress(R)).max() < 1e-13
+
+
+@every_law
+def test_projection_is_the_nearest_semi_definite_tangent(name, form):
+    law, F = LAWS[name, form], samples(name)
+    projected = law.projected(F)
+    values, vectors = np.linalg.eigh(law.tangent(F))
+    clamped = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    scale = np.maximum(1.0, np.abs(values).max(axis=1))
+    assert (np.linalg.eigvalsh(projected).min(axis=1) >= -1e-10 * scale).all()
+    assert_close(projected, clamped, 1e-9)
+
+
+ISOTROPIC = [key for key in LAWS if key[0] in (*MATERIALS, "strain", "volume") and key[0] != "Guccione"]
+
+
+@pytest.mark.parametrize(("name", "form"), ISOTROPIC)
+def test_small_strain_moduli(name, form):
+    """2 mu = stiffness of Strain and 3 lmbda = stiffness of Volume: the tangent at rest is isotropic elasticity's."""
+    eye = np.eye(3)
+    symmetric = 0.5 * (np.einsum("ik,jl->ijkl", eye, eye) + np.einsum("il,jk->ijkl", eye, eye)).reshape(9, 9)
+    trace = np.einsum("ij,kl->ijkl", eye, eye).reshape(9, 9)
+    mu, lmbda = {"strain": (1.0, 0.0), "volume": (0.0, 1.0)}.get(name, (MU, LMBDA))
+    assert np.allclose(LAWS[name, form].tangent(eye[None])[0], 2.0 * mu * symmetric + lmbda * trace, atol=1e-12)
+
+
+COLLAPSED = np.array(
+    [np.zeros((3, 3)), 2 * np.eye(3), np.diag([1.0, 1, 0]), np.diag([1.0, 0, 0]), -np.eye(3), np.diag([1, 0.5, -0.5])]
+)
+"""With 2 I, where nearest points of det F = 1 merge."""
+
+
+@finite_law
+def test_collapse_and_inversion_are_finite(name, form):
+    law = LAWS[name, form]
+    for values in (law.energy(COLLAPSED), law.stress(COLLAPSED), law.tangent(COLLAPSED)):
+        assert np.isfinite(values).all()
+
+
+@infinite_law
+def test_collapse_and_inversion_are_refused(name, form):
+    """The energy that the line search sees is infinite, not a number that is none."""
+    law, bad = LAWS[name, form], np.delete(COLLAPSED, 1, axis=0)
+    if form == "by hand":
+        assert (law.energy(bad) == np.inf).all()
+        return
+    law.set(law.growth ** (1 / 3) * np.tile(np.eye(3), (ROOM, 1, 1)))
+    assert law.forms.assemble_energy() < 1e-12
+    for F in bad:
+        law.set(F[None])
+        assert law.forms.assemble_energy() == np.inf
+
+
+def test_densities_against_their_formulas():
+    """By principal stretches, or for Guccione by the strain's components in a frame along the fibre."""
+    F = gradients(upright=True)
+    s = np.linalg.svd(F, compute_uv=False)
+    s2, J = s**2, np.linalg.det(F)
+    i1 = J ** (-2 / 3) * s2.sum(1)
+    i2 = J ** (-4 / 3) * (s2[:, 0] * s2[:, 1] + s2[:, 1] * s2[:, 2] + s2[:, 2] * s2[:, 0])
+    volume = KAPPA / 2 * (J - 1) ** 2
+    m, k = 4 / 3 * MU, LMBDA + 5 / 6 * MU
+    a = 1 + m / k - m / (4 * k)
+
+    def stable(I1, J):
+        return m / 2 * (I1 - 3) + k / 2 * (J - a) ** 2 - m / 2 * np.log(I1 + 1)
+
+    frame = np.stack([FIBRE, np.array([1.0, 2.0, 0.0]) / np.sqrt(5), np.cross(FIBRE, [1.0, 2.0, 0.0]) / np.sqrt(5)])
+    E = frame @ ((J ** (-2 / 3))[:, None, None] * F.transpose(0, 2, 1) @ F - np.eye(3)) @ frame.T / 2
+    Q = 8 * E[:, 0, 0] ** 2 + 2 * np.sum(E[:, 1:, 1:] ** 2, axis=(1, 2)) + 8 * np.sum(E[:, 0, 1:] ** 2, axis=1)
+    expected = {
+        "corotated": MU * np.sum((s - 1) ** 2, 1) + LMBDA / 2 * (s.sum(1) - 3) ** 2,
+        "neo-Hookean": MU / 2 * (s2.sum(1) - 3) - MU * np.log(J) + LMBDA / 2 * np.log(J) ** 2,
+        "stable": stable(s2.sum(1), J) - stable(3.0, 1.0),
+        "St. Venant-Kirchhoff": MU * np.sum((s2 - 1) ** 2, 1) / 4 + LMBDA / 8 * (s2.sum(1) - 3) ** 2,
+        "isochoric, quadratic": MU / 2 * (i1 - 3) + volume,
+        "isochoric, logarithmic": MU / 2 * (i1 - 3) + KAPPA / 4 * (J**2 - 1 - 2 * np.log(J)),
+        "Mooney-Rivlin": 0.3 * (i1 - 3) + 0.2 * (i2 - 3) + 0.4 * (i1 - 3) ** 2 + volume,
+        "Guccione": np.exp(Q) - 1 + volume,
+    }
+    assert expected.keys() == MATERIALS.keys()
+    for name, values in expected.items():
+        for law in FORMS[name].values():
+            assert_close(law.energy(F), values, 1e-12)
+
+
+def test_fibres_follow_their_tets():
+    """The energy of an affine motion is the sum over the tets, each with its own fibre, however cells are numbered."""
+    rng = np.random.default_rng(8)
+    X, tets = meshes.unstructured(2)
+    fibres = rng.normal(size=(len(tets), 3))
+    A = np.eye(3) + 0.2 * rng.normal(size=(3, 3))
+    law = materials.Guccione(2.0, 8.0, 2.0, 4.0, fibres, KAPPA)
+    some = rng.permutation(len(tets))[: len(tets) // 2]
+    part = materials.Guccione(2.0, 8.0, 2.0, 4.0, fibres[some], KAPPA)
+    whole = Scene(X, tets, [terms.Hyperelastic(law)])
+    half = Scene(X, tets, [terms.Hyperelastic(part, tets=some)])
+    J = np.linalg.det(A)
+    E = (J ** (-2 / 3) * A.T @ A - np.eye(3)) / 2
+    row = law.fibres @ E
+    along, row = np.einsum("ij,ij->i", row, law.fibres) ** 2, np.sum(row**2, axis=1)
+    Q = 8 * along + 2 * (np.sum(E**2) - 2 * row + along) + 8 * (row - along)
+    psi = np.exp(Q) - 1 + KAPPA / 2 * (J - 1) ** 2
+    for scene, acted in ((whole, np.arange(len(tets))), (half, some)):
+        solution = prepare(scene, solver="fenicsx").solve(start=X @ A.T, max_iterations=0)
+        assert solution.energy == pytest.approx(scene.volumes[acted] @ psi[acted], rel=1e-12)
+
+
+def skfem_svd(F):
+    U, s, Vt = skfem.signed_svd(F)
+    return U, s, Vt.transpose(0, 2, 1)
+
+
+@pytest.mark.parametrize("signed_svd", [principal.signed_svd, skfem_svd])
+@pytest.mark.parametrize("F", [gradients(False), np.zeros((1, 3, 3)), np.diag([0.0, 2.0, 0.0])[None], -np.eye(3)[None]])
+def test_signed_svd(signed_svd, F):
+    U, s, V = signed_svd(F)
+    assert np.allclose((U * s[:, None, :]) @ V.transpose(0, 2, 1), F, atol=1e-14)
+    for rotation in (U, V):
+        assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3), atol=1e-14)
+        assert np.allclose(np.linalg.det(rotation), 1.0)
+    assert (np.diff(s, axis=1) <= 1e-15).all() and (s[:, 1] >= np.abs(s[:, 2]) - 1e-15).all()
+    assert np.allclose(np.abs(s), np.linalg.svd(F, compute_uv=False), atol=1e-14)
+
+
+@pytest.mark.parametrize("nearest", [nearest_with_determinant, lambda s, v: skfem.nearest_of_determinant(s, v)[0]])
+@pytest.mark.parametrize(
+    ("sigma", "target"),
+    [
+        *product([(1.3, 0.8, 0.5), (2.5, 1.2, -0.7), (0.0, 0.0, 0.0), (9.0, 5.0, 3.0), (3.0, 3.0, 3.0)], (1.0, 1.4)),
+        ((1.2, 0.9, 0.5), 1.0),
+        ((1.5, 1.2, 0.9), 0.8),
+        ((1.1, 0.6, -0.4), 1.0),
+        ((2.0, 1.0, 0.5), 0.05),
+    ],
+)
+def test_nearest_of_determinant_is_the_nearest(nearest, sigma, target):
+    """Against a minimisation over the two free stretches, from many starts."""
+    t = nearest(np.array([sigma]), np.array([target]))[0]
+    assert np.isclose(np.prod(t), target, rtol=1e-12)
+
+    def distance(logs):
+        trial = np.exp(np.clip(np.append(logs, np.log(target) - np.sum(logs)), -50, 50))
+        return np.sum((trial - sigma) ** 2)
+
+    starts = product((-1.5, 0.0, 1.0, 2.0), repeat=2)
+    best = min(minimize(distance, start, method="BFGS", options={"gtol": 1e-10}).fun for start in starts)
+    assert np.isclose(np.sum((t - sigma) ** 2), best, rtol=1e-8, atol=1e-12)
+
+
+def test_membrane_of_invariants():
+    law = Membrane(np.full(40, 2.0), np.full(40, 1.3))
+    F = np.random.default_rng(6).normal(size=(40, 3, 2))
+    U, sigma, Vt = np.linalg.svd(F, full_matrices=False)
+    assert np.allclose(law.psi(F), np.sum((sigma - np.sqrt(1.3)) ** 2, axis=1), atol=1e-12)
+    assert np.allclose(law.stress(F), 2 * (F - np.sqrt(1.3) * U @ Vt), atol=1e-12)
+    by_differences = differences(law.stress, F, 1e-4).reshape(-1, 3, 2, 3, 2)
+    assert np.allclose(law.tangent(F), by_differences, rtol=1e-6, atol=1e-6)
+
+
+def test_rest_gradients_give_stretches_in_the_plane():
+    rng = np.random.default_rng(7)
+    X, triangles = rng.normal(size=(3, 3)), np.array([[0, 1, 2]])
+    G, areas = rest_gradients(X, triangles)
+    normal = np.cross(X[1] - X[0], X[2] - X[0])
+    assert np.isclose(areas[0], np.linalg.norm(normal) / 2)
+    A = rng.normal(size=(3, 3))
+    F = np.einsum("ti,ta->ia", X @ A.T, G[0])
+    tangents = np.linalg.svd(normal[None])[2][1:].T
+    assert np.allclose(np.linalg.svd(F)[1], np.linalg.svd(A @ tangents)[1])
