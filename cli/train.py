@@ -111,3 +111,31 @@ def _paper(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, o
     weights = train_hypernetwork(faces, config, state=out / "paper.pt", on_progress=progress)
     weights.save(out / "paper.safetensors")
     return out / "paper.safetensors", [dict(point) for point in weights.note.curve]
+
+
+class Evaluate(click.Command):
+    """The command of the surrogate's study, whose options are read when they are asked for: it brings the surrogate."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The study's options; the corpus is an argument."""
+        from ..benchmarks.studies.surrogate import SurrogateOnCorpus
+        from .study_command import command_of
+
+        if not self.params:
+            whole = command_of(SurrogateOnCorpus, out="out/evaluate", argument="corpus", judged=False)
+            self.params, self.callback = whole.params, whole.callback
+        return super().get_params(ctx)
+
+
+EVALUATE = """Compare the surrogate and its rivals with the simulator on people of CORPUS whom training has not seen.
+
+On static frames, by kind of parameters and strength of the expression; where CORPUS has them on sequences with inertia
+(Eq. 21 over each method's static answers), and against FEniCSx by both laws. Further questions by option.
+
+Shares are of |T - carried(S)|: of the simulated skin T less blendshapes S that move along with scaled bones.
+
+Writes OUT/index.html and OUT/results.json, with the frames after which training has paid, error against cost, and the
+worst faces as pictures; OUT/rows.jsonl keeps what is done. Exit status 1 if a case could not be
+measured.
+"""
+evaluate = Evaluate("evaluate", help=EVALUATE, short_help="Compare the surrogate and its rivals with the simulator.")
