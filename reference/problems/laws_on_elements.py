@@ -27,6 +27,7 @@ from ..materials import (
     StVenantKirchhoff,
     lame,
 )
+from ..materials.material import HasMixedDensity
 from ..scene import Scene
 from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
 from . import bars, cook, recovery, time_steps
@@ -57,7 +58,6 @@ def laws(poisson: float) -> dict[str, Material | None]:
 
 LAWS = laws(recovery.POISSON)
 DISPLACEMENT, MIXED = ("P1", "P2"), ("P2P1",)
-NOT_MIXED = ("Corotated", "Strain + Volume")
 MANY_MINIMA, BLIND = ("StableNeoHookean", "Strain + Volume"), ("StVenantKirchhoff",)
 LINEAR = ("Corotated", "StVenantKirchhoff")
 """Laws whose lmbda resists the trace of a strain, not J."""
@@ -68,7 +68,8 @@ TURN = np.pi
 FENICSX = ("fenicsx",)
 
 
-def _energies(law: str, poisson: float = recovery.POISSON) -> tuple[Term, ...]:
+def energies_of(law: str, poisson: float = recovery.POISSON) -> tuple[Term, ...]:
+    """The terms of a law of `laws`, by its name."""
     material = laws(poisson)[law]
     if material is not None:
         return (Hyperelastic(material),)
@@ -79,7 +80,7 @@ def _energies(law: str, poisson: float = recovery.POISSON) -> tuple[Term, ...]:
 def standing(law: str) -> Scene:
     """A small block on a held base."""
     X, tets = block(3)
-    return Scene(X, tets, (*_energies(law), Fixed(vertices_at(X, 2, 0.0))))
+    return Scene(X, tets, (*energies_of(law), Fixed(vertices_at(X, 2, 0.0))))
 
 
 def _allowed_outcomes(law: str, source: str, mixed: bool) -> tuple[str, ...]:
@@ -131,7 +132,7 @@ def twist_error(law: str, attempt: Attempt) -> float:
     X, tets = box(bars.TWISTED_CELLS, (bars.TWISTED_LENGTH, 1.0, 1.0))
     ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, bars.TWISTED_LENGTH)])
     turned = bars.twist(X, TURN)
-    scene = Scene(X, tets, (*_energies(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
+    scene = Scene(X, tets, (*energies_of(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
     solution = attempt.solve(attempt.prepare(scene), start=turned, tolerance=1e-8)
     return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
 
@@ -146,21 +147,22 @@ def share_error(poisson: float, attempt: Attempt) -> float:
     return abs(rises[1] / rises[0] - 1.0)
 
 
-def _elements(law: str) -> tuple[str, ...]:
-    return DISPLACEMENT if law in (*NOT_MIXED, *added_laws()) else (*DISPLACEMENT, *MIXED)
+def elements_of(law: str) -> tuple[str, ...]:
+    """The elements of FEniCSx that model a law."""
+    return (*DISPLACEMENT, *MIXED) if isinstance(laws(recovery.POISSON)[law], HasMixedDensity) else DISPLACEMENT
 
 
 def _recoveries(law: str) -> list[HardCase]:
     pose = partial(standing, law)
     cases = []
-    for element in _elements(law):
+    for element in elements_of(law):
         for name, (source, start) in STARTS.items():
-            error = partial(recovery.from_start, pose, start)
+            error = partial(recovery.start_error, pose, start)
             right = _allowed_outcomes(law, source, element in MIXED)
             cases.append(_case(f"{name}, {law}", source, recovery.CRITERION, error, 1e-6, element, right))
         for share in recovery.CRUSHED:
             name = f"crushed by {100 * share:g} % and released, {law}"
-            error = partial(recovery.from_crush, pose, share)
+            error = partial(recovery.crush_error, pose, share)
             right = _allowed_after_crush(law, share, element)
             cases.append(_case(name, "H7", recovery.CRITERION, error, 1e-6, element, right))
     return cases
@@ -175,7 +177,7 @@ def cases_of(law: str) -> list[HardCase]:
     cases = _recoveries(law)
     name, error = f"bar twisted by 180° at nu = .49, {law}", partial(twist_error, law)
     right = ANYTHING if law in LINEAR else PASSED
-    for element in _elements(law):
+    for element in elements_of(law):
         cases.append(_case(name, "H6", "volume within 2 %", error, 0.02, element, right))
     return cases
 

@@ -60,20 +60,20 @@ def scaled_start(x: float, y: float, z: float) -> Start:
     return lambda X: X * [x, y, z]
 
 
-def pulled_through(X: Floats) -> Floats:
+def pull_through(X: Floats) -> Floats:
     """The corner at (1, 1, 1) pulled along the diagonal, through the faces opposite of its tets."""
     start = X.copy()
     start[np.argmax(X.sum(axis=1))] -= 0.6
     return start
 
 
-def from_start(pose: Block, start: Start, attempt: Attempt) -> float:
+def start_error(pose: Block, start: Start, attempt: Attempt) -> float:
     """Error of a block let go from a start."""
     scene = pose()
     return away_from_rest(scene, attempt.solve(attempt.prepare(scene), start=start(scene.vertices)))
 
 
-def from_crush(pose: Block, share: float, attempt: Attempt) -> float:
+def crush_error(pose: Block, share: float, attempt: Attempt) -> float:
     """Error of a block whose top and base were pressed together by a share of its height, then let go."""
     scene = pose()
     X = scene.vertices
@@ -90,7 +90,7 @@ STARTS: dict[str, tuple[str, Start]] = {
     "flattened to a line": ("H2", scaled_start(1, 0, 0)),
     "flattened to a point": ("H2", scaled_start(0, 0, 0)),
     "mirrored": ("H3", scaled_start(1, 1, -1)),
-    "a vertex pulled through its face": ("H3", pulled_through),
+    "a vertex pulled through its face": ("H3", pull_through),
     **{f"random start, seed {seed}": ("H1", scattered_start(seed)) for seed in range(SEEDS)},
 }
 BLOCKS: dict[str, tuple[Block, tuple[str, ...]]] = {
@@ -104,11 +104,11 @@ def _cases() -> list[HardCase]:
     for label, (pose, solvers) in BLOCKS.items():
         for name, (source, start) in STARTS.items():
             cases.append(
-                HardCase(f"{name}, {label}", source, CRITERION, partial(from_start, pose, start), 1e-6, solvers)
+                HardCase(f"{name}, {label}", source, CRITERION, partial(start_error, pose, start), 1e-6, solvers)
             )
         for share in CRUSHED:
             name = f"crushed by {100 * share:g} % and released, {label}"
-            cases.append(HardCase(name, "H7", CRITERION, partial(from_crush, pose, share), 1e-6, solvers))
+            cases.append(HardCase(name, "H7", CRITERION, partial(crush_error, pose, share), 1e-6, solvers))
     return cases
 
 

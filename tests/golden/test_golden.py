@@ -19,7 +19,7 @@ import pytest
 from softdeca.lhm import expressions, fit_head, identities, load_template
 from softdeca.reference import Parameters, Scene, apply_law, settle, solve, terms
 from softdeca.reference.problems import meshes
-from softdeca.reference.problems.laws_on_elements import LAWS, _elements, _energies
+from softdeca.reference.problems.laws_on_elements import LAWS, elements_of, energies_of
 
 KEPT = Path(__file__).with_name("golden.json")
 SMILE = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.3, "jawOpen": 0.4}
@@ -103,12 +103,12 @@ def laws() -> Numbers:
     moved = X[held] + (held >= top.min())[:, None] * np.where(np.isin(held, top), 1.0, 0.0)[:, None] * [0.1, 0.05, 0.2]
     numbers: Numbers = {}
     for law in LAWS:
-        for element in _elements(law):
-            scene = Scene(X, tets, (*_energies(law), terms.Fixed(held, moved)))
+        for element in elements_of(law):
+            scene = Scene(X, tets, (*energies_of(law), terms.Fixed(held, moved)))
             answer = solve(scene, solver="fenicsx", element=element, tolerance=1e-11)
             assert answer.converged, (law, element, answer.reason)
             numbers[f"{law}, {element}, energy"] = answer.energy
-    scene = Scene(X, tets, (*_energies("NeoHookean"), terms.Fixed(held, moved)))
+    scene = Scene(X, tets, (*energies_of("NeoHookean"), terms.Fixed(held, moved)))
     numbers["NeoHookean, scikit-fem, energy"] = solve(scene, solver="skfem", tolerance=1e-11).energy
     return numbers
 

@@ -231,6 +231,11 @@ def differences(function, F, step=STEP):
     return np.stack(columns, axis=-1)
 
 
+def test_every_law_is_in_the_loop():
+    laws = {type(law) for law in MATERIALS.values()}
+    assert laws == set(materials.LAWS) - {materials.EnergyLaw, materials.Incompressible}
+
+
 @every_law
 def test_stress_and_tangent_are_the_derivatives(name, form):
     law, F = LAWS[name, form], samples(name, smooth=True)
