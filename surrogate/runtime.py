@@ -80,7 +80,7 @@ class Surrogate:
         exact: bool = False,
         head: LayeredHead | None = None,
         beyond: Beyond = "refuse",
-    ) -> BoundSurrogate | HypernetworkRig:
+    ) -> BoundRig:
         """Return a rig of one person and p: in milliseconds, or with `exact` in seconds.
 
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
@@ -108,7 +108,7 @@ class Surrogate:
         swing = None if known is None else Swing.from_shares(*known.at(code), chosen, skin)
         return self._bind(skin, code, at_vertices, shapes, swing)
 
-    def bind_face(self, face: Face, *, exact: bool = False) -> BoundSurrogate | HypernetworkRig:
+    def bind_face(self, face: Face, *, exact: bool = False) -> BoundRig:
         """Bind a face of a corpus; with `exact`, its own offset and responses."""
         skin = self.weights.mean.with_vertices(face.skin)
         shapes = np.asarray(face.shapes, dtype=np.float32)
@@ -125,7 +125,7 @@ class Surrogate:
 
     def _bind(
         self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
-    ) -> BoundSurrogate | HypernetworkRig:
+    ) -> BoundRig:
         if self.weights.kind == "hypernetwork":
             network, code = self.weights.network, self.inputs.code(code)
             return HypernetworkRig(network, self._transfer, code, at_vertices, skin, shapes, swing)
@@ -313,3 +313,7 @@ def _within_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], b
             raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
+
+
+BoundRig = BoundSurrogate | HypernetworkRig
+"""What weights of either kind are bound to."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from os import PathLike
 from typing import Any
@@ -106,7 +107,7 @@ def train_hypernetwork(
 class HypernetworkLesson:
     """Frames of a corpus as tensors, the loss of a batch of them, and the error on those of held-out people."""
 
-    slow = ("-",)  # none
+    slow: tuple[str, ...] = ("-",)  # none
 
     def __init__(self, faces: Faces, config: HypernetworkTraining):
         self.faces, self.config = faces, config
@@ -135,7 +136,7 @@ class HypernetworkLesson:
         self.stiffness = torch.from_numpy(self.transfer.stiffness / faces.mean.areas.sum()).float()
         self.frames = self._tensors(self.samples, followed)
         self.validation = self._tensors(FrameArrays.from_faces(faces, np.flatnonzero(is_held)), followed)
-        self.about = [f"{len(faces)} faces"]
+        self.about: Sequence[str] = [f"{len(faces)} faces"]
 
     def _start(self, followed: np.ndarray) -> dict[str, torch.Tensor]:
         config, samples, mean = self.config.network, self.samples, self.faces.mean

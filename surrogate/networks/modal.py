@@ -235,10 +235,9 @@ def bind_modal(
         local = features.local(values)
         summary, unmoved = features.summary(code, values), features.summary(code, features.unmoved(values))
         seen.append((local, hidden_features(network, local, code.astype(np.float32)), summary, unmoved))
-    (local, hidden, summary, unmoved), (_, at_rest, *summaries) = seen
-    offset: Floats32 = neutral(network, 0, at_rest, *summaries, effects) + neutral(
-        network, 1, hidden, summary, unmoved, effects
-    )
+    (local, hidden, summary, unmoved), (_, *at_rest) = seen
+    settled: Floats32 = neutral(network, 0, at_rest[0], at_rest[1], at_rest[2], effects)
+    offset = settled + neutral(network, 1, hidden, summary, unmoved, effects)
     return FaceModes(
         offset=offset,
         responses=responses(network, hidden, local, summary, shapes.astype(np.float32, copy=False)),

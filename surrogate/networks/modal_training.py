@@ -89,7 +89,12 @@ def train_modal(
 class ModalLesson:
     """A corpus' faces, the loss of some of them, and the errors on those of held-out people."""
 
-    slow = ("modes", "position", "effects")  # tables over the vertices, which start near where they end
+    slow: tuple[str, ...] = (
+        "modes",
+        "position",
+        "effects",
+    )
+    """Tables over the vertices, which start near where they end."""
 
     def __init__(
         self,
@@ -125,7 +130,7 @@ class ModalLesson:
             learns = start is None or name.startswith(EXPRESSIVE)
             value.requires_grad_(learns and not name.startswith("size_"))
         after = "" if start is None else f"begun after {start.note.steps} steps"
-        self.about = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
+        self.about: Sequence[str] = [f"{len(faces)} faces", f"{len(neutrals or ())} neutrals", after]
 
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
         """Return mean distances [mm] of neutral faces, responses, and frames after exact derivatives."""
