@@ -12,7 +12,7 @@ from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, ident
 from ..lhm.base.errors import FitError, InputError
 from ..lhm.base.files.atomic import write_whole
 from ..lhm.check import Figure
-from ..lhm.head_file import export_vtk, load_head, naming, read_parts, save_head
+from ..lhm.head_file import export_vtk, load_head, naming_damage, read_parts, save_head
 from ..lhm.identities import LinearSpace
 from ..lhm.registration import read_landmarks
 from ..lhm.regressor.depths import DepthRegressor
@@ -170,7 +170,7 @@ def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: boo
 @as_json_option
 def check(file: Path, as_json: bool) -> int:
     """Print every gate of the head in FILE with its figure; exit status 1 if it misses one."""
-    with naming(file, "a layered head"):
+    with naming_damage(file, "a layered head"):
         parts = read_parts(file)
         _warn(file, {} if parts.rig is None else parts.rig.doubtful)
         report = parts.report()
@@ -229,7 +229,7 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
     """
     from ..lhm.base.files import tet_file
     from ..lhm.base.geometry.tets import tet_quality
-    from ..lhm.head_file import of_head
+    from ..lhm.head_file import tets_from_head
     from ..lhm.remesh import remesh
 
     counts = _counts(layers)
@@ -238,7 +238,7 @@ def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) 
     meshed = load_head(file)
     if size is not None:
         meshed = remesh(meshed, size)
-    tagged = of_head(meshed, counts)
+    tagged = tets_from_head(meshed, counts)
     tet_file.write_tets(out, tagged)
     vertices, tets = tagged.mesh.vertices, tagged.mesh.tets
     report = {

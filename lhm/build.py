@@ -24,7 +24,7 @@ from .identities import Anny
 from .identities.space import EYES, MOUTH, OUTSIDE, LinearSpace
 from .regressor.prior import default_regressor
 from .template import DEFAULT_LEVEL, LEVELS, Template
-from .template_file import arrays_of, template_from
+from .template_file import template_from_arrays, template_to_arrays
 from .wraps import depth, inner
 from .wraps.columns import Columns, unit
 from .wraps.landmarks import Landmarks, Mask, distance_to, find_landmarks, find_regions, label_bones, limit_bones
@@ -73,10 +73,12 @@ def load_template(
         raise InputError(f"level {level}: expected one of {', '.join(map(str, LEVELS))}")
 
     def make():
-        return arrays_of(build_template(of.mean, **space_options(of), level=level, name=of.name, progress=progress))
+        return template_to_arrays(
+            build_template(of.mean, **space_options(of), level=level, name=of.name, progress=progress)
+        )
 
     name = f"template-{of.name}-{of.fingerprint()}-{level}-{FORMAT}"
-    template = load_or_make(name, make, template_from)
+    template = load_or_make(name, make, template_from_arrays)
     return replace(template, regressor=default_regressor(template, of), space=of)
 
 

@@ -56,17 +56,17 @@ def save_head(path: str | os.PathLike[str], head: LayeredHead) -> None:
         arrays |= {f"{name}_{part}": getattr(weights, part) for part in ("data", "indices", "indptr")}
     arrays |= {f"region_{name}": mask for name, mask in head.regions.items()}
     for name in _INSIDE:
-        arrays |= arrays_of_surface(name, getattr(head, name))
+        arrays |= surface_to_arrays(name, getattr(head, name))
     if head.volume is not None:
         arrays |= {"volume_vertices": head.vertices[3 * len(head.bone) :]}
         arrays |= {"volume_soft": head.soft.tets, "volume_muscle": head.muscle.tets}
-    arrays |= _arrays_of_rig(head.rig)
-    arrays |= arrays_of_surface("registered", head.registered)
+    arrays |= _rig_to_arrays(head.rig)
+    arrays |= surface_to_arrays("registered", head.registered)
     write_arrays(path, arrays | {"notes": np.array(json.dumps(head.notes))})
 
 
-def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
-    """A rig as arrays: displacements of the vertices that it moves."""
+def _rig_to_arrays(rig: Rig | None) -> dict[str, np.ndarray]:
+    """Return a rig as arrays: displacements of the vertices that it moves."""
     if rig is None:
         return {}
     moved = np.flatnonzero(rig.deltas.any(axis=(0, 2)))
@@ -76,22 +76,22 @@ def _arrays_of_rig(rig: Rig | None) -> dict[str, np.ndarray]:
     return arrays | {"rig_about": np.array(json.dumps(about))}
 
 
-def arrays_of_surface(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
-    """A surface as two named arrays; none for None."""
+def surface_to_arrays(name: str, surface: Surface | None) -> dict[str, np.ndarray]:
+    """Return a surface as two named arrays; none for None."""
     if surface is None:
         return {}
     return {f"{name}_vertices": surface.vertices, f"{name}_triangles": surface.triangles}
 
 
-def surface_in(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
-    """The surface of that name, or None where there is none; KeyError for half of one, InputError for a bad one."""
+def read_surface_arrays(arrays: Mapping[str, np.ndarray], name: str) -> Surface | None:
+    """Return the surface of that name, or None; KeyError for half of one, InputError for a bad one."""
     if f"{name}_vertices" not in arrays:
         return None
-    return surface_of(name, arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
+    return surface_from_arrays(name, arrays[f"{name}_vertices"], arrays[f"{name}_triangles"])
 
 
-def surface_of(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surface:
-    """The surface of two arrays; InputError names what is wrong with them."""
+def surface_from_arrays(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surface:
+    """Return the surface of two arrays; InputError names what is wrong with them."""
     points = checks.real(f"{name} vertices", vertices, (None, 3), most=LARGEST)
     VERTICES.check(name, len(points))
     TRIANGLES.check(name, len(triangles) if np.ndim(triangles) else 0)
@@ -101,8 +101,8 @@ def surface_of(name: str, vertices: np.ndarray, triangles: np.ndarray) -> Surfac
         raise InputError(f"{name} {error}") from None
 
 
-def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """The arrays named region_*, masks (count,), by the rest of their names; InputError for others."""
+def read_masks(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """Return the arrays named region_*, masks (count,), by the rest of their names; InputError for others."""
     names = [name for name in arrays if name.startswith("region_")]
     REGIONS.check("it has", len(names))
     masks = {name.removeprefix("region_"): checks.mask(name, arrays[name], (count,)) for name in names}
@@ -111,8 +111,8 @@ def masks_in(arrays: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarr
     return masks
 
 
-def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
-    """The sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
+def read_weights(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: int) -> csr_matrix:
+    """Return the sparse weights of that name, (rows, columns), each row of sum one; InputError for others."""
     data, indices, indptr = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
     weights = checks.sparse_rows(name, data, indices, indptr, rows, columns)
     checks.in_range(f"{name}_data", weights.data, -1.0, 2.0)
@@ -123,12 +123,12 @@ def weights_in(arrays: Mapping[str, np.ndarray], name: str, rows: int, columns: 
     return weights
 
 
-def ties_in(
+def read_ties(
     arrays: Mapping[str, np.ndarray], skin: Surface, wrap: Surface, extent: float
 ) -> tuple[csr_matrix, csr_matrix]:
-    """`wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
+    """Return `wrap_from_skin` and `skin_from_wrap`; InputError where they are damaged or those of another head."""
     n, skin_n = len(wrap.vertices), len(skin.vertices)
-    ties = weights_in(arrays, "wrap_from_skin", n, skin_n), weights_in(arrays, "skin_from_wrap", skin_n, n)
+    ties = read_weights(arrays, "wrap_from_skin", n, skin_n), read_weights(arrays, "skin_from_wrap", skin_n, n)
     for name, weights, there, here in zip(_WEIGHTS, ties, (skin, wrap), (wrap, skin), strict=True):
         off = float(np.linalg.norm(weights @ there.vertices - here.vertices, axis=1).mean())
         if off > TIED * extent:
@@ -157,7 +157,7 @@ class HeadParts:
     notes: tuple[str, ...]
 
     def head(self) -> LayeredHead:
-        """The head; MeshError where tets are inverted."""
+        """Return the head; MeshError where tets are inverted."""
         ties = (self.wrap_from_skin, self.skin_from_wrap)
         volume = None
         if self.volume is not None:
@@ -180,7 +180,7 @@ class HeadParts:
         )
 
     def report(self) -> HeadReport:
-        """The gates, also where wraps cross and tets are inverted, so that no head can be made."""
+        """Measure the gates, also where wraps cross and tets are inverted, so that no head can be made."""
         rigged = None if self.rig is None else (self.rig, self.skin_from_wrap)
         return check_layers(self.skin, self.wraps, self.bone, self.regions, rigged=rigged)
 
@@ -188,28 +188,28 @@ class HeadParts:
 @check_arguments
 def load_head(path: str | os.PathLike[str]) -> LayeredHead:
     """Read a head; InputError names a file that is missing, damaged or something else."""
-    with naming(path, "a layered head"):
+    with naming_damage(path, "a layered head"):
         return _parts(path).head()
 
 
-def check_file(path: str | os.PathLike[str]) -> HeadReport:
-    """The gates of the head in a file, also where its wraps cross and tets are inverted, so that no head can be made.
+def check_head_file(path: str | os.PathLike[str]) -> HeadReport:
+    """Measure the gates of the head in a file, also where its wraps cross and tets are inverted.
 
     InputError names a file that is missing, damaged or something else.
     """
-    with naming(path, "a layered head"):
+    with naming_damage(path, "a layered head"):
         return _parts(path).report()
 
 
 def read_parts(path: str | os.PathLike[str]) -> HeadParts:
     """Read the parts of a head, which may make no head; InputError names a file that is missing or damaged."""
-    with naming(path, "a layered head"):
+    with naming_damage(path, "a layered head"):
         return _parts(path)
 
 
 @contextmanager
-def naming(path: str | os.PathLike[str], of: str) -> Iterator[None]:
-    """Have every error name the file, once, in an InputError; `of` is what the file should be."""
+def naming_damage(path: str | os.PathLike[str], of: str) -> Iterator[None]:
+    """Make every error an InputError that names the file, once; `of` is what the file should be."""
     try:
         yield
     except KeyError as error:
@@ -223,8 +223,10 @@ def _parts(path: str | os.PathLike[str]) -> HeadParts:
     arrays = read_arrays(path, of="a layered head")
     if arrays.get("format", np.array("")).tolist() != FORMAT:
         raise InputError(f"{path}: not a layered head of this version (expected {FORMAT!r})")
-    skin = surface_of("skin", arrays["skin_vertices"], arrays["skin_triangles"])
-    skin_wrap, muscle_wrap, skull_wrap = (surface_of(name, arrays[name], arrays["triangles"]) for name in _WRAPS)
+    skin = surface_from_arrays("skin", arrays["skin_vertices"], arrays["skin_triangles"])
+    skin_wrap, muscle_wrap, skull_wrap = (
+        surface_from_arrays(name, arrays[name], arrays["triangles"]) for name in _WRAPS
+    )
     wraps = (skin_wrap, muscle_wrap, skull_wrap)
     n, skin_n = len(skin_wrap.vertices), len(skin.vertices)
     for name, wrap in zip(_WRAPS, wraps, strict=True):
@@ -232,23 +234,23 @@ def _parts(path: str | os.PathLike[str]) -> HeadParts:
     if not len(skin_wrap.triangles):
         raise InputError("triangles: there are none")
     surfaces = {"skin": skin, **dict(zip(_WRAPS, wraps, strict=True))}
-    more = {name: surface_in(arrays, name) for name in (*_INSIDE, "registered")}
+    more = {name: read_surface_arrays(arrays, name) for name in (*_INSIDE, "registered")}
     extent = check_extent(surfaces | {name: surface for name, surface in more.items() if surface is not None})
     return HeadParts(
         skin,
         wraps,
         checks.integers("bone", arrays["bone"], 0, 2, (n,)),
-        masks_in(arrays, n),
-        *ties_in(arrays, skin, skin_wrap, extent),
-        volume=_volume_in(arrays, skin_wrap, extent),
-        rig=_rig_in(arrays, skin_n, extent),
-        notes=notes_in(arrays),
+        read_masks(arrays, n),
+        *read_ties(arrays, skin, skin_wrap, extent),
+        volume=_read_volume(arrays, skin_wrap, extent),
+        rig=_read_rig(arrays, skin_n, extent),
+        notes=read_notes(arrays),
         **more,
     )
 
 
 def check_extent(surfaces: Mapping[str, Surface]) -> float:
-    """The largest extent [mm] of the skin wrap; InputError unless it is a head's and all surfaces are near it.
+    """Return the skin wrap's largest extent [mm]; InputError unless it is a head's and all surfaces are near it.
 
     A head in another unit is refused here, in a line that names the unit: measures of it take no end.
     """
@@ -270,7 +272,7 @@ def check_extent(surfaces: Mapping[str, Surface]) -> float:
     return extent
 
 
-def _volume_in(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -> tuple[Floats, Ints, Ints] | None:
+def _read_volume(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -> tuple[Floats, Ints, Ints] | None:
     if "volume_vertices" not in arrays:
         return None
     inner = checks.finite("volume_vertices", arrays["volume_vertices"], (None, 3))
@@ -286,7 +288,7 @@ def _volume_in(arrays: Mapping[str, np.ndarray], wrap: Surface, extent: float) -
     return inner, soft, muscle
 
 
-def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:
+def _read_rig(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig | None:
     if "rig_deltas" not in arrays:
         return None
     count = checks.integers("rig_vertices", arrays["rig_vertices"], 0, VERTICES.most, ())
@@ -312,8 +314,8 @@ def _rig_in(arrays: Mapping[str, np.ndarray], skin_n: int, extent: float) -> Rig
     return Rig(deltas, escape(source), missing, doubtful)
 
 
-def notes_in(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Notes of a file, control characters escaped; InputError for what is no list of texts."""
+def read_notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Return the notes of a file, control characters escaped; InputError for what is no list of texts."""
     if "notes" not in arrays:
         return ()
     notes = checks.texts("notes", parse_json(checks.text("notes", arrays["notes"])))
@@ -351,8 +353,8 @@ NAMES = {"soft_tissue": (SOFT, 3), "muscle": (MUSCLE, 3), "skin": (11, 2), "musc
 """Name, and tag and dimension, of what a head's file holds."""
 
 
-def of_head(head: LayeredHead, layers: tuple[int, int] = (1, 1)) -> TaggedTets:
-    """A head's tets, with so many layers of soft tissue and of muscle or its own volume mesh, and its three wraps.
+def tets_from_head(head: LayeredHead, layers: tuple[int, int] = (1, 1)) -> TaggedTets:
+    """Return a head's tets, in so many layers of soft tissue and muscle or its own volume mesh, and its three wraps.
 
     Raises MeshError for layers of a head whose tets are a volume mesh, InputError for counts below one.
     """

@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from .base.errors import MeshError
-from .base.geometry.topology import connected_parts
+from .base.geometry.topology import connected_parts, directed_edges
 from .base.mesh import Ints, Surface
 
 LEAST_EXTENT, GREATEST_EXTENT = 100.0, 600.0
@@ -26,7 +26,7 @@ def check_skin(surface: Surface, *, openings: int = 0) -> None:
     extent [mm] is where the unit seems wrong.
     """
     triangles = surface.triangles
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges = directed_edges(triangles)
     unique, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
     if (count > 2).any():
         first = unique[count > 2][0]

@@ -12,7 +12,16 @@ from .base.checks import check_arguments
 from .base.errors import InputError
 from .base.files.npz import read_arrays, write_arrays
 from .base.mesh import Surface
-from .head_file import LARGEST, arrays_of_surface, check_extent, masks_in, naming, surface_in, surface_of, ties_in
+from .head_file import (
+    LARGEST,
+    check_extent,
+    naming_damage,
+    read_masks,
+    read_surface_arrays,
+    read_ties,
+    surface_from_arrays,
+    surface_to_arrays,
+)
 from .identities.space import CAP, OUTSIDE
 from .template import Template
 
@@ -23,8 +32,8 @@ _ARRAYS = ("parts", "triangles", "stack", "room", "bone")
 _SURFACES = ("muscles", "skull")
 
 
-def arrays_of(template: Template) -> dict[str, np.ndarray]:
-    """All that a template holds, as named arrays."""
+def template_to_arrays(template: Template) -> dict[str, np.ndarray]:
+    """Return all that a template holds, as named arrays."""
     arrays = {name: getattr(template, name) for name in _ARRAYS}
     arrays |= {"name": np.array(template.name)}
     arrays |= {"skin_vertices": template.skin.vertices, "skin_triangles": template.skin.triangles}
@@ -34,23 +43,23 @@ def arrays_of(template: Template) -> dict[str, np.ndarray]:
         arrays |= {f"{name}_shape": np.array(weights.shape)}
     arrays |= {f"region_{name}": mask for name, mask in template.regions.items()}
     for name in _SURFACES:
-        arrays |= arrays_of_surface(name, getattr(template, name))
+        arrays |= surface_to_arrays(name, getattr(template, name))
     if template.skull_bone is not None:
         arrays["skull_bone"] = template.skull_bone
     return arrays
 
 
-def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
-    """The template of such arrays; KeyError for one that is missing, InputError for one that is damaged."""
-    skin = surface_of("skin", arrays["skin_vertices"], arrays["skin_triangles"])
+def template_from_arrays(arrays: Mapping[str, np.ndarray]) -> Template:
+    """Return the template of such arrays; KeyError for one that is missing, InputError for one that is damaged."""
+    skin = surface_from_arrays("skin", arrays["skin_vertices"], arrays["skin_triangles"])
     stack = checks.finite("stack", arrays["stack"], (None, 3), most=LARGEST)
     n, skin_n = len(stack) // 3, len(skin.vertices)
     if len(stack) != 3 * n or not n:
         raise InputError(f"stack: expected three wraps of as many vertices, got {len(stack)} in all")
-    skin_wrap = surface_of("skin_wrap", stack[:n], arrays["triangles"])
+    skin_wrap = surface_from_arrays("skin_wrap", stack[:n], arrays["triangles"])
     if not len(skin_wrap.triangles):
         raise InputError("triangles: there are none")
-    muscles, skull = (surface_in(arrays, name) for name in _SURFACES)
+    muscles, skull = (read_surface_arrays(arrays, name) for name in _SURFACES)
     near = {"skin_wrap": skin_wrap, "stack": Surface(stack, skin_wrap.triangles), "skin": skin}
     near |= {name: surface for name, surface in (("muscles", muscles), ("skull", skull)) if surface is not None}
     extent = check_extent(near)
@@ -59,13 +68,13 @@ def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
         if skull is None:
             raise InputError("skull_bone: there is no skull")
         skull_bone = checks.integers("skull_bone", skull_bone, 0, 2, (len(skull.vertices),))
-    wrap_from_skin, skin_from_wrap = ties_in(arrays, skin, skin_wrap, extent)
+    wrap_from_skin, skin_from_wrap = read_ties(arrays, skin, skin_wrap, extent)
     return Template(
         name=checks.text("name", arrays["name"]),
         skin=skin,
         wrap_from_skin=wrap_from_skin,
         skin_from_wrap=skin_from_wrap,
-        regions=masks_in(arrays, n),
+        regions=read_masks(arrays, n),
         muscles=muscles,
         skull=skull,
         skull_bone=skull_bone,
@@ -79,14 +88,14 @@ def template_from(arrays: Mapping[str, np.ndarray]) -> Template:
 
 def save_template(path: str | os.PathLike[str], template: Template) -> None:
     """Write a template to a .npz file, whole or not at all; its regressor is not part of it."""
-    write_arrays(path, arrays_of(template) | {"format": np.array(FORMAT)})
+    write_arrays(path, template_to_arrays(template) | {"format": np.array(FORMAT)})
 
 
 @check_arguments
 def read_template(path: str | os.PathLike[str]) -> Template:
     """Read a template; InputError names a file that is missing, damaged or something else."""
-    with naming(path, "a template"):
+    with naming_damage(path, "a template"):
         arrays = read_arrays(path, of="a template")
         if arrays.get("format", np.array("")).tolist() != FORMAT:
             raise InputError(f"{path}: not a template of this version (expected {FORMAT!r})")
-        return template_from(arrays)
+        return template_from_arrays(arrays)

@@ -15,9 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..lhm.base.mesh import Floats
-from ..lhm.head import LayeredHead
 from ..reference import Parameters
-from ..reference.face.settle import carry_skin
 from .corpus.mixture import STATIC
 
 MOVES = 0.05
@@ -67,15 +65,6 @@ def measure(error: Floats, motion: Floats) -> Ruler:
     return Ruler(mean, float(np.percentile(left, 95.0)), float(left.max()), moved, mean / moved, int(moves.sum()))
 
 
-def measure_skin(skin: Floats, truth: Floats, blended: Floats, head: LayeredHead, parameters: Parameters) -> Ruler:
-    """Measure a skin against the simulated one, `truth`; all [mm], shape (..., skin vertices, 3).
-
-    blended: the same expressions by blendshapes, S, of the head without p.
-    """
-    carried = blended + carry_skin(head, parameters)
-    return measure(np.linalg.norm(skin - truth, axis=-1), np.linalg.norm(truth - carried, axis=-1))
-
-
 def kind_of(names: Iterable[str]) -> str:
     """Name the kind, of KINDS, of a face by the static parameters that differ from their default."""
     differing = set(names)
@@ -83,13 +72,6 @@ def kind_of(names: Iterable[str]) -> str:
     if not effects:
         return MATERIALS if differing else DEFAULT
     return effects[0] if len(effects) == 1 else SEVERAL
-
-
-def kind_of_parameters(parameters: Parameters) -> str:
-    """Name the kind, of KINDS, of a face under `parameters`."""
-    return kind_of(
-        name for name in STATIC if np.any(np.asarray(getattr(parameters, name)) != Parameters.info(name).default)
-    )
 
 
 def kind_of_coefficients(coefficients: Floats) -> str:

@@ -1,11 +1,13 @@
-"""Checks of values and arguments. Each names the value, where it is wrong, and what is allowed.
+"""Checks of values and arguments: each names the value, what is wrong with it, and what is allowed.
 
-All raise InputError, of one line. They return the value in the type that the program uses, so that a loader reads
+All raise `error`, by default InputError, with one line. They return the value in the type that the program uses:
 
     vertices = finite("vertices", arrays["vertices"], (None, 3))
     triangles = indices_below("triangles", arrays["triangles"], len(vertices), (None, 3))
+    solver = one_of("solver", solver, SOLVERS, error=SceneError)
+    step = number("time_step", step, above=0, most=1, unit="s")
 
-`checked` refuses arguments of other kinds than a function's annotations.
+`check_arguments` decorates a function: it refuses arguments of other kinds than the annotations say.
 """
 
 from __future__ import annotations
@@ -13,18 +15,19 @@ from __future__ import annotations
 import collections.abc
 import functools
 import inspect
+import math
 import numbers
 import os
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
-from .errors import InputError, quote
+from .errors import InputError, SoftdecaError, quote
 
 if TYPE_CHECKING:
     # The folder of compiled code (`files.cache`) has to be known before `mesh` compiles, and `files` imports this.
@@ -32,72 +35,118 @@ if TYPE_CHECKING:
 
 Shape = tuple[int | None, ...]
 """Lengths of an array's axes; None for any."""
+Error = type[SoftdecaError]
 
 
-def array_of_kind(name: str, values: Any, kinds: str, words: str) -> np.ndarray:
+def one_of(name: str, value: Any, choices: Collection[Any], *, error: Error = InputError) -> Any:
+    """Return a value that is one of the choices; the error lists them in their order."""
+    try:
+        good = value in choices
+    except (TypeError, ValueError):  # what cannot be hashed, or an array
+        good = False
+    if not good:
+        shown = repr(value) if isinstance(value, str) and len(value) < 40 and value.isprintable() else quote(value)
+        raise error(f"{name} {shown}: expected one of {', '.join(map(str, choices))}")
+    return value
+
+
+def number(
+    name: str,
+    value: Any,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    unit: str = "",
+    error: Error = InputError,
+) -> float:
+    """Return one finite number as float that lies above `above`, or at or above `least`, and at or below `most`."""
+    good = _is_number(value) and math.isfinite(value)
+    good = good and (above is None or value > above) and (least is None or value >= least)
+    if not good or (most is not None and value > most):
+        bounds = [f"{words} {bound:g}" for words, bound in (("above", above), ("at least", least)) if bound is not None]
+        bounds += [f"at most {most:g}"] if most is not None else []
+        raise error(
+            " ".join(f"{name}: expected a number {' and '.join(bounds)} {unit}".split()) + f", got {quote(value)}"
+        )
+    return float(value)
+
+
+def array_of_kind(name: str, values: Any, kinds: str, words: str, *, error: Error = InputError) -> np.ndarray:
     """Return an array whose dtype is of these `kinds` (as "iu"); `words` say what was expected."""
     try:
         array = np.asarray(values)
     except (ValueError, TypeError, OverflowError):
-        raise InputError(f"{name}: expected {words}, got rows of several lengths") from None
+        raise error(f"{name}: expected {words}, got rows of several lengths") from None
     if array.dtype.kind not in kinds:
-        raise InputError(f"{name}: expected {words}, got {array.dtype}")
+        raise error(f"{name}: expected {words}, got {array.dtype}")
     return array
 
 
-def shape(name: str, values: Any, expected: Shape) -> None:
+def shape(name: str, values: Any, expected: Shape, *, error: Error = InputError) -> None:
     """Check the lengths of an array's axes; None stands for any length."""
     got = np.shape(values)
     if len(got) != len(expected) or any(e is not None and e != g for e, g in zip(expected, got, strict=True)):
         words = ", ".join("n" if each is None else str(each) for each in expected)
-        raise InputError(f"{name}: expected shape ({words}{',' if len(expected) == 1 else ''}), got {got}")
+        raise error(f"{name}: expected shape ({words}{',' if len(expected) == 1 else ''}), got {got}")
 
 
-def real(name: str, values: Any, expected: Shape | None = None, *, most: float | None = None) -> np.ndarray:
-    """Return real numbers as they are stored, of a shape, none NaN or infinite, and none larger than `most` in size."""
-    array = array_of_kind(name, values, "fiu", "real numbers")
+def real(
+    name: str, values: Any, expected: Shape | None = None, *, most: float | None = None, error: Error = InputError
+) -> np.ndarray:
+    """Return real numbers as they are stored, of a shape, none NaN or infinite, none larger than `most` in size."""
+    array = array_of_kind(name, values, "fiu", "real numbers", error=error)
     if expected is not None:
-        shape(name, array, expected)
+        shape(name, array, expected, error=error)
     # NaN and infinity spread to the extremes, which are found without a copy.
     low, high = (float(array.min()), float(array.max())) if array.size else (0.0, 0.0)
     if not (np.isfinite(low) and np.isfinite(high)):
         flat = np.flatnonzero(~np.isfinite(array))
-        raise InputError(f"{name}: {len(flat)} values are not finite, the first at {_place(flat[0], array)}")
+        raise error(f"{name}: {len(flat)} values are not finite, the first at {_place(flat[0], array)}")
     if most is not None and max(-low, high) > most:
-        raise InputError(f"{name}: {max(-low, high):.3g} is too large; expected at most {most:g} in size")
+        raise error(f"{name}: {max(-low, high):.3g} is too large; expected at most {most:g} in size")
     return array
 
 
-def finite(name: str, values: Any, expected: Shape | None = None, *, most: float | None = None) -> Floats:
+def finite(
+    name: str, values: Any, expected: Shape | None = None, *, most: float | None = None, error: Error = InputError
+) -> Floats:
     """Return real numbers as float64, checked as by `real`."""
-    return np.asarray(real(name, values, expected, most=most), dtype=np.float64)
+    return np.asarray(real(name, values, expected, most=most, error=error), dtype=np.float64)
 
 
-def in_range(name: str, values: Any, least: float, most: float, expected: Shape | None = None) -> Floats:
+def in_range(
+    name: str, values: Any, least: float, most: float, expected: Shape | None = None, *, error: Error = InputError
+) -> Floats:
     """Return finite numbers as float64 that all lie within least..most."""
-    array = finite(name, values, expected)
-    if array.size and (array.min() < least or array.max() > most):
-        outside = np.flatnonzero((array < least) | (array > most))
-        first = array.ravel()[outside[0]]
-        raise InputError(f"{name}: {first:.6g} at {_place(outside[0], array)}; expected {least:g}..{most:g}")
+    array = finite(name, values, expected, error=error)
+    _check_extremes(name, array, least, most, "{:.6g}", error)
     return array
 
 
-def integers(name: str, values: Any, least: int, most: int, expected: Shape | None = None) -> Ints:
+def integers(
+    name: str, values: Any, least: int, most: int, expected: Shape | None = None, *, error: Error = InputError
+) -> Ints:
     """Return integers as int64 that all lie within least..most."""
-    array = array_of_kind(name, values, "iu", "integers")
+    array = array_of_kind(name, values, "iu", "integers", error=error)
     if expected is not None:
-        shape(name, array, expected)
-    if array.size and (int(array.min()) < least or int(array.max()) > most):
-        outside = np.flatnonzero((array < least) | (array > most))
-        first = array.ravel()[outside[0]]
-        raise InputError(f"{name}: {first} at {_place(outside[0], array)}; expected {least}..{most}")
+        shape(name, array, expected, error=error)
+    _check_extremes(name, array, least, most, "{}", error)
     return array.astype(np.int64, copy=False)
 
 
-def indices_below(name: str, values: Any, count: int, expected: Shape | None = None) -> Ints:
+def _check_extremes(name: str, array: np.ndarray, least: float, most: float, form: str, error: Error) -> None:
+    if array.size and (array.min().item() < least or array.max().item() > most):
+        outside = np.flatnonzero((array < least) | (array > most))[0]
+        bounds = f"{least:g}..{most:g}" if isinstance(least, float) or isinstance(most, float) else f"{least}..{most}"
+        raise error(f"{name}: {form.format(array.ravel()[outside])} at {_place(outside, array)}; expected {bounds}")
+
+
+def indices_below(
+    name: str, values: Any, count: int, expected: Shape | None = None, *, error: Error = InputError
+) -> Ints:
     """Return integers as int64 that all lie within 0..count - 1."""
-    return integers(name, values, 0, count - 1, expected)
+    return integers(name, values, 0, count - 1, expected, error=error)
 
 
 def mask(name: str, values: Any, expected: Shape) -> np.ndarray:
@@ -139,7 +188,7 @@ def sparse_rows(name: str, data: Any, indices: Any, indptr: Any, rows: int, colu
 
 
 def _place(flat: int, array: np.ndarray) -> str:
-    """The index of an entry, "3" or "(3, 1)"."""
+    """Return the index of an entry, "3" or "(3, 1)"."""
     place = tuple(int(each) for each in np.unravel_index(int(flat), array.shape))
     return str(place[0]) if len(place) == 1 else str(place)
 
@@ -147,52 +196,62 @@ def _place(flat: int, array: np.ndarray) -> str:
 Checked = TypeVar("Checked", bound=Callable[..., Any])
 
 
-def check_arguments(border: Checked) -> Checked:
-    """The function, or the class when one is made, that refuses arguments of other kinds than its annotations'.
+def check_arguments(target: Checked) -> Checked:
+    """Make a function, or a class when one is made, refuse arguments of other kinds than its annotations'.
 
     InputError then names function and argument, what was expected and what came. A text is no list, and an array
     is one of numbers. Shapes, ranges and NaN are the function's to check.
     """
-    if isinstance(border, type):
-        border.__init__ = _checking(border.__init__, border.__name__)  # type: ignore[misc]
-        return border
-    return _checking(border, border.__qualname__)  # type: ignore[return-value]
+    if isinstance(target, type):
+        target.__init__ = _with_checks(target.__init__, target.__name__)  # type: ignore[misc]
+        return target
+    return _with_checks(target, target.__qualname__)  # type: ignore[return-value]
 
 
-def _checking(function: Callable[..., Any], name: str) -> Callable[..., Any]:
+def _with_checks(function: Callable[..., Any], name: str) -> Callable[..., Any]:
     signature = inspect.signature(function)
 
     @functools.cache
     def kinds() -> dict[str, Any]:
         hints = typing.get_type_hints(function)  # when first called: annotations may name what is imported later
-        named = (p.name for p in signature.parameters.values() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL))
-        return {argument: hints[argument] for argument in named if argument in hints}
+        variadic = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+        return {
+            p.name: hints[p.name] for p in signature.parameters.values() if p.kind not in variadic and p.name in hints
+        }
 
     @functools.wraps(function)
-    def border(*arguments, **named):
+    def check_and_call(*arguments, **named):
         try:
             given = signature.bind(*arguments, **named).arguments
         except TypeError:
             return function(*arguments, **named)  # whose own words for it are better
         for argument, kind in kinds().items():
             if argument in given and not is_of_kind(given[argument], kind):
-                raise InputError(f"{name}: {argument}: expected {_words(kind)}, got {_shown(given[argument])}")
+                raise InputError(
+                    f"{name}: {argument}: expected {_kind_in_words(kind)}, got {_quote_kind(given[argument])}"
+                )
         return function(*arguments, **named)
 
-    return border
+    return check_and_call
+
+
+LISTS = (list, collections.abc.Sequence, collections.abc.Collection, collections.abc.Iterable)
 
 
 def is_of_kind(value: object, kind: Any) -> bool:
-    """Whether a value is of an annotation's kind."""
+    """Return whether a value is of an annotation's kind."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if kind is Any or isinstance(kind, TypeVar) or getattr(kind, "_is_protocol", False):
         return True
-    if kind == ArrayLike or kind is np.ndarray or origin is np.ndarray:
-        return _is_array(value)
+    if _is_array_kind(kind):
+        try:
+            return np.asarray(value).dtype.kind in "biuf"
+        except (TypeError, ValueError):  # rows of several lengths, or what refuses to be an array
+            return False
     if origin in (typing.Union, types.UnionType):
-        return any(is_of_kind(value, one) for one in inner)
+        return any(is_of_kind(value, option) for option in inner)
     if origin is typing.Literal:
-        return any(type(value) is type(one) for one in inner)
+        return any(type(value) is type(option) for option in inner)
     if kind is float:
         return _is_number(value)
     if kind is int:
@@ -202,18 +261,15 @@ def is_of_kind(value: object, kind: Any) -> bool:
     if origin is collections.abc.Callable:
         return callable(value)
     if origin is tuple or origin in LISTS:
-        return _is_list(value, origin) and all(is_of_kind(one, inner[0]) for one in value)  # type: ignore[attr-defined]
+        # Lists and arrays do for tuples; a text or a dict is no list of anything.
+        is_list = isinstance(value, (list, tuple, np.ndarray)) or (origin is not tuple and isinstance(value, origin))
+        is_list = is_list and not isinstance(value, (str, bytes, collections.abc.Mapping))
+        return is_list and all(is_of_kind(entry, inner[0]) for entry in value)  # type: ignore[attr-defined]
     return isinstance(value, origin or kind)
 
 
-LISTS = (list, collections.abc.Sequence, collections.abc.Collection, collections.abc.Iterable)
-
-
-def _is_list(value: object, origin: Any) -> bool:
-    """Lists and arrays do for tuples; a text or a dict is no list of anything."""
-    if isinstance(value, (str, bytes, collections.abc.Mapping)):
-        return False
-    return isinstance(value, (list, tuple, np.ndarray)) or (origin is not tuple and isinstance(value, origin))
+def _is_array_kind(kind: Any) -> bool:
+    return kind == ArrayLike or kind is np.ndarray or typing.get_origin(kind) is np.ndarray
 
 
 def _is_number(value: object) -> bool:
@@ -222,41 +278,28 @@ def _is_number(value: object) -> bool:
     return isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
 
 
-def _is_array(value: object) -> bool:
-    try:
-        return np.asarray(value).dtype.kind in "biuf"
-    except (TypeError, ValueError):  # rows of several lengths, or what refuses to be an array
-        return False
+WORDS: dict[Any, str] = {float: "a number", int: "an integer", bool: "True or False", str: "a text", type(None): "None"}
+WORDS |= {os.PathLike: "a path", collections.abc.Mapping: "a dict", collections.abc.Callable: "a function"}
 
 
-def _words(kind: Any) -> str:
+def _kind_in_words(kind: Any) -> str:
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
-    if kind == ArrayLike or kind is np.ndarray or origin is np.ndarray:
+    if _is_array_kind(kind):
         return "an array of numbers"
     if origin in (typing.Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_words(one) for one in inner))
+        return " or ".join(dict.fromkeys(_kind_in_words(option) for option in inner))
     if origin is typing.Literal:
-        return " or ".join(repr(one) for one in inner)
+        return " or ".join(repr(option) for option in inner)
     if origin is tuple or origin in LISTS:
-        return f"a list, each {_words(inner[0])}"
-    simple: dict[Any, str] = {
-        float: "a number",
-        int: "an integer",
-        bool: "True or False",
-        str: "a text",
-        type(None): "None",
-    }
-    simple |= {os.PathLike: "a path", collections.abc.Mapping: "a dict", collections.abc.Callable: "a function"}
-    return simple.get(origin or kind) or _article((origin or kind).__name__)
+        return f"a list, each {_kind_in_words(inner[0])}"
+    return WORDS.get(origin or kind) or _with_article((origin or kind).__name__)
 
 
-def _shown(value: object) -> str:
-    if value is None:
-        return "None"
-    if isinstance(value, (str, numbers.Number)):
+def _quote_kind(value: object) -> str:
+    if value is None or isinstance(value, (str, numbers.Number)):
         return f"{value!r:.40}"
-    return _article(type(value).__name__)
+    return _with_article(type(value).__name__)
 
 
-def _article(word: str) -> str:
+def _with_article(word: str) -> str:
     return f"{'an' if word[0] in 'AEIOUaeiou' else 'a'} {word}"

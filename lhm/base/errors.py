@@ -7,19 +7,17 @@ from typing import Any
 
 
 def escape(text: str) -> str:
-    """Escape what is no printable character, so that a text from a file cannot steer the terminal."""
-    return text if text.isprintable() else "".join(c if c.isprintable() else _escaped(c) for c in text)
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape").decode("ascii")
+    """Escape characters that cannot be printed, so that a text from a file cannot steer the terminal."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 class SoftdecaError(ValueError):
     """Base of every error that softdeca raises on purpose; it is one line, whatever it quotes."""
 
     def __str__(self) -> str:
-        """The message: line ends and runs of spaces made one space, other control characters escaped."""
+        """Return the message in one line: spaces and line ends become one space, control characters are escaped."""
         return escape(" ".join(super().__str__().split()))
 
 
@@ -46,13 +44,8 @@ class MissingDependencyError(SoftdecaError):
 def quote(value: Any, longest: int = 40) -> str:
     """Quote a value in an error: one line of printable characters, at most `longest` of them and three dots."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):
-        # Python refuses to print an integer of more than 4,300 digits.
-        return (
-            f"{int(value):,}"
-            if abs(int(value)) < 10**18
-            else "more than 10^18"
-            if int(value) > 0
-            else "less than -10^18"
-        )
+        if abs(int(value)) < 10**18:  # Python refuses to print more than 4,300 digits
+            return f"{int(value):,}"
+        return "more than 10^18" if int(value) > 0 else "less than -10^18"
     text = escape(value if isinstance(value, str) else repr(value))
     return text if len(text) <= longest else text[:longest] + "..."

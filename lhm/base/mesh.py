@@ -62,7 +62,7 @@ FLAT = 1e-15
 
 @njit(cache=True)
 def tet_volumes(vertices: Floats, tets: Ints) -> Floats:
-    """Signed volumes [mm³], shape (m,)."""
+    """Return signed volumes [mm³], shape (m,)."""
     volumes = np.empty(len(tets))
     for i in range(len(tets)):
         a, b, c, d = tets[i]
@@ -75,7 +75,7 @@ def tet_volumes(vertices: Floats, tets: Ints) -> Floats:
 
 @njit(cache=True)
 def repeated_tet(tets: Ints) -> tuple[int, int]:
-    """The first tet of the same corners as one before it, and that one; (-1, -1) if all differ. Linear in time."""
+    """Return the first tet of the same corners as one before it, and that one; (-1, -1) if all differ."""
     size = 1
     while size < 2 * len(tets):
         size *= 2
@@ -118,7 +118,7 @@ class Surface:
             raise MeshError(f"triangles: {bad.size} repeat a vertex, the first is number {bad[0]}")
 
     def with_vertices(self, vertices) -> Surface:
-        """The same triangles over other vertices [mm], shape (n, 3)."""
+        """Return the same triangles over other vertices [mm], shape (n, 3)."""
         if np.shape(vertices) != self.vertices.shape:
             raise MeshError(f"vertices: expected shape {self.vertices.shape}, got {np.shape(vertices)}")
         return Surface(vertices, self.triangles)

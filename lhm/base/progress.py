@@ -7,4 +7,4 @@ OnProgress = Callable[[str, float], None]
 
 
 def silent(what: str, fraction: float) -> None:
-    """The callback that shows nothing."""
+    """Show nothing."""

@@ -174,7 +174,7 @@ def _solve_neutral(
     scene: Scene, start: Floats, like: Analysis | None, accuracy: float = TIGHT_ACCURACY
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """Prepare a scene, solve it by the PD matrix and, where need be, the tangent; factor the tangent there."""
-    linear_solver: LinearSolver | None = None if cholesky.cholmod_library() is None else "cholmod"
+    linear_solver: LinearSolver | None = "cholmod" if cholesky.has_cholmod() else None
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm, is_quick = spring_norm(scene), accuracy >= QUICK_ACCURACY
     first = (accuracy if is_quick else FRAME_ACCURACY) * norm

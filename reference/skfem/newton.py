@@ -138,7 +138,7 @@ def solve_definite(matrix: csc_matrix, right: Floats) -> Floats | None:
     By CHOLMOD where the system has it, else by SuperLU: without pivoting, LU of a symmetric matrix is LDLᵀ, and the
     signs of D count the negative eigenvalues (Sylvester).
     """
-    solve = _superlu(matrix) if cholesky.cholmod_library() is None else _cholmod(matrix)
+    solve = _cholmod(matrix) if cholesky.has_cholmod() else _superlu(matrix)
     if solve is None:
         return None
     solution = solve(right)

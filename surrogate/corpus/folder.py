@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import chain
 from os import PathLike
@@ -25,7 +25,7 @@ from .intact import check_person, read_intact
 from .manifest import MANIFEST, CorpusTemplate, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
-from .plan import IDENTITY, CorpusPlan, Split
+from .plan import IDENTITY, CorpusPlan
 from .sequences import load_velocities
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
 from .simulate import GENERATOR, simulate_person
@@ -177,12 +177,6 @@ class Corpus:
         """Read one person's shard; InputError if it is missing, damaged, or of another corpus or person."""
         n = len(self.people.mean.vertices)
         return read_intact(self.shard_path(identity), self.owner, self.plan, identity, n)
-
-    def shards(self, split: Split | None = None) -> Iterator[tuple[int, Shard]]:
-        """Read the shards of a split, or of both, one after another; InputError for one that cannot be used."""
-        for identity in range(self.plan.identities):
-            if split in (None, self.plan.split(identity)):
-                yield identity, self.shard(identity)
 
     def verify(self, *, on_progress: OnProgress = silent) -> None:
         """Check every shard; InputError names the first that is missing or damaged: see `verify_folder`."""

@@ -74,20 +74,16 @@ def _check(folder: Path, said: Any) -> Manifest:
     if not isinstance(content, dict) or not isinstance(made_with, dict):
         raise InputError("content and made_with: expected objects")
     text("takes", said.get("takes", ""))
-    counts = CorpusPlan(**_options(content))
+    # The plan's own fields: the folder of takes stands beside them, and the digest covers what is in it.
+    expected = {item.name for item in fields(CorpusPlan)} - {"takes"}
+    missing, unknown = expected - set(content), set(content) - expected - {"recordings", "takes"}
+    if missing or unknown:
+        wrong = min(missing or unknown)
+        raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
+    counts = CorpusPlan(**{name: content[name] for name in expected})
     if said.get("tested") != counts.tested:
         raise InputError(f"tested: {quote(said.get('tested'))}, expected {counts.tested}")
     return Manifest(folder, said, counts, made_with)
-
-
-def _options(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Select the plan's own fields; the folder of takes stands beside them, and the digest covers their content."""
-    expected = {item.name for item in fields(CorpusPlan)} - {"takes"}
-    missing = expected - set(content)
-    if missing or set(content) - expected - {"recordings", "takes"}:
-        wrong = min(missing or set(content) - expected)
-        raise InputError(f"content: {quote(wrong)} is {'missing' if missing else 'not known'}")
-    return {name: content[name] for name in expected}
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,11 +78,6 @@ def basis(points: Floats) -> Floats:
     return np.column_stack([np.ones(len(points)), np.cos(points @ vectors.T + phases)])
 
 
-def basis_on_faces(mean: Surface) -> Floats:
-    """Evaluate `basis` on the faces of a mean skin, as the mean of their corners, shape (faces, 1 + WAVES)."""
-    return basis(mean.vertices)[mean.triangles].mean(axis=1)
-
-
 def basis_on_wraps(head: LayeredHead, mean: Surface) -> Floats:
     """Evaluate `basis` on triangles of a head's wraps, carried from the mean skin, shape (triangles, 1 + WAVES)."""
     return (head.wrap_from_skin @ basis(mean.vertices))[head.skin_wrap.triangles].mean(axis=1)
@@ -135,10 +130,6 @@ class ParameterSet:
         if name not in self.names:
             return INFOS[name].default
         return float(INFOS[name].denormalise(np.float64(self.coefficients[NAMES.index(name), 0])))
-
-    def on_faces(self, mean: Surface) -> Floats:
-        """Evaluate all parameters, mapped to [-1, 1], on the faces of the mean skin, shape (faces, P)."""
-        return np.clip(basis_on_faces(mean) @ self.coefficients.T.astype(np.float64), -1.0, 1.0)
 
 
 def draw(rng: np.random.Generator, kind: str, *, field: bool) -> ParameterSet:

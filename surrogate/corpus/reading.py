@@ -142,11 +142,6 @@ class Table:
             described["coefficients"] = person.coefficients[group]
         return described
 
-    def small(self, index: int, name: str) -> Any:
-        """Return one of a row's small fields, which are in memory."""
-        identity, row = self.rows[index]
-        return self._people[int(identity)].small[name][row]
-
     def parameters(self, index: int) -> ParameterSet:
         """Return the parameter set of a row's group."""
         row = self.described(index)
@@ -255,10 +250,6 @@ class Faces:
         for row, (identity, group) in enumerate(self._statics.groups.tolist()):
             rows.setdefault((identity, group), []).append(row)
         return [np.array(rows.get(key, []), dtype=np.int64) for key in map(tuple, self.groups.tolist())]
-
-    def moved(self, index: int) -> list[float]:
-        """Return 95 % of |T - S| [mm] in each of a face's static frames."""
-        return [float(self._statics.small(int(row), "moved")[1]) for row in self.frames_of[index]]
 
     def frames(self, index: int, chosen: Ints | None = None) -> Frames:
         """Read a face's accepted static frames, or those of the given numbers."""

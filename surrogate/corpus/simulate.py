@@ -42,17 +42,6 @@ def simulate_person(plan: CorpusPlan, people: People, identity: int, velocities:
     return Shard(**tables, seconds=making.seconds)
 
 
-def simulate_static(plan: CorpusPlan, people: People, identity: int, index: int) -> Answer:
-    """Simulate one static frame alone, by its row in the person's shard; bit for bit what the shard has.
-
-    Raises what the head's fit and the simulation raise.
-    """
-    person = people.person(plan.rng(IDENTITY, identity))
-    parameters = plan.parameter_set(plan.parameter_numbers(identity)[index // plan.frames])
-    face = FaceSimulator.of(plan, people, person, people.head(person), parameters)
-    return face.static(plan.weights(plan.static(identity, index)))
-
-
 class _PersonRows:
     """The rows of a person's tables as they are simulated, and processor seconds by phase."""
 

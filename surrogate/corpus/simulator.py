@@ -164,15 +164,20 @@ class FaceSimulator:
         """Make the answer that a corpus keeps of a solution."""
         corrected = self.corrected(weights, solution.positions).astype(np.float16)
         inverted = solution.volume_ratio <= 0.0
+        moved = np.linalg.norm(corrected[self._in_face].astype(np.float64), axis=1)
+        crossings, wrap = 0, self.head.skin_wrap
+        if np.isfinite(solution.positions).all():
+            tree = TriangleTree(solution.positions[: len(wrap.vertices)], wrap.triangles)
+            crossings = len(tree.self_crossings())
         return Answer(
             corrected=corrected,
             status=self._status(solution, inverted, corrected),
-            moved=self._moved(corrected),
+            moved=(float(moved.mean()), float(np.percentile(moved, 95.0))),
             iterations=solution.iterations,
-            residual=self._residual(solution),
+            residual=float(solution.history.gradient_norm[-1]) / self._springs,
             smallest_volume_ratio=float(solution.volume_ratio.min()),
             inverted=int(np.count_nonzero(inverted)),
-            crossings=self._crossings(solution.positions),
+            crossings=crossings,
         )
 
     @cached_property
@@ -182,22 +187,9 @@ class FaceSimulator:
         mask = np.asarray(self.head.regions.get("face", np.ones(n, dtype=bool)), dtype=np.float64)
         return np.asarray(self.head.skin_from_wrap @ mask) > 0.5
 
-    def _residual(self, solution: Solution) -> float:
-        return float(solution.history.gradient_norm[-1]) / self._springs
-
     @cached_property
     def _springs(self) -> float:
         return spring_norm(self.linear.prepared.scene)
-
-    def _crossings(self, positions: Floats) -> int:
-        wrap = self.head.skin_wrap
-        if not np.isfinite(positions).all():
-            return 0
-        return len(TriangleTree(positions[: len(wrap.vertices)], wrap.triangles).self_crossings())
-
-    def _moved(self, corrected: np.ndarray) -> tuple[float, float]:
-        size = np.linalg.norm(corrected[self._in_face].astype(np.float64), axis=1)
-        return float(size.mean()), float(np.percentile(size, 95.0))
 
     def _status(self, solution: Solution, inverted: np.ndarray, corrected: np.ndarray) -> str:
         soft = np.count_nonzero(inverted[: len(self.head.soft.tets)])

@@ -1,4 +1,4 @@
-"""Inputs that nobody thought of, by hypothesis: values for public functions, options for commands, bytes for files.
+"""Inputs that nobody thought of, by hypothesis: values for public functions, and options for commands.
 
     python tests/robustness/any_inputs.py [how many of each [property ...]]
 
@@ -10,11 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import sys
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 
 import bad_inputs
 import click
@@ -27,13 +24,8 @@ from hypothesis.extra import numpy as hnp
 from softdeca.animation.takes import take_from_text
 from softdeca.cli.app import app
 from softdeca.cli.head import _counts
-from softdeca.lhm import Surface, expressions, head_file, identities, template_file
+from softdeca.lhm import expressions, identities
 from softdeca.lhm.base.errors import SoftdecaError
-from softdeca.lhm.base.files import surface_file, tet_file
-from softdeca.lhm.head_file import of_head
-from softdeca.reference.face import parameters
-from softdeca.surrogate import Surrogate
-from softdeca.surrogate.corpus.plan import read_plan
 
 EXAMPLES = 500
 # What is right takes these too long to be tried by the hundred.
@@ -147,69 +139,16 @@ def any_options(data) -> None:
     no_defect(f"{' '.join(names)} {words!r}", read)
 
 
-FILES: list[tuple[str, bytes, Callable[[Path], object]]] = []
-
-
-@given(st.data())
-def any_bytes(data) -> None:
-    """Files of every kind that is read, damaged: bytes changed, left out, put in, or cut off."""
-    name, whole, read = data.draw(st.sampled_from(FILES))
-    content = bytearray(whole)
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, max(len(content) - 1, 0)))
-        how = data.draw(st.integers(0, 3))
-        piece = data.draw(
-            st.binary(min_size=1, max_size=6) | st.sampled_from([b"nan", b"1e999", b"-1", b"\n", b"{", b","])
-        )
-        content[at : at + (0, len(piece), len(content), 9)[how]] = piece if how != 2 else b""
-    path = Path(tempfile.gettempdir()) / f"softdeca-any-{os.getpid()}-{name}"
-    path.write_bytes(content)
-    try:
-        no_defect(f"{name}: {bytes(content[:200])!r}", lambda: read(path))
-    finally:
-        path.unlink()
-
-
-def fill() -> None:
-    """The functions, and files that are right, small ones."""
-    QUICK.extend(function for function in functions() if function.name not in SLOW)
-    take = '{"rate": 30, "names": ["jawOpen", "cheekPuff"], "frames": [[0.2, 0.1], [0.3, 0]]}'
-    names = [name[0].upper() + name[1:] for name in expressions.ARKIT]
-    live = [",".join(["Timecode", "BlendShapeCount", *names])]
-    live += [",".join([f"10:00:00:{k:02d}.000", "52", *["0.1"] * 52]) for k in range(3)]
-    FILES.append(("take.json", take.encode(), expressions.read_take))
-    FILES.append(("take.csv", "\n".join(live).encode(), expressions.read_take))
-    FILES.append(("p.toml", b"gravity = 1.5\nsoft_volume = 1.2\nskin_growth = 1.0\n", parameters.read_parameters))
-    FILES.append(("plan.toml", b'preset = "tiny"\nframes = 2\n[kinds]\nfew = 1.0\n', read_plan))
-    folder = Path(tempfile.mkdtemp(prefix="softdeca-any-"))
-    head_file.save_head(folder / "head.npz", bad_inputs.HEAD)
-    ball = Surface(bad_inputs.HEAD.skin.vertices, bad_inputs.HEAD.skin.triangles)
-    mesh = bad_inputs.trimesh.Trimesh(ball.vertices, ball.triangles, process=False)
-    for suffix in ("obj", "ply", "stl", "glb"):
-        mesh.export(folder / f"skin.{suffix}")
-        FILES.append((f"skin.{suffix}", (folder / f"skin.{suffix}").read_bytes(), surface_file.read_scan))
-        if suffix != "glb":
-            FILES.append((f"surface.{suffix}", (folder / f"skin.{suffix}").read_bytes(), surface_file.read_surface))
-    whole = (folder / "head.npz").read_bytes()
-    reads = (head_file.load_head, template_file.read_template, Surrogate.load, identities.ICTFaceKit, identities.FLAME)
-    FILES.extend((f"{number}.npz", whole, read) for number, read in enumerate(reads))
-    tet_file.write_tets(folder / "head.vtu", of_head(bad_inputs.HEAD, (1, 1)))
-    FILES.append(("head.vtu", (folder / "head.vtu").read_bytes(), tet_file.read_tets))
-    for file in folder.iterdir():
-        file.unlink()
-    folder.rmdir()
-
-
 def main(arguments: list[str]) -> int:
     """Try each property; the number of those that found a defect, each told by its smallest case."""
-    fill()
+    QUICK.extend(function for function in functions() if function.name not in SLOW)
     bounded()
     count = int(arguments[0]) if arguments else EXAMPLES
     defects = 0
     how = settings(
         max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
     )
-    for found in (any_values, any_texts, any_options, any_bytes):
+    for found in (any_values, any_texts, any_options):
         if len(arguments) > 1 and found.__name__ not in arguments[1:]:
             continue
         try:

@@ -4,7 +4,7 @@
 
 A mutant is refused by a SoftdecaError of one line, or read as something finite and in range. Anything else is a defect:
 another exception, a crash, more than `SECONDS` of work, or more than `MEMORY` bytes. The mutants of a seed are always
-the same. The process limits its own memory, so that it is run as a child of a test (`test_mutants.py`), and says
+the same. The process limits its own memory, so that it is run as a child of a test (`test_bad_inputs.py`), and says
 on stdout which mutant it is at, so that the one that ends it is known.
 """
 
@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from mesh_bytes import big_endian_ply, exported, glb, glb_words, obj, stl, strips_ply
 from scipy.sparse import csc_matrix, identity
 
 from softdeca.lhm import LayeredHead, SoftdecaError, Surface, Template, head_file, identities, template_file
@@ -33,7 +34,7 @@ from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files import moving_surface, surface_file, tet_file
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-from softdeca.lhm.head_file import of_head
+from softdeca.lhm.head_file import tets_from_head
 from softdeca.lhm.registration import read_landmarks
 from softdeca.lhm.regressor.depths import DepthPairs, DepthRegressor
 from softdeca.lhm.rig import Rig
@@ -151,13 +152,8 @@ def of_json(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def of_glb(content: bytes, rng: np.random.Generator) -> bytes:
-    length = struct.unpack("<I", content[12:16])[0]
-    text = json.dumps(changed(json.loads(content[20 : 20 + length]), rng)).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    if rng.random() < 0.2:
-        rest = rest[:8] + flipped(rest[8:], rng)
-    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+    words, chunk = glb_words(content)
+    return glb(changed(words, rng), flipped(chunk, rng) if rng.random() < 0.2 else chunk)
 
 
 def one_array_changed(arrays: dict[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -320,52 +316,6 @@ def regressor(wrap: Surface) -> DepthRegressor:
     return DepthRegressor.fit(DepthPairs("test", names, wraps, rng.uniform(3, 9, (6, len(wrap.vertices)))), wrap)
 
 
-def text_of(kind: str) -> bytes:
-    """A sphere as text or binary of a format."""
-    x, triangles = sphere(2)
-    n, m = len(x), len(triangles)
-    if kind == "obj":
-        lines = [f"v {a:.6g} {b:.6g} {c:.6g}" for a, b, c in x] + [
-            f"f {a}/1 {b} {c - n - 1}" for a, b, c in triangles + 1
-        ]
-        return ("# a sphere\n" + "\n".join(lines) + "\n").encode()
-    if kind == "stl":
-        rows = np.zeros(m, dtype=[("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")])
-        rows["x"] = x[triangles]
-        return b"solid".ljust(80, b"\0") + struct.pack("<I", m) + rows.tobytes()
-    if kind == "stl text":
-        loops = [
-            "facet normal 0 0 1\nouter loop\n"
-            + "".join(f"vertex {a:.6g} {b:.6g} {c:.6g}\n" for a, b, c in x[t])
-            + "endloop\nendfacet\n"
-            for t in triangles
-        ]
-        return ("solid a\n" + "".join(loops) + "endsolid a\n").encode()
-    order = {"ply text": "ascii", "ply strips": "ascii"}.get(kind, "binary_big_endian")
-    listed = "tristrips 1\nproperty list int int" if kind == "ply strips" else f"face {m}\nproperty list uchar int"
-    header = (
-        f"ply\nformat {order} 1.0\ncomment x\nelement vertex {n}\nproperty float x\nproperty float y\n"
-        "property float z\n"
-        f"element {listed} vertex_indices\nend_header\n"
-    ).encode()
-    if kind == "ply":
-        rows = np.zeros(m, dtype=[("k", "u1"), ("v", ">i4", 3)])
-        rows["k"], rows["v"] = 3, triangles
-        return header + x.astype(">f4").tobytes() + rows.tobytes()
-    points = "\n".join(f"{a:.6g} {b:.6g} {c:.6g}" for a, b, c in x)
-    if kind == "ply text":
-        return header + (points + "\n" + "\n".join(f"3 {a} {b} {c}" for a, b, c in triangles) + "\n").encode()
-    strips = " ".join(f"{a} {b} {c} -1" for a, b, c in triangles)
-    return header + f"{points}\n{4 * m} {strips}\n".encode()
-
-
-def glb(words: dict, chunk: bytes) -> bytes:
-    text = json.dumps(words).encode()
-    text, chunk = text + b" " * (-len(text) % 4), chunk + bytes(-len(chunk) % 4)
-    body = struct.pack("<I", len(text)) + b"JSON" + text + struct.pack("<I", len(chunk)) + b"BIN\0" + chunk
-    return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body
-
-
 def rigged_glb() -> bytes:
     """A sphere with a skin of one joint, a morph target, sparse and normalised accessors."""
     x, triangles = (a for a in sphere(2))
@@ -460,7 +410,7 @@ def of_surface(surface: Surface | None) -> list[np.ndarray]:
 
 def read_head(path: Path) -> list[np.ndarray]:
     """The parts, the head of them, and what it does with an expression."""
-    made, report = head_file.load_head(path), head_file.check_file(path)
+    made, report = head_file.load_head(path), head_file.check_head_file(path)
     assert all(text.isprintable() for text in (*made.notes, *map(str, report.figures)))
     weights = np.zeros(52)
     weights[ARKIT.index("jawOpen")] = 1.0
@@ -519,13 +469,14 @@ def formats(folder: Path) -> list[Format]:
     for name, arrays in (("ict", ict()), ("flame", flame()), ("anatomy", anatomy())):
         np.savez(folder / f"{name}.npz", **arrays)
     np.savez(folder / "skin.npz", vertices=wrap.vertices, triangles=wrap.triangles)
-    tets = of_head(sphere_head)
+    tets = tets_from_head(sphere_head)
     for suffix in tet_file.FORMATS:
         tet_file.write_tets(folder / f"head{suffix}", tets)
     x = wrap.vertices
     motion = np.stack([0 * x, 0.1 * x, 0.2 * x]).astype(np.float32)
     moving_surface.write_gltf(folder / "take.glb", wrap, np.arange(3) / 30, motion)
-    (folder / "smile.obj").write_bytes(text_of("obj"))
+    ball = sphere(2)
+    (folder / "smile.obj").write_text(obj(*ball))
     pickled = pickle.dumps(flame() | {"J_regressor": csc_matrix(flame()["J_regressor"])}, protocol=2)
     landmarks = json.dumps({"nose tip": [0, 1.5, 90], "chin": [0, -50, 70]}).encode()
     guesses = json.dumps({"smile.obj": {"mouthSmileLeft": 1, "mouthSmileRight": 0.5}}).encode()
@@ -555,12 +506,12 @@ def formats(folder: Path) -> list[Format]:
         Format("flame.pkl", pickled, read_flame, of_pickle),
         Format("anatomy.npz", written("anatomy.npz"), read_anatomy, of_npz),
         Format("skin.npz", written("skin.npz"), read_scan, of_npz),
-        Format("skin.obj", text_of("obj"), read_scan, renumbered),
-        Format("skin.ply", text_of("ply"), read_scan, lambda c, r: renumbered(c[:210], r) + c[210:]),
-        Format("text.ply", text_of("ply text"), read_scan, renumbered),
-        Format("strips.ply", text_of("ply strips"), read_scan, renumbered),
-        Format("skin.stl", text_of("stl"), read_scan),
-        Format("text.stl", text_of("stl text"), read_scan, renumbered),
+        Format("skin.obj", obj(*ball).encode(), read_scan, renumbered),
+        Format("skin.ply", big_endian_ply(*ball), read_scan, lambda c, r: renumbered(c[:210], r) + c[210:]),
+        Format("text.ply", exported("ply", *ball, encoding="ascii"), read_scan, renumbered),
+        Format("strips.ply", strips_ply(*ball), read_scan, renumbered),
+        Format("skin.stl", stl(*ball), read_scan),
+        Format("text.stl", exported("stl_ascii", *ball), read_scan, renumbered),
         Format("take.glb", written("take.glb"), read_scan, of_glb),
         Format("rigged.glb", rigged_glb(), read_scan, of_glb),
         Format("packed.glb", packed_glb(), read_scan, of_glb),

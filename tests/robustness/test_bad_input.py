@@ -7,7 +7,6 @@ import zipfile
 
 import numpy as np
 import pytest
-import trimesh
 
 from softdeca.lhm import SoftdecaError, expressions, fit_head, load_template
 from softdeca.lhm.base.files.atomic import replaced
@@ -15,41 +14,12 @@ from softdeca.lhm.expressions import weights_of
 from softdeca.lhm.head_file import load_head, save_head
 from softdeca.reference import Parameters, Scene, facial_scene, terms
 
-BALL = trimesh.creation.icosphere(2, radius=100)
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
-def two_holes() -> trimesh.Trimesh:
-    height = BALL.triangles_center[:, 2]
-    kept = (height > height.min() + 1e-9) & (height < height.max() - 1e-9)
-    return trimesh.Trimesh(BALL.vertices, BALL.faces[kept], process=False)
-
-
-def ball(scale: float = 1.0) -> str:
-    return trimesh.exchange.obj.export_obj(trimesh.Trimesh(scale * BALL.vertices, BALL.faces, process=False), digits=12)
-
-
-SKINS = {
-    "nan.obj": (lambda: "v nan 0 0\n" + ball().replace("f ", "f 1 2 3\nf ", 1), "not finite"),
-    "holes.obj": (lambda: trimesh.exchange.obj.export_obj(two_holes()), "no face found"),
-    "text.obj": (lambda: "Dear reader,\nthis is a letter.\n", "mesh"),
-    "empty.obj": (lambda: "", "empty"),
-    "missing.obj": (None, "no such file"),
-    "metres.obj": (lambda: ball(0.001), "no face found"),
-    "sphere.obj": (ball, "no face found"),
-    "head.fbx": (lambda: "Kaydara", "unknown kind of file"),
-}
-
-
-@pytest.mark.parametrize("name", SKINS)
-def test_a_bad_skin_is_named_in_one_line(command, tmp_path, name):
-    write, message = SKINS[name]
-    if write is not None:
-        (tmp_path / name).write_text(write())
-    ended = command("head", "fit", "--skin", tmp_path / name, "--out", tmp_path / "out" / "head.npz")
-    assert ended.status == 1 and len(ended.errors) == 1, ended
-    assert ended.errors[0].startswith("softdeca: error: ") and message in ended.errors[0]
-    assert name in ended.errors[0] or "skin" in ended.errors[0]
+def test_a_skin_that_is_not_there_is_named(command, tmp_path):
+    ended = command("head", "fit", "--skin", tmp_path / "no.obj", "--out", tmp_path / "out" / "head.npz")
+    assert ended.status == 1 and ended.errors == [f"softdeca: error: {tmp_path / 'no.obj'}: no such file"]
     assert not (tmp_path / "out").exists()
 
 
@@ -110,23 +80,12 @@ def test_bad_data_of_the_ict_space_are_named(command, tmp_path, content):
     assert [p.name for p in tmp_path.iterdir()] == ["ict.npz"]
 
 
-def test_a_damaged_head_is_refused_wherever_the_damage_is(command, tmp_path, sphere_head):
-    file = tmp_path / "head.npz"
-    save_head(file, sphere_head)
-    whole = np.frombuffer(file.read_bytes(), np.uint8)
-    for start in np.linspace(0, len(whole) - 60, 25).astype(int):
-        damaged = whole.copy()
-        damaged[start : start + 50] ^= 0x5A
-        file.write_bytes(damaged.tobytes())
-        with pytest.raises(SoftdecaError, match=r"head\.npz: [^\n]*$"):
-            load_head(file)
-    ended = command("head", "check", file)
-    assert ended.status == 1 and len(ended.errors) == 1 and "head.npz" in ended.errors[0]
-
-
 def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked(tmp_path):
     file = tmp_path / "head.npz"
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("skin_vertices.npy", "w") as part:
+    with (
+        zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("skin_vertices.npy", "w") as part,
+    ):
         for _ in range(201):
             part.write(bytes(10_000_000))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -9,7 +9,7 @@ import pytest
 from softdeca.lhm import identities, load_template
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.fit import fit_head
-from softdeca.lhm.head_file import check_file, load_head, save_head
+from softdeca.lhm.head_file import check_head_file, load_head, save_head
 from softdeca.lhm.template_file import read_template, save_template
 
 
@@ -92,7 +92,7 @@ def test_a_damaged_head_is_refused_by_loading_and_by_check(tmp_path, whole, comm
     assert str(path) in str(raised.value)
     if name != "inverted":  # which is measured, gate by gate
         with pytest.raises(InputError, match=words):
-            check_file(path)
+            check_head_file(path)
     ended = command("head", "check", path)
     assert ended.status == 1 and len(ended.errors) == 1 and ended.errors[0].startswith("softdeca: error")
     assert "Traceback" not in ended.errors[0] and time.process_time() - began < 10
@@ -146,7 +146,7 @@ def test_a_damaged_template_is_refused(tmp_path, whole, name):
 def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypatch):
     """Of right arrays with wrong values too: `load_or_make` asks the reader."""
     from softdeca.lhm.base.files.cache import load_or_make
-    from softdeca.lhm.template_file import template_from
+    from softdeca.lhm.template_file import template_from_arrays
 
     monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path))
     np.savez(tmp_path / "thing.npz", **whole["template"] | {"parts": whole["template"]["parts"] + 9})
@@ -157,5 +157,5 @@ def test_a_damaged_template_in_the_cache_is_made_anew(tmp_path, whole, monkeypat
         return whole["template"]
 
     for _ in range(2):
-        assert load_or_make("thing", make, template_from).parts.max() <= 3
+        assert load_or_make("thing", make, template_from_arrays).parts.max() <= 3
     assert made == [1]

@@ -1,8 +1,6 @@
 """Damaged files of a head: each is read as the head that it was, or refused by one line; nothing is written of it."""
 
 import io
-import json
-import struct
 import zipfile
 
 import numpy as np
@@ -15,71 +13,19 @@ from softdeca.lhm.arkit import ARKIT
 from softdeca.lhm.base.files.surface_file import read_scan
 from softdeca.lhm.base.geometry.bvh import TriangleTree
 from softdeca.lhm.base.geometry.topology import find_openings
-from softdeca.lhm.head_file import check_file, load_head
+from softdeca.lhm.head_file import check_head_file, load_head
 from softdeca.lhm.scans.repair import repair_scan
 
+from .mesh_bytes import big_endian_ply, binary_strips_ply, exported, glb, glb_words, obj, stl, strips_ply
+
 RNG = np.random.default_rng(0)
+BALL = trimesh.creation.icosphere(2, radius=100)
 
 
 @pytest.fixture(scope="module")
 def head():
     wrap = load_template(level=1).skin_wrap
     return wrap.vertices, wrap.triangles
-
-
-def obj(x, triangles):
-    lines = [f"v {a:.9g} {b:.9g} {c:.9g}" for a, b, c in x]
-    return "\n".join(lines + [f"f {a} {b} {c}" for a, b, c in np.asarray(triangles) + 1]) + "\n"
-
-
-def exported(kind, x, triangles, **more):
-    out = trimesh.Trimesh(x, triangles, process=False).export(file_type=kind, **more)
-    return out.encode() if isinstance(out, str) else out
-
-
-def stl(x, triangles, head):
-    rows = np.zeros(len(triangles), dtype=[("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")])
-    rows["x"] = x[triangles]
-    return head.ljust(80, b"\0") + struct.pack("<I", len(rows)) + rows.tobytes()
-
-
-def big_endian(x, triangles):
-    header = (
-        f"ply\nformat binary_big_endian 1.0\nelement vertex {len(x)}\nproperty float x\nproperty float y\n"
-        f"property float z\nelement face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    rows = np.zeros(len(triangles), dtype=[("k", "u1"), ("v", ">i4", 3)])
-    rows["k"], rows["v"] = 3, triangles
-    return header.encode() + x.astype(">f4").tobytes() + rows.tobytes()
-
-
-def strips(x, triangles):
-    header = (
-        f"ply\nformat ascii 1.0\nelement vertex {len(x)}\nproperty float x\nproperty float y\nproperty float z\n"
-        "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
-    )
-    strip = " ".join(f"{a} {b} {c} -1" for a, b, c in triangles)
-    return header + "\n".join(f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in x) + f"\n{4 * len(triangles)} {strip}\n"
-
-
-def binary_strips(x, triangles):
-    """Two triangles a strip, where they follow one another as a strip's do, and vertices with a colour."""
-    header = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(x)}\nproperty float x\nproperty float y\n"
-        "property float z\nproperty uchar red\nelement tristrips 1\nproperty list int int vertex_indices\nend_header\n"
-    )
-    rows = np.zeros(len(x), dtype=[("x", "<f4", 3), ("red", "u1")])
-    rows["x"] = x
-    left = {tuple(t) for t in triangles.tolist()}
-    runs = []
-    for a, b, c in triangles.tolist():
-        if (a, b, c) not in left:
-            continue
-        left.remove((a, b, c))
-        after = next((t for t in left if t[0] == c and t[1] == b), None)
-        runs += [a, b, c, *([after[2]] if after else []), -1]
-        left.discard(after)
-    return header.encode() + rows.tobytes() + np.array([len(runs), *runs], dtype="<i4").tobytes()
 
 
 def with_lines(text, *lines):
@@ -99,14 +45,9 @@ def archive(**members):
 
 
 def edited_glb(x, triangles, edit):
-    content = exported("glb", x, triangles)
-    length = struct.unpack("<I", content[12:16])[0]
-    words = json.loads(content[20 : 20 + length])
+    words, chunk = glb_words(exported("glb", x, triangles))
     edit(words)
-    text = json.dumps(words).encode()
-    text += b" " * (-len(text) % 4)
-    rest = content[20 + length :]
-    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+    return glb(words, chunk)
 
 
 # Each is the head again once it is read: by suffix, and what is done to it.
@@ -118,10 +59,10 @@ MENDED = {
     "coloured.obj": lambda x, t: obj(x, t).replace("\nv ", " 0.5 0.5 0.5\nv "),
     "materials.obj": lambda x, t: obj(x, t[:900]) + "usemtl back\n" + obj(x[:0], t[900:]),
     "lines.obj": lambda x, t: with_lines(obj(x, t), "l 1 2", "p 3", "curv 0 1 1 2", "\x0c"),
-    "big-endian.ply": big_endian,
-    "strips.ply": strips,
-    "strips-binary.ply": binary_strips,
-    "strips-beside.ply": lambda x, t: strips(x, t).replace("element tri", "element other 0\nelement tri"),
+    "big-endian.ply": big_endian_ply,
+    "strips.ply": strips_ply,
+    "strips-binary.ply": binary_strips_ply,
+    "strips-beside.ply": lambda x, t: strips_ply(x, t).replace(b"element tri", b"element other 0\nelement tri"),
     "ascii.ply": lambda x, t: exported("ply", x, t, encoding="ascii"),
     "binary.stl": lambda x, t: stl(x, t, b"a head"),
     "solid.stl": lambda x, t: stl(x, t, b"solid head"),
@@ -161,8 +102,8 @@ REFUSED = {
     "cut.ply": (lambda x, t: exported("ply", x, t)[:-4000], "ply"),
     "ascii-cut.ply": (lambda x, t: exported("ply", x, t, encoding="ascii")[:-4000], "cut off"),
     "cloud.ply": (lambda x, t: exported("ply", x, t[:0]), "no triangles"),
-    "lies.ply": (lambda x, t: big_endian(x, t).replace(b"element vertex 12", b"element vertex 92", 1), "ply"),
-    "strips-cut.ply": (lambda x, t: strips(x, t)[:-4000], "cut off"),
+    "lies.ply": (lambda x, t: big_endian_ply(x, t).replace(b"element vertex 12", b"element vertex 92", 1), "ply"),
+    "strips-cut.ply": (lambda x, t: strips_ply(x, t)[:-4000], "cut off"),
     "cut.stl": (lambda x, t: stl(x, t, b"a head")[:-1000], "stl"),
     "text.stl": (lambda x, t: "solid head\nfacet normal 0 0 1\nouter loop\nvertex 1 2", "stl"),
     "cut.glb": (lambda x, t: exported("glb", x, t)[:-4000], "glb"),
@@ -174,6 +115,12 @@ REFUSED = {
     ),
     "count.glb": (lambda x, t: edited_glb(x, t, lambda words: words["accessors"][0].update(count=10**9)), "glb"),
     "loop.glb": (lambda x, t: edited_glb(x, t, lambda words: words["nodes"][0].update(children=[0])), "glb"),
+    "letter.obj": (lambda x, t: "Dear reader,\nthis is a letter.\n", "mesh"),
+    "empty.obj": (lambda x, t: "", "the file is empty"),
+    "metres.obj": (lambda x, t: obj(BALL.vertices / 1000, BALL.faces), "no face found"),
+    "sphere.obj": (lambda x, t: obj(BALL.vertices, BALL.faces), "no face found"),
+    "holes.obj": (lambda x, t: obj(BALL.vertices, BALL.faces[2:-2]), "no face found"),
+    "head.fbx": (lambda x, t: "Kaydara", "unknown kind of file"),
     "names.npz": (lambda x, t: archive(**{"points.npy": b""}), "npz"),
     "torn.npz": (lambda x, t: archive(**{"vertices.npy": b"x"})[:-20], "npz"),
 }
@@ -223,7 +170,7 @@ def test_a_torn_and_rough_scan_is_fitted_and_what_is_written_is_sound(tmp_path, 
     ended = command("head", "fit", "--skin", path, "--level", 1, "--out", out)
     assert ended.status == 0, ended.errors
     head = load_head(out)
-    assert check_file(out).problems == () and len(find_openings(head.skin.triangles)) == 2
+    assert check_head_file(out).problems == () and len(find_openings(head.skin.triangles)) == 2
     assert any("taken for in" in note for note in head.notes)
     # The same skin again, upright and in millimetres, and its expressions those of the head that it was.
     used = np.unique(torn)

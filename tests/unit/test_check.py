@@ -14,7 +14,7 @@ from softdeca.lhm.base.geometry.deformation import folded_length
 from softdeca.lhm.base.geometry.tets import aspect_ratios, smallest_dihedrals
 from softdeca.lhm.base.geometry.triangles import fan_crossings
 from softdeca.lhm.check import Figure, check_layers
-from softdeca.lhm.head_file import check_file, save_head
+from softdeca.lhm.head_file import check_head_file, save_head
 from softdeca.lhm.openings import lid_path, lip_path
 
 RADII = (100.0, 92.0, 85.0)
@@ -196,7 +196,7 @@ def test_check_prints_every_gate_and_reports_a_crossed_file(tmp_path, sphere_hea
     arrays["skull_wrap"] = arrays["skull_wrap"].copy()
     arrays["skull_wrap"][0] *= 1.5
     np.savez(path, **arrays)
-    assert check_file(path).inverted_tets > 0
+    assert check_head_file(path).inverted_tets > 0
     ended = command("head", "check", path)
     assert ended.status == 1 and len(ended.errors) == 1
     assert "inverted tets" in ended.errors[0] and "crossings skin skull" in ended.errors[0]

@@ -17,14 +17,13 @@ from softdeca.reference.face.dynamics import extrapolate_turns
 from softdeca.reference.face.sequence import Velocities
 from softdeca.surrogate.corpus.card import write_card
 from softdeca.surrogate.corpus.folder import Corpus, sum_seconds
-from softdeca.surrogate.corpus.mixture import NAMES
+from softdeca.surrogate.corpus.mixture import NAMES, basis
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import LENGTH, PRESETS
 from softdeca.surrogate.corpus.predict import Rates, predict_cost
 from softdeca.surrogate.corpus.reading import LARGE, SMALL, Table
 from softdeca.surrogate.corpus.sequences import simulate_sequence
 from softdeca.surrogate.corpus.shard import read_seconds, read_shard, seconds_path, write_shard
-from softdeca.surrogate.corpus.simulate import simulate_static
 from softdeca.surrogate.corpus.simulator import FaceSimulator
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
@@ -68,7 +67,9 @@ def test_a_frame_is_what_the_simulator_makes_of_its_expression(made):
 
 def test_any_frame_can_be_had_again_alone(made):
     for identity in range(PLAN.identities):
-        again = simulate_static(PLAN, PEOPLE, identity, 1)
+        person = PEOPLE.person(PLAN.rng(0, identity))
+        face = FaceSimulator.of(PLAN, PEOPLE, person, PEOPLE.head(person), parameters_of(identity))
+        again = face.static(PLAN.weights(PLAN.static(identity, 1)))
         np.testing.assert_array_equal(again.corrected, made.shard(identity).statics.corrected[1])
 
 
@@ -314,7 +315,8 @@ def test_parameters_of_a_head_are_those_of_the_fields(made):
     head = SPACE.fit(SPACE.mean)
     p = drawn.parameters(head, SPACE.mean)
     assert isinstance(p, Parameters)
-    on_faces = drawn.on_faces(SPACE.mean)
+    waves = basis(SPACE.mean.vertices)[SPACE.mean.triangles].mean(axis=1)
+    on_faces = np.clip(waves @ drawn.coefficients.T.astype(np.float64), -1.0, 1.0)
     for k, name in enumerate(NAMES):
         info, value = Parameters.info(name), getattr(p, name)
         if not drawn.varied[k]:

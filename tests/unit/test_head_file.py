@@ -1,3 +1,5 @@
+"""A head through its file, and as VTK."""
+
 import meshio
 import numpy as np
 import pytest
@@ -26,18 +28,9 @@ def test_a_volume_mesh_survives_the_file(tmp_path, spheres):
     assert np.array_equal(again.soft.tets, finer.soft.tets) and np.array_equal(again.muscle.tets, finer.muscle.tets)
 
 
-def test_damaged_and_foreign_files_are_named(tmp_path, sphere_head):
-    path = tmp_path / "head.npz"
-    save_head(path, sphere_head)
-    whole = path.read_bytes()
-    for content in (b"", b"no head", whole[: len(whole) // 2]):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match="head.npz"):
-            load_head(path)
-    np.savez(path, a=1)
-    with pytest.raises(InputError, match="not a layered head"):
-        load_head(path)
-    with pytest.raises(InputError, match="no such file"):
+def test_a_file_of_something_else_is_named(tmp_path):
+    np.savez(tmp_path / "other.npz", a=1)
+    with pytest.raises(InputError, match="other.npz: not a layered head"):
         load_head(tmp_path / "other.npz")
 
 

@@ -33,9 +33,9 @@ def test_each_package_imported_is_a_dependency():
                 imported.add(node.module.split(".")[0])
     other_names = {"PIL": "pillow", "skfem": "scikit_fem"}
     needed = {other_names.get(name, name) for name in imported - set(sys.stdlib_module_names)}
-    # FEniCSx comes from Debian or conda; what trains, MP4, Draco, libigl, FElupe, gmsh and speech are extras.
+    # FEniCSx comes from Debian or conda; what trains, MP4, Draco, CHOLMOD, libigl, FElupe, gmsh and speech are extras.
     elsewhere = {"dolfinx", "basix", "ufl", "mpi4py", "petsc4py", "slepc4py"}
-    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy"}
+    elsewhere |= {"torch", "imageio_ffmpeg", "igl", "felupe", "gmsh", "openfacefx", "DracoPy", "sksparse"}
     assert needed - elsewhere == listed
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from softdeca.lhm import InputError, MeshError, TetMesh
 from softdeca.lhm.base.files.tet_file import TaggedTets, read_tets, write_tets
-from softdeca.lhm.head_file import MUSCLE, SOFT, of_head
+from softdeca.lhm.head_file import MUSCLE, SOFT, tets_from_head
 from softdeca.lhm.remesh import refine_head
 
 SUFFIXES = [".msh", ".vtu", ".xdmf", ".mesh"]
@@ -14,7 +14,7 @@ SUFFIXES = [".msh", ".vtu", ".xdmf", ".mesh"]
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_head_survives_each_format(tmp_path, sphere_head, suffix):
-    written = of_head(sphere_head, (2, 1))
+    written = tets_from_head(sphere_head, (2, 1))
     path = tmp_path / f"head{suffix}"
     write_tets(path, written)
     again = read_tets(path)
@@ -29,7 +29,7 @@ def test_a_head_survives_each_format(tmp_path, sphere_head, suffix):
 
 @pytest.mark.parametrize("layers", [(1, 1), (2, 3)])
 def test_the_named_surfaces_are_the_wraps(sphere_head, layers):
-    tagged = of_head(sphere_head, layers)
+    tagged = tets_from_head(sphere_head, layers)
     by_name = {name: tag for tag, name in tagged.names.items()}
     for name, wrap in (("skin", "skin_wrap"), ("muscle_wrap", "muscle_wrap"), ("skull", "skull_wrap")):
         corners = tagged.mesh.vertices[tagged.surfaces[by_name[name]]]
@@ -42,14 +42,14 @@ def test_the_named_surfaces_are_the_wraps(sphere_head, layers):
 
 def test_a_volume_mesh_is_written_as_it_is(tmp_path, spheres):
     finer = refine_head(spheres(1))
-    write_tets(tmp_path / "finer.vtu", of_head(finer))
+    write_tets(tmp_path / "finer.vtu", tets_from_head(finer))
     again = read_tets(tmp_path / "finer.vtu")
     assert np.array_equal(again.mesh.tets, finer.tets)
     assert np.array_equal(
         again.mesh.vertices[again.surfaces[13]], finer.skull_wrap.vertices[finer.skull_wrap.triangles]
     )
     with pytest.raises(MeshError, match="volume mesh"):
-        of_head(finer, (2, 1))
+        tets_from_head(finer, (2, 1))
 
 
 def a_tet():
@@ -112,7 +112,7 @@ def test_missing_and_unknown_files_are_told(tmp_path, sphere_head):
     with pytest.raises(InputError, match="no such file"):
         read_tets(tmp_path / "none.msh")
     with pytest.raises(InputError, match="expected one of .msh, .vtu"):
-        write_tets(tmp_path / "head.stl", of_head(sphere_head))
+        write_tets(tmp_path / "head.stl", tets_from_head(sphere_head))
     with pytest.raises(InputError, match="unit 'inch'"):
         read_tets(tmp_path / "none.msh", unit="inch")
 
@@ -120,7 +120,7 @@ def test_missing_and_unknown_files_are_told(tmp_path, sphere_head):
 def test_a_truncated_file_is_told(tmp_path, sphere_head):
     for suffix in SUFFIXES:
         path = tmp_path / f"half{suffix}"
-        write_tets(path, of_head(sphere_head))
+        write_tets(path, tets_from_head(sphere_head))
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
         with pytest.raises(InputError, match="half"):
             read_tets(path)
@@ -128,7 +128,7 @@ def test_a_truncated_file_is_told(tmp_path, sphere_head):
 
 def test_gmsh_reads_it_with_its_names(tmp_path, sphere_head):
     gmsh = pytest.importorskip("gmsh", reason="gmsh is not installed", exc_type=(ImportError, OSError))
-    write_tets(tmp_path / "head.msh", of_head(sphere_head))
+    write_tets(tmp_path / "head.msh", tets_from_head(sphere_head))
     gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)

@@ -50,7 +50,7 @@ def remove_unfinished() -> None:
 
 
 def check_place(path: str | os.PathLike[str], *, folder: bool) -> None:
-    """InputError naming a path at which no file or `folder` can be: below a file, or where writing is forbidden.
+    """Raise InputError for a path at which no file or `folder` can be: below a file, or where writing is forbidden.
 
     For work of minutes to fail before it begins; a disk that is full by then is another matter.
     """

@@ -1,4 +1,4 @@
-"""What is expensive to make is kept in the user's cache folder; a damaged file is made anew."""
+"""The user's cache folder: arrays and compiled code that are expensive to make; a damaged file is made anew."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Made = TypeVar("Made")
 
 
 def cache_folder() -> Path:
-    """The cache folder: $SOFTDECA_CACHE, or the user's cache folder of this platform; it is there and can be written.
+    """Return the cache folder, made and writable: $SOFTDECA_CACHE, or the user's cache folder of this platform.
 
     Where neither can be, a temporary folder of this user takes its place, and a warning says so once.
     """
@@ -33,7 +33,7 @@ def cache_folder() -> Path:
 
 
 def is_writable(path: Path) -> bool:
-    """Whether files can be put into a folder, which is made if missing."""
+    """Return whether files can be put into a folder, which is made if missing."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -43,17 +43,17 @@ def is_writable(path: Path) -> bool:
 
 @functools.cache
 def _temporary(wanted: Path) -> Path:
-    found = Path(tempfile.gettempdir()) / f"softdeca-cache-{os.getuid()}"
+    path = Path(tempfile.gettempdir()) / f"softdeca-cache-{os.getuid()}"
     try:
-        found.mkdir(mode=0o700, exist_ok=True)
-        state = found.lstat()
+        path.mkdir(mode=0o700, exist_ok=True)
+        state = path.lstat()
         # What is compiled is run: the folder has to be this user's own.
         own = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid() and not state.st_mode & 0o022
     except OSError:
         own = False
-    found = found if own else Path(tempfile.mkdtemp(prefix="softdeca-cache-"))
-    warnings.warn(f"{wanted} cannot be written; what is kept for the next run goes to {found}", stacklevel=3)
-    return found
+    path = path if own else Path(tempfile.mkdtemp(prefix="softdeca-cache-"))
+    warnings.warn(f"{wanted} cannot be written; what is kept for the next run goes to {path}", stacklevel=3)
+    return path
 
 
 def keep_compiled_functions() -> None:

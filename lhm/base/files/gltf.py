@@ -35,7 +35,7 @@ ENDED = "the file is shorter than it says: is its end missing?"
 
 
 def read_gltf(path: Path) -> tuple[Floats, Ints, dict[str, Floats]]:
-    """Vertices (n, 3), triangles (m, 3) and what each named morph target adds, shape (n, 3), in the scene's axes.
+    """Read vertices (n, 3), triangles (m, 3) and what each named morph target adds, shape (n, 3), in the scene's axes.
 
     Nodes' transforms and skins (as they are posed in the file) are applied; materials and textures are left out.
     InputError says what is damaged, or which extension is not known.
@@ -66,7 +66,7 @@ class _Document:
         self._views: dict[int, bytes] = {}
 
     def mesh(self) -> tuple[Floats, Ints, dict[str, Floats]]:
-        """All instances of meshes in the scene, one after another."""
+        """Return all instances of meshes in the scene, one after another."""
         vertices: list[Floats] = []
         triangles: list[Ints] = []
         morphs: list[dict[str, Floats]] = []
@@ -75,10 +75,10 @@ class _Document:
             mesh = self._item("meshes", node["mesh"])
             names = mesh.get("extras", {}).get("targetNames", []) if isinstance(mesh.get("extras"), dict) else []
             for primitive in mesh["primitives"]:
-                found = self._primitive(primitive, names)
-                if found is None:
+                parts = self._primitive(primitive, names)
+                if parts is None:
                     continue
-                x, corners, targets = found
+                x, corners, targets = parts
                 first += len(x)
                 corners_in_all += len(corners)
                 values += 3 * len(x) * len(targets)
@@ -92,24 +92,24 @@ class _Document:
         if not vertices:
             raise InputError("no triangles found; is there a mesh in its scene?")
         counts = [len(x) for x in vertices]
-        every = dict.fromkeys(name for targets in morphs for name in targets)
-        MORPH_TARGETS.check("its scene has", len(every))
-        MORPH_VALUES.check("its scene has", 3 * sum(counts) * len(every))
+        all_names = dict.fromkeys(name for targets in morphs for name in targets)
+        MORPH_TARGETS.check("its scene has", len(all_names))
+        MORPH_VALUES.check("its scene has", 3 * sum(counts) * len(all_names))
         joined = {
             name: np.vstack([t.get(name, np.zeros((k, 3))) for t, k in zip(morphs, counts, strict=True)])
-            for name in every
+            for name in all_names
         }
         return np.vstack(vertices), np.vstack(triangles), joined
 
     def _item(self, kind: str, number: Any) -> Any:
-        """An object by its number in one of the document's lists."""
+        """Return an object by its number in one of the document's lists."""
         listed = self._json[kind]
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(listed):
             raise InputError(f"{kind}: {quote(number)} is none of its {len(listed)}")
         return listed[number]
 
     def _placed(self) -> Iterator[tuple[dict, Floats]]:
-        """Nodes that have a mesh, with their global transform (4, 4)."""
+        """Return nodes that have a mesh, with their global transform (4, 4)."""
         nodes = self._json.get("nodes", [])
         GLTF_NODES.check("it has", len(nodes))
         self._global: dict[int, Floats] = {}
@@ -134,7 +134,7 @@ class _Document:
         return ((nodes[k], self._global[k]) for k in order if "mesh" in nodes[k])
 
     def _transforms(self, primitive: dict, node: dict, matrix: Floats, count: int) -> tuple[Floats, Floats]:
-        """Per vertex the linear map (n, 3, 3) and the shift (n, 3) by node or skin."""
+        """Return per vertex the linear map (n, 3, 3) and the shift (n, 3) by node or skin."""
         attributes = primitive["attributes"]
         skin = self._item("skins", node["skin"]) if "skin" in node else None
         if skin is None or "JOINTS_0" not in attributes or "inverseBindMatrices" not in skin:
@@ -156,7 +156,7 @@ class _Document:
         return blended[:, :, :3], blended[:, :, 3]
 
     def _primitive(self, primitive: dict, names: list) -> tuple[Floats, Ints, dict[str, Floats]] | None:
-        """Vertices, triangles and named targets; None for points and lines."""
+        """Return vertices, triangles and named targets; None for points and lines."""
         mode = primitive.get("mode", 4)
         if mode not in (4, 5, 6) or "POSITION" not in primitive["attributes"]:
             return None
@@ -185,7 +185,7 @@ class _Document:
         return x, triangles, targets
 
     def _accessor(self, number: int, kind_of: str) -> Floats:
-        """An accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3"."""
+        """Return an accessor's values as floats, shape (count, width); it has to be of that type, as "VEC3"."""
         accessor = self._item("accessors", number)
         if accessor["type"] != kind_of:
             raise InputError(f"accessor {number}: of type {quote(accessor['type'])}, expected {kind_of}")
@@ -247,7 +247,7 @@ class _Document:
 
 
 def _glb(content: bytes) -> tuple[Any, bytes | None]:
-    """The JSON and the binary chunk of a GLB file."""
+    """Return the JSON and the binary chunk of a GLB file."""
     if content[:4] != b"glTF":
         raise InputError("not a GLB file (it does not begin with 'glTF')")
     if struct.unpack("<I", content[8:12])[0] > len(content):
@@ -266,7 +266,7 @@ def _glb(content: bytes) -> tuple[Any, bytes | None]:
 
 
 def _within(name: str, number: Any, most: int) -> int:
-    """A count of bytes, at most `most`."""
+    """Return a count of bytes, at most `most`."""
     if isinstance(number, bool) or not isinstance(number, int) or number < 0:
         raise InputError(f"{name}: {quote(number)} is no count of bytes")
     if number > most:
@@ -286,7 +286,7 @@ def _strided(content: bytes, offset: Any, kind: np.dtype, count: int, width: int
 
 
 def _triangles(ids: Ints, mode: int) -> Ints:
-    """Triangles of a list (mode 4), a strip (5) or a fan (6)."""
+    """Return triangles of a list (mode 4), a strip (5) or a fan (6)."""
     if mode == 4:
         return ids[: len(ids) // 3 * 3].reshape(-1, 3)
     if len(ids) < 3:
@@ -299,7 +299,7 @@ def _triangles(ids: Ints, mode: int) -> Ints:
 
 
 def _local(node: dict) -> Floats:
-    """A node's own transform (4, 4)."""
+    """Return a node's own transform (4, 4)."""
     if "matrix" in node:
         return finite("matrix", node["matrix"], (16,), most=LARGEST).reshape(4, 4).T
     x, y, z, w = finite("rotation", node.get("rotation", (0.0, 0.0, 0.0, 1.0)), (4,), most=1.0 + 1e-3)
@@ -315,7 +315,7 @@ def _local(node: dict) -> Floats:
 
 
 def decode_draco(content: bytes, position: int) -> tuple[Floats, Ints]:
-    """Vertices (n, 3) and triangles (m, 3) of a Draco buffer; `position`: its attribute of positions, by unique id.
+    """Return vertices (n, 3) and triangles (m, 3) of a Draco buffer; `position`: the unique id of its positions.
 
     MissingDependencyError without DracoPy, InputError for a damaged buffer.
     """

@@ -11,7 +11,7 @@ _SHORT = "its meshopt data are damaged or cut short"
 
 
 def decode_meshopt(content: bytes, count: int, stride: int, mode: str, applied: str = "NONE") -> bytes:
-    """The `count` elements of `stride` bytes that a compressed buffer view holds.
+    """Return the `count` elements of `stride` bytes that a compressed buffer view holds.
 
     `mode` is ATTRIBUTES, TRIANGLES or INDICES, `applied` the filter: NONE, OCTAHEDRAL, QUATERNION or EXPONENTIAL.
     InputError for a damaged buffer or an unknown mode.
@@ -53,7 +53,7 @@ def _unzigzag(value):
 
 @njit(cache=True)
 def _group(source, place, bits, deltas, at):
-    """Sixteen deltas of 0, 1, 2, 4 or 8 bits, with larger ones after them; the place behind, -1 for too few bytes."""
+    """Read sixteen deltas of 0, 1, 2, 4 or 8 bits, larger ones after them; return the place behind, -1 at the end."""
     if bits == 0:
         return place
     if bits == 8:
@@ -150,7 +150,7 @@ def _attributes(source, out, count, stride):
 
 @njit(cache=True)
 def _number(source, state):
-    """A variable-length number at state[0], which moves on; -1 at the end."""
+    """Read a variable-length number at state[0], which moves on; -1 at the end."""
     value = np.int64(0)
     for shift in range(0, 35, 7):
         if state[0] >= len(source):

@@ -34,7 +34,7 @@ class Morphs:
 
 
 def reduce_to_morphs(motion: NDArray[np.float32], *, tolerance: float, most: int = 256) -> Morphs:
-    """As few morph targets as bring every vertex of every frame within `tolerance` [mm], but at most `most`.
+    """Find as few morph targets as bring every vertex of every frame within `tolerance` [mm], at most `most`.
 
     motion (k, n, 3) [mm]: displacements from neutral. The targets are chosen greedily: the displacement that is worst
     represented so far, less what the earlier targets have of it (a reduced basis, with its bound on the worst case
@@ -47,7 +47,9 @@ def reduce_to_morphs(motion: NDArray[np.float32], *, tolerance: float, most: int
         off = np.sqrt((left.reshape(len(left), -1, 3) ** 2).sum(axis=2).max(axis=1))
         worst = int(np.argmax(off))
         if off[worst] <= tolerance or len(targets) == min(most, len(motion)):
-            return Morphs(_columns(columns, len(motion)), _rows(targets, motion.shape[1]), float(off[worst]))
+            weights = np.stack(columns, axis=1) if columns else np.zeros((len(motion), 0))
+            stacked = np.array(targets, dtype=np.float32).reshape(len(targets), motion.shape[1], 3)
+            return Morphs(weights, stacked, float(off[worst]))
         target = left[worst].copy()
         column = (left @ target) / np.float32(target @ target)
         left -= column[:, None] * target
@@ -71,9 +73,9 @@ def write_gltf(
     """
     if motion.shape != (len(times), *neutral.vertices.shape):
         raise InputError(f"glTF: motion of shape {motion.shape} for {len(times)} times and {neutral.vertices.shape}")
-    found = reduce_to_morphs(motion, tolerance=tolerance)
-    _write(path, neutral, times, found, _normal_targets(neutral, motion, found.weights), name=name)
-    return found
+    reduced = reduce_to_morphs(motion, tolerance=tolerance)
+    _write(path, neutral, times, reduced, _normal_targets(neutral, motion, reduced.weights), name=name)
+    return reduced
 
 
 def write_rig(
@@ -98,7 +100,7 @@ def _write(
     path: str | os.PathLike[str],
     neutral: Surface,
     times: Floats,
-    found: Morphs,
+    reduced: Morphs,
     normals: Floats,
     *,
     name: str,
@@ -112,11 +114,11 @@ def _write(
     indices = binary.scalars(neutral.triangles.ravel().astype("<u4"), UNSIGNED, ELEMENTS)
     targets = [
         {"POSITION": binary.vectors(METRES * moved, ARRAY), "NORMAL": binary.vectors(turned, ARRAY)}
-        for moved, turned in zip(found.targets, normals, strict=True)
+        for moved, turned in zip(reduced.targets, normals, strict=True)
     ]
     primitive = {"attributes": attributes, "indices": indices, "material": 0}
     mesh: dict[str, Any] = {"name": name, "primitives": [primitive | ({"targets": targets} if targets else {})]}
-    mesh["extras"] = {"greatest_error_mm": found.error, "morph_targets": len(targets)}
+    mesh["extras"] = {"greatest_error_mm": reduced.error, "morph_targets": len(targets)}
     content: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "softdeca"},
         "scene": 0,
@@ -131,7 +133,7 @@ def _write(
         mesh["weights"] = [0.0] * len(targets)
         sampler = {
             "input": binary.scalars((times - times[0]).astype("<f4"), FLOAT),
-            "output": binary.scalars(found.weights.ravel().astype("<f4"), FLOAT),
+            "output": binary.scalars(reduced.weights.ravel().astype("<f4"), FLOAT),
             "interpolation": "LINEAR",
         }
         channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
@@ -139,16 +141,8 @@ def _write(
     write_whole(path, binary.glb(content))
 
 
-def _columns(columns: list[Floats], count: int) -> Floats:
-    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
-
-
-def _rows(targets: list[NDArray[np.float32]], n: int) -> NDArray[np.float32]:
-    return np.array(targets, dtype=np.float32).reshape(len(targets), n, 3)
-
-
 def _normal_targets(neutral: Surface, motion: NDArray[np.float32], weights: Floats) -> Floats:
-    """What each morph target adds to the normals, (t, n, 3): the least-squares fit over a sample of the frames."""
+    """Fit what each morph target adds to the normals, (t, n, 3), by least squares over a sample of the frames."""
     count = weights.shape[1]
     some = np.unique(np.linspace(0, len(motion) - 1, min(len(motion), 4 * count + 8)).astype(int))
     turned = np.array([neutral.with_vertices(neutral.vertices + motion[k]).vertex_normals for k in some])
@@ -166,13 +160,13 @@ class _Binary:
         self._accessors: list[dict] = []
 
     def vectors(self, values, target: int) -> int:
-        """Add (n, 3) floats; the accessor's number."""
+        """Add (n, 3) floats; return the accessor's number."""
         array = np.ascontiguousarray(values, dtype="<f4")
         limits = {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
         return self._add(array, len(array), FLOAT, "VEC3", limits, target)
 
     def scalars(self, array, kind: int, target: int | None = None) -> int:
-        """Add (n,) numbers; the accessor's number."""
+        """Add (n,) numbers; return the accessor's number."""
         limits = {"min": [array.min().item()], "max": [array.max().item()]}
         return self._add(array, len(array), kind, "SCALAR", limits, target)
 
@@ -185,7 +179,7 @@ class _Binary:
         return len(self._accessors) - 1
 
     def glb(self, content: dict) -> bytes:
-        """The file: header, JSON chunk padded by spaces, binary chunk; all numbers are of four bytes."""
+        """Return the file: header, JSON chunk padded by spaces, binary chunk; all numbers are of four bytes."""
         whole = content | {
             "buffers": [{"byteLength": len(self._bytes)}],
             "bufferViews": self._views,
@@ -227,7 +221,7 @@ def write_vtkhdf(path: str | os.PathLike[str], triangles: Ints, times: Floats, f
 
 
 def _points(root: h5py.Group, times: Floats, frames: Iterable[Floats]) -> int:
-    """Write the vertices of all frames, one chunk each; how many a frame has."""
+    """Write the vertices of all frames, one chunk each; return how many a frame has."""
     points, count = None, 0
     for count, frame in enumerate(frames, start=1):
         values = np.asarray(frame, dtype=np.float32)
@@ -246,7 +240,7 @@ def _points(root: h5py.Group, times: Floats, frames: Iterable[Floats]) -> int:
 
 
 def _steps(root: h5py.Group, times: Floats, n: int):
-    """Where each step's part of the arrays begins: its own points, and always the same triangles."""
+    """Write where each step's part of the arrays begins: its own points, and always the same triangles."""
     count = len(times)
     steps = root.create_group("Steps")
     steps.attrs["NSteps"] = np.int64(count)

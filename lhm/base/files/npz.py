@@ -12,9 +12,9 @@ from typing import IO
 import numpy as np
 
 from ..errors import InputError, quote
-from ..limits import ARRAYS, FILE_BYTES, UNPACKED_BYTES
+from ..limits import ARRAYS, UNPACKED_BYTES
 from .atomic import write_whole
-from .text import read_bytes
+from .text import check_file, read_bytes
 
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _KINDS = "biufcSU"
@@ -40,18 +40,19 @@ def read_arrays(path: str | os.PathLike[str], *names: str, of: str = "an .npz fi
     """
     path = Path(path)
     try:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
-        FILE_BYTES.check(str(path), path.stat().st_size)
-        if not zipfile.is_zipfile(path):
+        if not zipfile.is_zipfile(check_file(path)):
             raise InputError(f"{path}: not {of}, or damaged (no .npz file, or its end is missing)")
         with zipfile.ZipFile(path) as archive:
             members = {part.filename.removesuffix(".npy"): part for part in archive.infolist()}
             ARRAYS.check("it holds", len(members))
             UNPACKED_BYTES.check("it holds", sum(part.file_size for part in members.values()))
             missing = [name for name in names if name not in members]
-            wanted = [] if missing else names or list(members)
-            arrays = {name: _array(archive, members[name]) for name in wanted}
+            arrays = {}
+            for name in [] if missing else names or list(members):
+                part = members[name]
+                with archive.open(part) as file:
+                    arrays[name] = _parse(file, part.file_size, part.filename)
+                    file.read(1)  # at the end the checksum is compared
     except Exception as error:  # zipfile, zlib and numpy raise whatever the damage makes them raise
         if isinstance(error, InputError) and str(error).startswith(str(path)):
             raise
@@ -66,20 +67,12 @@ def read_npy(path: Path) -> np.ndarray:
     """Read an .npy file; InputError names one that is missing or damaged."""
     content = read_bytes(path)
     try:
-        return _parsed(io.BytesIO(content), len(content), "it")
+        return _parse(io.BytesIO(content), len(content), "it")
     except Exception as error:  # numpy raises whatever the damage makes it raise
         raise InputError(f"{path}: no .npy file, or damaged ({' '.join(str(error).split())[:100]})") from None
 
 
-def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo) -> np.ndarray:
-    """Read one array of an archive."""
-    with archive.open(part) as file:
-        array = _parsed(file, part.file_size, part.filename)
-        file.read(1)  # at the end the checksum is compared
-        return array
-
-
-def _parsed(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
+def _parse(file: IO[bytes], file_size: int, name: str) -> np.ndarray:
     """Read an array, whose header has to promise just the bytes that are there."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:

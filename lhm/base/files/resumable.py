@@ -37,7 +37,7 @@ class RowStore:
             write_whole(folder / f"{what}.json", json.dumps(dict(manifest), indent=1).encode())
 
     def rows(self) -> list[dict[str, Any]]:
-        """All whole rows; a line that a kill has torn is left out."""
+        """Return all whole rows; a line that a kill has torn is left out."""
         try:
             lines = self.file.read_bytes().splitlines()
         except OSError:
@@ -64,11 +64,11 @@ class RowStore:
             raise InputError(f"{self.file}: cannot be written ({error.strerror})") from None
 
     def keep(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Have these rows and no others."""
+        """Keep these rows and no others."""
         write_whole(self.file, b"".join(json.dumps(row, allow_nan=False).encode() + b"\n" for row in rows))
 
     def path(self, name: str) -> Path:
-        """The file of the arrays of a name."""
+        """Return the file of the arrays of a name."""
         return self.folder / f"{name}.npz"
 
     def write(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
@@ -89,7 +89,7 @@ class RowStore:
 
 
 def check_manifest(path: Path, what: str, manifest: Mapping[str, Any]) -> bool:
-    """Whether the folder's work has begun; InputError, naming what differs, if it is not of this manifest."""
+    """Return whether the folder's work has begun; InputError names what differs from this manifest."""
     if not path.exists():
         return False
     try:

@@ -11,38 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_arguments, finite
+from ..checks import check_arguments, finite, one_of
 from ..errors import InputError, MeshError, quote
 from ..limits import TRIANGLES, VERTICES
 from ..mesh import Floats, Ints, Surface, as_elements, as_points
 from .gltf import read_gltf
 from .npz import read_arrays
 from .ply import read_ply
-from .text import read_bytes
+from .text import check_file, naming_file, read_bytes
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-
-
-@check_arguments
-def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
-    """A triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
-
-    `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, empty,
-    damaged, no mesh, or holds values that are not finite.
-    """
-    path = Path(path)
-    if unit not in MILLIMETRES:
-        raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
-    scan = read_scan(path)
-    try:
-        return Surface(scan.vertices * MILLIMETRES[unit], scan.triangles)
-    except MeshError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
 FARTHEST = 1e12
 """In the file's own unit: a head in picometres."""
 MOST_MOVED = 10.0
+"""Of the mesh's size: how far a morph target may move a vertex."""
+STL_HEADER, STL_ROW = 84, 50
+"""Bytes of a binary STL file's header, whose last four are the count of triangles, and of each triangle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +54,29 @@ class Scan:
         return Surface(self.vertices, self.triangles)
 
 
+@check_arguments
+def read_surface(path: str | os.PathLike[str], *, unit: str = "mm") -> Surface:
+    """Read a triangle mesh from OBJ, PLY, STL, glTF, or NPZ with `vertices` and `triangles`; vertices keep their order.
+
+    `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, empty,
+    damaged, no mesh, or holds values that are not finite.
+    """
+    factor = MILLIMETRES[one_of("unit", unit, MILLIMETRES)]
+    scan = read_scan(path)
+    with naming_file(path):
+        return Surface(scan.vertices * factor, scan.triangles)
+
+
 def read_scan(path: str | os.PathLike[str]) -> Scan:
-    """The mesh in a file by its suffix; InputError, one line that names the file, if it is missing, damaged or none."""
+    """Read the mesh in a file by its suffix; InputError, one line that names the file, if it is missing or damaged."""
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
+    read = READERS.get(path.suffix.lower())
+    if read is None:
         raise InputError(f"{path}: unknown kind of file; expected one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    if path.stat().st_size == 0:
+    if check_file(path).stat().st_size == 0:
         raise InputError(f"{path}: the file is empty")
-    try:
-        scan = Scan(*_READERS[path.suffix.lower()](path))
+    with naming_file(path):
+        scan = Scan(*read(path))
         if not len(scan.triangles):
             raise InputError("no triangles found; is it a mesh?")
         farthest = float(np.abs(scan.vertices).max())
@@ -90,11 +86,6 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         for name, delta in scan.morphs.items():
             if np.abs(delta).max(initial=0.0) > MOST_MOVED * size:
                 raise InputError(f"morph target {name!r} moves a vertex more than {MOST_MOVED:g} times the mesh's size")
-    except (InputError, MeshError) as error:
-        text = str(error)
-        raise InputError(text if str(path) in text else f"{path}: {text}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     return scan
 
 
@@ -103,18 +94,20 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return finite("vertices", arrays["vertices"], (None, 3)), arrays["triangles"]
 
 
-_BOM = b"\xef\xbb\xbf"
-
-
 def read_obj(path: Path) -> tuple[Floats, Ints]:
-    """Vertices (n, 3) in the file's order, and its polygons as fans of triangles (m, 3).
+    """Read the vertices (n, 3) of a Wavefront OBJ in the file's order, and its polygons as fans of triangles (m, 3).
 
     Texture coordinates, normals, materials, lines and points are left out: a vertex that has two texture coordinates
     stays one. Negative indices count back from the last vertex. InputError names a line that is none of OBJ, vertices
     that are not finite and indices out of range.
     """
+    content = read_bytes(path).removeprefix(b"\xef\xbb\xbf")  # names of materials may be in any encoding
+    if b"\0" in content:
+        raise InputError("not an OBJ file: it is no text")
+    if b"\\" in content:  # at a line's end it continues the line
+        content = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     coordinates, corners = array("d"), array("q")
-    for number, line in enumerate(_obj_lines(path), start=1):
+    for number, line in enumerate(content.splitlines(), start=1):
         kind, *fields = line.split() or [b""]
         try:
             if kind == b"v":
@@ -127,8 +120,7 @@ def read_obj(path: Path) -> tuple[Floats, Ints]:
                 for b, c in zip(polygon[1:-1], polygon[2:], strict=True):
                     corners.extend((polygon[0], b, c))
         except (ValueError, OverflowError):
-            said = quote(line.strip().decode("utf-8", "replace"), 60)
-            raise InputError(f"line {number} is none of an OBJ file: {said!r}") from None
+            raise _none_of("an OBJ", number, line) from None
     vertices = np.frombuffer(coordinates, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corners, np.int64).reshape(-1, 3)
     VERTICES.check("it has", len(vertices))
@@ -146,39 +138,28 @@ def _obj_index(field: bytes, count: int) -> int:
     return value - 1 if value > 0 else count + value
 
 
-def _obj_lines(path: Path) -> list[bytes]:
-    # Names of materials may be in any encoding.
-    content = read_bytes(path).removeprefix(_BOM)
-    if b"\0" in content:
-        raise InputError("not an OBJ file: it is no text")
-    if b"\\" in content:  # at a line's end it continues the line
-        content = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    return content.splitlines()
-
-
-HEADER, ROW = 84, 50
-"""Bytes of a binary file's header, whose last four are the count of triangles, and of each triangle."""
-
-
 def read_stl(path: Path) -> tuple[Floats, Ints]:
-    """Vertices (n, 3) and triangles (m, 3); InputError where the file is cut off or no STL."""
+    """Read the vertices (n, 3) and triangles (m, 3) of an STL file, binary or text.
+
+    Corners at the same place are one vertex. InputError where the file is cut off or no STL.
+    """
     content = read_bytes(path)
     count = int.from_bytes(content[80:84], "little")
     # Binary files may begin with "solid" too, so that their size tells them.
-    if len(content) == HEADER + ROW * count:
+    if len(content) == STL_HEADER + STL_ROW * count:
         TRIANGLES.check("it has", count)
-        rows = np.frombuffer(content, np.uint8, offset=HEADER).reshape(count, ROW)[:, 12:48]
+        rows = np.frombuffer(content, np.uint8, offset=STL_HEADER).reshape(count, STL_ROW)[:, 12:48]
         corners = np.ascontiguousarray(rows).view("<f4").reshape(-1, 3)
     elif content.lstrip()[:5].lower() == b"solid":
-        corners = _stl_text(content)
+        corners = _corners_of_text(content)
     else:
         raise InputError(f"not an STL file, or cut off: its size is not that of the {count:,} triangles it promises")
     with np.errstate(all="ignore"):  # NaN and infinity are refused as such
-        return _merged(corners)
+        return _merge_corners(corners)
 
 
-def _stl_text(content: bytes) -> np.ndarray:
-    """The corners (3 m, 3) of a text, float32."""
+def _corners_of_text(content: bytes) -> np.ndarray:
+    """Return the corners (3 m, 3) of a text STL, float32."""
     corners, facet = array("d"), 0
     for number, line in enumerate(content.lower().splitlines(), start=1):
         kind, *fields = line.split() or [b""]
@@ -194,8 +175,7 @@ def _stl_text(content: bytes) -> np.ndarray:
             elif kind not in (b"solid", b"facet", b"outer", b"endloop", b"endsolid", b""):
                 raise ValueError
         except ValueError:
-            said = quote(line.strip().decode("utf-8", "replace"), 60)
-            raise InputError(f"line {number} is none of an STL file: {said!r}") from None
+            raise _none_of("an STL", number, line) from None
     if facet:
         raise InputError("the file is cut off within a triangle")
     TRIANGLES.check("it has", len(corners) // 9)
@@ -203,8 +183,8 @@ def _stl_text(content: bytes) -> np.ndarray:
         return np.frombuffer(corners, np.float64).reshape(-1, 3).astype(np.float32)
 
 
-def _merged(corners: np.ndarray) -> tuple[Floats, Ints]:
-    """Vertices and triangles of corners (3 m, 3), float32, those of the same three numbers made one."""
+def _merge_corners(corners: np.ndarray) -> tuple[Floats, Ints]:
+    """Return vertices and triangles of corners (3 m, 3), float32; those of the same three numbers become one."""
     bits = (np.ascontiguousarray(corners, dtype="<f4") + np.float32(0)).view("<u4").astype(np.uint64)  # -0 becomes 0
     _, plane = np.unique(bits[:, 0] << np.uint64(32) | bits[:, 1], return_inverse=True)
     _, first, number = np.unique(
@@ -217,7 +197,11 @@ def _merged(corners: np.ndarray) -> tuple[Floats, Ints]:
     return corners[first[order]].astype(np.float64), rank[number.ravel()].reshape(-1, 3)
 
 
-_READERS: dict[str, Callable[[Path], tuple[Any, ...]]] = {
+def _none_of(kind: str, number: int, line: bytes) -> InputError:
+    return InputError(f"line {number} is none of {kind} file: {quote(line.strip().decode('utf-8', 'replace'), 60)!r}")
+
+
+READERS: dict[str, Callable[[Path], tuple[Any, ...]]] = {
     ".obj": read_obj,
     ".ply": read_ply,
     ".stl": read_stl,
@@ -225,4 +209,4 @@ _READERS: dict[str, Callable[[Path], tuple[Any, ...]]] = {
     ".gltf": read_gltf,
     ".npz": _read_npz,
 }
-SUFFIXES = tuple(_READERS)
+SUFFIXES = tuple(READERS)

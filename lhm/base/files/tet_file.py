@@ -13,12 +13,13 @@ from pathlib import Path
 import meshio
 import numpy as np
 
-from ..checks import check_arguments, finite, indices_below
-from ..errors import InputError, SoftdecaError, escape
-from ..limits import FILE_BYTES, TAGS, TETS, VERTICES
+from ..checks import check_arguments, finite, indices_below, one_of
+from ..errors import InputError, SoftdecaError, escape, quote
+from ..limits import TAGS, TETS, VERTICES
 from ..mesh import Ints, TetMesh
 from .atomic import replaced
 from .surface_file import FARTHEST, MILLIMETRES
+from .text import check_file, naming_file
 
 FORMATS = {".msh": "gmsh", ".vtu": "vtu", ".xdmf": "xdmf", ".mesh": "medit"}
 TAG = {".msh": "gmsh:physical", ".vtu": "tag", ".xdmf": "tag", ".mesh": "medit:ref"}
@@ -63,37 +64,44 @@ def write_tets(path: str | os.PathLike[str], tagged: TaggedTets) -> None:
 
 @check_arguments
 def read_tets(path: str | os.PathLike[str], *, unit: str = "mm") -> TaggedTets:
-    """The tets of a file in any of the formats, with their tags (0 where it has none) and tagged triangles.
+    """Read the tets of a file in any of the formats, with their tags (0 where it has none) and tagged triangles.
 
     `unit` is the file's: mm, cm or m. Raises InputError, one line that names the file, if it is missing, damaged, has
     no tets or too many, values that are not finite, inverted tets, or an extent [mm] that shows a wrong unit.
     """
-    path = Path(path)
-    if unit not in MILLIMETRES:
-        raise InputError(f"unit {unit!r}: expected one of {', '.join(MILLIMETRES)}")
+    one_of("unit", unit, MILLIMETRES)
+    path = check_file(path)
     kind = _kind(path)
+    # meshio prints warnings, and ends the process where it finds no reader for a content.
     try:
-        return _tagged(path, _read(path, kind), kind, unit)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # meshio hands on what it finds
-        said = str(error)
-        if isinstance(error, SoftdecaError):
-            raise InputError(said if said.startswith(f"{path}: ") else f"{path}: {said}") from None
-        raise InputError(f"{path}: not a sound tet mesh ({type(error).__name__}: {said[:80]})") from None
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            mesh = meshio.read(path, file_format=FORMATS[kind])
+    except (Exception, SystemExit) as error:  # its readers raise whatever broken text makes them raise
+        said = quote(str(error).strip().split("\n")[0], 80)
+        raise InputError(f"{path}: not a readable tet mesh ({type(error).__name__}{said and ': ' + said})") from None
+    with naming_file(path):
+        try:
+            return _tagged(mesh, kind, unit)
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # meshio hands on what it finds
+            if isinstance(error, SoftdecaError):
+                raise
+            raise InputError(f"not a sound tet mesh ({type(error).__name__}: {str(error)[:80]})") from None
 
 
-def _tagged(path: Path, mesh: meshio.Mesh, kind: str, unit: str) -> TaggedTets:
+def _tagged(mesh: meshio.Mesh, kind: str, unit: str) -> TaggedTets:
     tets = np.vstack([np.empty((0, 4), dtype=np.int64), *(b.data for b in mesh.cells if b.type == "tetra")])
     if not len(tets):
-        found = sorted({block.type for block in mesh.cells}) or ["nothing"]
-        raise InputError(f"{path}: no tets (four corners each); it has {', '.join(found)}")
+        kinds = sorted({block.type for block in mesh.cells}) or ["nothing"]
+        raise InputError(f"no tets (four corners each); it has {', '.join(kinds)}")
     TETS.check("it has", len(tets))
     points = finite("points", mesh.points, (None, 3), most=FARTHEST)
     VERTICES.check("it has", len(points))
-    read = TetMesh(points * MILLIMETRES[unit], indices_below("tets", tets, len(points)))
-    extent = float(np.ptp(read.vertices[np.unique(tets)], axis=0).max())
+    tet_mesh = TetMesh(points * MILLIMETRES[unit], indices_below("tets", tets, len(points)))
+    extent = float(np.ptp(tet_mesh.vertices[np.unique(tets)], axis=0).max())
     if not EXTENT[0] <= extent <= EXTENT[1]:
-        raise InputError(f"{path}: its extent is {extent:.4g} mm in unit {unit!r}; is the unit wrong?")
-    numbers = _numbers(mesh, TAG[kind])
+        raise InputError(f"its extent is {extent:.4g} mm in unit {unit!r}; is the unit wrong?")
+    numbers = _tags_of_blocks(mesh, TAG[kind])
     tags = np.concatenate([n for b, n in zip(mesh.cells, numbers, strict=True) if b.type == "tetra"])
     surfaces: dict[int, list[Ints]] = {}
     for block, values in zip(mesh.cells, numbers, strict=True):
@@ -103,36 +111,22 @@ def _tagged(path: Path, mesh: meshio.Mesh, kind: str, unit: str) -> TaggedTets:
                 surfaces.setdefault(int(tag), []).append(triangles[values == tag])
     TAGS.check("it has", len(surfaces))
     names = {int(tag): escape(str(name)) for name, (tag, _) in mesh.field_data.items()} if kind == ".msh" else {}
-    return TaggedTets(read, tags, names, {tag: np.vstack(parts) for tag, parts in surfaces.items()})
+    return TaggedTets(tet_mesh, tags, names, {tag: np.vstack(parts) for tag, parts in surfaces.items()})
+
+
+def _tags_of_blocks(mesh: meshio.Mesh, name: str) -> list[Ints]:
+    """Return the tags of each block of elements, zeros where the file has none of that name."""
+    values = mesh.cell_data.get(name) or [np.zeros(len(block.data)) for block in mesh.cells]
+    tags = []
+    for given, block in zip(values, mesh.cells, strict=True):
+        first = finite(name, np.asarray(given).reshape(len(block.data), -1)[:, 0], most=MOST_TAG)
+        if (first != np.round(first)).any():
+            raise InputError(f"{name}: a tag is no integer")
+        tags.append(first.astype(np.int64))
+    return tags
 
 
 def _kind(path: Path) -> str:
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"{path}: unknown kind of tet mesh; expected one of {', '.join(FORMATS)}")
     return path.suffix.lower()
-
-
-def _read(path: Path, kind: str) -> meshio.Mesh:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
-    FILE_BYTES.check(str(path), path.stat().st_size)
-    # meshio prints warnings, and ends the process where it finds no reader for a content.
-    try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return meshio.read(path, file_format=FORMATS[kind])
-    except (Exception, SystemExit) as error:  # its readers raise whatever broken text makes them raise
-        said = escape(str(error).strip().split("\n")[0])[:80]
-        raise InputError(f"{path}: not a readable tet mesh ({type(error).__name__}{said and ': ' + said})") from None
-
-
-def _numbers(mesh: meshio.Mesh, name: str) -> list[Ints]:
-    """The tags of each block of elements, zeros where the file has none of that name."""
-    values = mesh.cell_data.get(name) or [np.zeros(len(block.data)) for block in mesh.cells]
-    found = []
-    for given, block in zip(values, mesh.cells, strict=True):
-        first = finite(name, np.asarray(given).reshape(len(block.data), -1)[:, 0], most=MOST_TAG)
-        if (first != np.round(first)).any():
-            raise InputError(f"{name}: a tag is no integer")
-        found.append(first.astype(np.int64))
-    return found

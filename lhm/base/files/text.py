@@ -5,31 +5,56 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MissingDependencyError, escape, quote
+from ..errors import InputError, MeshError, MissingDependencyError, escape, quote
 from ..limits import FILE_BYTES, JSON_BYTES, JSON_DEPTH, JSON_DIGITS, TOML_BYTES, Bound
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether there is a file of that name, no folder or device; False for what can be no name."""
+    """Return whether there is a file of that name, no folder or device; False for what can be no name."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, or with a NUL
         return False
 
 
+def check_file(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> Path:
+    """Return the path of a plain file; InputError names one that is missing, no plain file, or beyond the bound."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
+    bound.check(str(path), path.stat().st_size)
+    return path
+
+
+def check_folder(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a folder; InputError if there is none of that name."""
+    path = Path(path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder")
+    return path
+
+
+@contextmanager
+def naming_file(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make every error of input or mesh an InputError that names the file, once."""
+    try:
+        yield
+    except (InputError, MeshError) as error:
+        said = str(error)
+        raise InputError(said if str(path) in said else f"{path}: {said}") from None
+
+
 def read_bytes(path: str | os.PathLike[str], bound: Bound = FILE_BYTES) -> bytes:
     """Return a file's content; InputError if it is missing, no plain file, unreadable, or larger than the bound."""
-    path = Path(path)
     try:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a plain file")
-        with path.open("rb") as file:
-            bound.check(str(path), path.stat().st_size)
+        with check_file(path, bound).open("rb") as file:
             content = file.read(bound.most + 1)  # it may have grown
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
@@ -51,11 +76,22 @@ def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
 
     NaN and Infinity, which JSON has not, are let pass for readers that name their place: `allow_nan`.
     """
+
+    def integer(digits: str) -> int:
+        JSON_DIGITS.check("JSON", len(digits.lstrip("-")))
+        return int(digits)
+
+    def real(word: str) -> float:
+        value = float(word)
+        if not allow_nan and not np.isfinite(value):
+            raise InputError(f"{quote(word)} is no finite number")
+        return value
+
     try:
         said = content.decode("utf-8-sig") if isinstance(content, bytes) else content.removeprefix("\ufeff")
         JSON_BYTES.check("JSON", len(said))
         JSON_DEPTH.check("JSON", _depth(said))
-        return json.loads(said, parse_int=_integer, parse_constant=_constant(allow_nan), parse_float=_float(allow_nan))
+        return json.loads(said, parse_int=integer, parse_constant=real, parse_float=real)
     except UnicodeDecodeError as error:
         raise InputError(f"not UTF-8 text, at byte {error.start}") from None
     except InputError:
@@ -64,41 +100,17 @@ def parse_json(content: bytes | str, *, allow_nan: bool = False) -> Any:
         raise InputError(f"not JSON: {escape(' '.join(str(error).split()))[:80]}") from None
 
 
-_STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
+STRING = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
 
 
 def _depth(said: str) -> int:
-    """How deep brackets are nested, those inside strings left out."""
+    """Return how deep brackets are nested, without those inside strings."""
     opened = said.count("[") + said.count("{")
     if opened <= JSON_DEPTH.most:
         return opened
-    code = np.frombuffer(_STRING.sub("", said).encode("utf-8", "replace"), np.uint8)
+    code = np.frombuffer(STRING.sub("", said).encode("utf-8", "replace"), np.uint8)
     step = np.isin(code, (ord("["), ord("{"))).astype(np.int32) - np.isin(code, (ord("]"), ord("}")))
     return int(np.cumsum(step).max(initial=0))
-
-
-def _integer(digits: str) -> int:
-    JSON_DIGITS.check("JSON", len(digits.lstrip("-")))
-    return int(digits)
-
-
-def _float(allow_nan: bool) -> Any:
-    def number(digits: str) -> float:
-        value = float(digits)
-        if not allow_nan and not np.isfinite(value):
-            raise InputError(f"{quote(digits)} is no finite number")
-        return value
-
-    return number
-
-
-def _constant(allow_nan: bool) -> Any:
-    def number(word: str) -> float:
-        if not allow_nan:
-            raise InputError(f"{word} is no finite number")
-        return float(word)
-
-    return number
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -111,5 +123,5 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(content.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        reason = escape(" ".join(str(error).split()))[:80]
+        reason = quote(" ".join(str(error).split()), 80)
         raise InputError(f"{path}: not a TOML file that can be read ({reason})") from None

@@ -70,38 +70,8 @@ def _box_distance2(box, p):
 
 
 @njit(cache=True)
-def _closest(points, corners, order, start, stop, left, box):
-    n = len(points)
-    which, weights, distance = np.empty(n, np.int64), np.empty((n, 3)), np.empty(n)
-    stack = np.empty(128, np.int64)
-    for i in range(n):
-        p, best, size = points[i], np.inf, 1
-        stack[0] = 0
-        while size > 0:
-            size -= 1
-            node = stack[size]
-            if _box_distance2(box[node], p) >= best:
-                continue
-            if left[node] < 0:
-                for k in range(start[node], stop[node]):
-                    t = order[k]
-                    u, v, w, d2 = closest_on_triangle(p, corners[t])
-                    if d2 < best:
-                        best, which[i] = d2, t
-                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
-            else:
-                a, b = left[node], left[node] + 1
-                if _box_distance2(box[a], p) < _box_distance2(box[b], p):
-                    a, b = b, a
-                stack[size], stack[size + 1] = a, b
-                size += 2
-        distance[i] = np.sqrt(best)
-    return which, weights, distance
-
-
-@njit(cache=True)
-def _closest_facing(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
-    """As `_closest` among the triangles whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
+def _closest(points, normals, cosine, turned2, most, corners, faces, order, start, stop, left, box):
+    """Find the closest triangle whose normal in `faces` is within arccos(cosine) of the point's; -1: none.
 
     Where no cost, that is distance² with what turning counts, is less than `most`, there is none.
     """
@@ -164,11 +134,11 @@ def _boxes(corners):
 
 @njit(cache=True)
 def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, left, box):
-    """Pairs (query, triangle) that cross, at most about `most`, leaving out pairs with a common vertex.
+    """Return pairs (query, triangle) that cross, at most about `most`, leaving out pairs with a common vertex.
 
     `same` lists each pair once.
     """
-    found, count = [], 0
+    pairs, count = [], 0
     stack = np.empty(128, np.int64)
     boxes = _boxes(corners)
     own = boxes if same else _boxes(query)
@@ -190,9 +160,9 @@ def _crossings(query, query_ids, same, most, corners, ids, order, start, stop, l
                 if (same and t <= q) or _apart(own[q], boxes[t]) or _common(query_ids[q], ids[t]):
                     continue
                 if triangles_cross(query[q], corners[t]):
-                    found.append((q, t))
+                    pairs.append((q, t))
                     count += 1
-    return found
+    return pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,17 +182,19 @@ class TriangleTree:
         object.__setattr__(self, "_nodes", nodes)
 
     def moved(self, vertices: Floats) -> TriangleTree:
-        """The tree of the same triangles over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        """Return the tree of the same triangles over other vertices (n, 3) [mm]: quicker, good for small motions."""
         return TriangleTree(vertices, self.triangles, self._nodes[:-1])
 
     def closest(self, points: Floats) -> tuple[Ints, Floats, Floats]:
-        """Triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each of `points`."""
-        return _closest(np.ascontiguousarray(points), self.corners, *self._nodes)
+        """Return triangle (k,), barycentric weights (k, 3) and distance (k,) of the point closest to each point."""
+        any_direction = np.zeros((1, 3))
+        normals, faces = (np.broadcast_to(any_direction, (len(a), 3)) for a in (points, self.triangles))
+        return _closest(np.ascontiguousarray(points), normals, -1.0, 0.0, np.inf, self.corners, faces, *self._nodes)
 
     def closest_facing(
         self, points: Floats, normals: Floats, faces: Floats, cosine: float, turned: float = 0.0, reach: float = np.inf
     ) -> tuple[Ints, Floats, Floats]:
-        """As `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
+        """Search as `closest`, among the triangles whose normal is within arccos(cosine) of the point's.
 
         A unit of difference between the normals counts as `turned` [mm] beside the distance. Triangles farther than
         `reach` [mm] may be left out, which is quicker.
@@ -232,16 +204,14 @@ class TriangleTree:
         """
         arrays = (np.ascontiguousarray(a) for a in (points, normals))
         most = reach * reach + turned * turned * (2.0 - 2.0 * cosine)
-        return _closest_facing(
-            *arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes
-        )
+        return _closest(*arrays, cosine, turned * turned, most, self.corners, np.ascontiguousarray(faces), *self._nodes)
 
     def self_crossings(self, *, most: int = ALL) -> Ints:
-        """Pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
+        """Return pairs of triangles without a common vertex that cross, shape (k, 2); the search ends after `most`."""
         return self._pairs(self.corners, self.triangles, True, most)
 
     def crossings(self, other: TriangleTree, *, shared_ids: bool = False, most: int = ALL) -> Ints:
-        """Pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
+        """Return pairs (triangle of `other`, triangle of this) that cross, shape (k, 2); the search ends after `most`.
 
         With `shared_ids` the two number their vertices alike, and pairs with a common vertex are left out.
         """
@@ -249,8 +219,8 @@ class TriangleTree:
         return self._pairs(other.corners, ids, False, most)
 
     def _pairs(self, query, query_ids, same, most) -> Ints:
-        found = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
-        return np.array(found, dtype=np.int64).reshape(-1, 2)
+        pairs = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
+        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 @njit(cache=True)
@@ -265,7 +235,7 @@ def _tet_boxes(corners):
 
 @njit(cache=True)
 def _six_volumes(a, b, c, d):
-    """Six times the signed volume of a tet."""
+    """Return six times the signed volume of a tet."""
     b0, b1, b2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     c0, c1, c2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     d0, d1, d2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
@@ -274,7 +244,7 @@ def _six_volumes(a, b, c, d):
 
 @njit(cache=True)
 def _containing(points, besides, ids, corners, order, start, stop, left, box):
-    """Pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
+    """Return pairs (point, tet) and barycentric weights, without the tets that have the vertex `besides` of a point."""
     pairs, weights = [], []
     stack = np.empty(128, np.int64)
     for i in range(len(points)):
@@ -326,11 +296,11 @@ class TetTree:
         object.__setattr__(self, "_nodes", nodes)
 
     def moved(self, vertices: Floats) -> TetTree:
-        """The tree of the same tets over other vertices (n, 3) [mm]: made quicker, good for small motions."""
+        """Return the tree of the same tets over other vertices (n, 3) [mm]: quicker, good for small motions."""
         return TetTree(vertices, self.tets, self._nodes[:-1])
 
     def containing(self, points: Floats, besides: Ints) -> tuple[Ints, Floats]:
-        """Pairs (point, tet), shape (k, 2), of each of `points` with each tet that holds it; weights (k, 4) in it.
+        """Return pairs (point, tet), shape (k, 2), of points with each tet that holds them; weights (k, 4) in it.
 
         Tets that have the vertex `besides`, shape (points,), of a point are left out; give -1 to leave out none.
         """

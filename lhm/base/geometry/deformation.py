@@ -18,11 +18,11 @@ from scipy.sparse import coo_matrix, csc_matrix
 from ..errors import MeshError
 from ..mesh import Floats, Ints, Surface
 from .cholesky import factorise
-from .topology import connected_parts
+from .topology import connected_parts, directed_edges
 
 
 def sumner_frames(vertices: Floats, triangles) -> Floats:
-    """Per face [e1, e2, n/√|n|] as columns [mm], n = e1 × e2, shape (m, 3, 3) (Sumner & Popović 2004, Eq. 2)."""
+    """Return [e1, e2, n/√|n|] per face as columns [mm], n = e1 × e2, shape (m, 3, 3) (Sumner & Popović 2004, Eq. 2)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -30,7 +30,7 @@ def sumner_frames(vertices: Floats, triangles) -> Floats:
 
 
 def deformation_gradients(before: Floats, after: Floats, triangles) -> Floats:
-    """J per face that takes the Sumner frame of `before` to that of `after` [mm, shape (n, 3)], shape (m, 3, 3).
+    """Return J per face, from the Sumner frame of `before` to that of `after` [mm, shape (n, 3)], shape (m, 3, 3).
 
     Raises MeshError for a triangle without area in `before`.
     """
@@ -63,32 +63,30 @@ class DeformationTransfer:
         self.solve = factorise(self._matrix(np.asarray(anchors), weight).astype(self.dtype))
 
     def _matrix(self, anchors, weight) -> csc_matrix:
+        """Return K = GᵀDG + anchors."""
+        count, part = connected_parts(self.triangles, self.n_vertices)
+        bare = np.setdiff1d(np.arange(count), part[anchors])
+        if bare.size:
+            vertex = np.flatnonzero(part == bare[0])[0]
+            raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
         c11, c12, c22 = self.stiffness.astype(np.float64).T
         local = np.stack([c11 + 2 * c12 + c22, -c11 - c12, -c12 - c22, c11, c12, c22], axis=1)
         blocks = local[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].ravel()
         rows = np.repeat(self.triangles, 3, axis=1).ravel()
         columns = np.tile(self.triangles, (1, 3)).ravel()
         matrix = coo_matrix((blocks, (rows, columns)), shape=(self.n_vertices,) * 2).tocsc()
-        self._require_anchor_per_part(anchors)
         added = np.zeros(self.n_vertices)
         added[anchors] = weight * matrix.diagonal().mean()
         return (matrix + coo_matrix((added, (np.arange(self.n_vertices),) * 2))).tocsc()
 
-    def _require_anchor_per_part(self, anchors):
-        count, part = connected_parts(self.triangles, self.n_vertices)
-        bare = np.setdiff1d(np.arange(count), part[anchors])
-        if bare.size:
-            vertex = np.flatnonzero(part == bare[0])[0]
-            raise MeshError(f"anchors: the part of vertex {vertex} has none; give each part one")
-
     def delta(self, gradients: NDArray, blended: NDArray) -> NDArray:
-        """The motion x - S [mm] from J - I, shape (batch, m, 9), and S [mm]; x and S have shape (batch, n, 3)."""
+        """Return the motion x - S [mm] of J - I, shape (batch, m, 9), and S [mm]; x and S have shape (batch, n, 3)."""
         forces = np.zeros((self.n_vertices, len(blended), 3), dtype=self.dtype)
         _face_forces(gradients, blended, self.triangles, self.stiffness, forces)
         return self.solve(forces.reshape(self.n_vertices, -1)).reshape(forces.shape).transpose(1, 0, 2)
 
     def displacements(self, edges: NDArray) -> NDArray:
-        """The motions [mm], shape (batch, n, 3), whose edges are closest to those given; anchors stay.
+        """Return the motions [mm], shape (batch, n, 3), whose edges are closest to those given; anchors stay.
 
         edges: per face what its edges (corner 2 - corner 1) and (corner 3 - corner 1) are to gain [mm], shape
         (batch, m, 2, 3).
@@ -98,7 +96,7 @@ class DeformationTransfer:
         return self.solve(forces.reshape(self.n_vertices, -1)).reshape(forces.shape).transpose(1, 0, 2)
 
     def pull_back(self, cotangent: NDArray, blended: NDArray) -> NDArray:
-        """The transpose of `delta` in its gradients: from shape (batch, n, 3) to (batch, m, 9); K is symmetric."""
+        """Apply the transpose of `delta` in its gradients, from shape (batch, n, 3) to (batch, m, 9)."""
         right_side = np.ascontiguousarray(cotangent.transpose(1, 0, 2), dtype=self.dtype)
         solved = self.solve(right_side.reshape(self.n_vertices, -1)).reshape(right_side.shape)
         out = np.empty((len(blended), len(self.triangles), 9), dtype=self.dtype)
@@ -107,14 +105,14 @@ class DeformationTransfer:
 
 
 def _edge_stiffness(reference: Surface) -> Floats:
-    """Area · Dm⁻¹ Dm⁻ᵀ per face as (c11, c12, c22), which is all of D and G that a face needs, shape (m, 3)."""
+    """Return area · Dm⁻¹ Dm⁻ᵀ per face as (c11, c12, c22): all of D and G that a face needs, shape (m, 3)."""
     check_areas("reference", reference.vertices, reference.triangles)
     g11, g12, g22 = _edge_products(reference.vertices, reference.triangles)
     return np.stack([g22, -g12, g11], axis=1) / (2.0 * np.sqrt(g11 * g22 - g12**2))[:, None]
 
 
 def _edge_products(vertices: Floats, triangles) -> tuple[Floats, Floats, Floats]:
-    """e1·e1, e1·e2 and e2·e2 per face [mm²]."""
+    """Return e1·e1, e1·e2 and e2·e2 per face [mm²]."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
     return (e1 * e1).sum(axis=1), (e1 * e2).sum(axis=1), (e2 * e2).sum(axis=1)
@@ -169,7 +167,7 @@ def _face_cotangents(solved, blended, triangles, stiffness, out):
 
 @numba.njit(cache=True, fastmath=True, inline="always")
 def weighted_edges(positions, i, j, k, c11, c12, c22):
-    """D G of one face: its edges e1, e2 combined to c11 e1 + c12 e2 and c12 e1 + c22 e2."""
+    """Return D G of one face: its edges e1, e2 combined to c11 e1 + c12 e2 and c12 e1 + c22 e2."""
     a0, a1, a2 = (
         positions[j, 0] - positions[i, 0],
         positions[j, 1] - positions[i, 1],
@@ -197,7 +195,7 @@ FOLDED, FLAT = 110.0, 60.0
 
 
 def greatest_stretches(rest: Floats, moved: Floats, triangles: Ints) -> Floats:
-    """The larger principal stretch (m,) of each triangle from `rest` to `moved` [mm], both (n, 3)."""
+    """Return the larger principal stretch (m,) of each triangle from `rest` to `moved` [mm], both (n, 3)."""
     a, b = ((x[triangles[:, 1:]] - x[triangles[:, :1]]) for x in (rest, moved))
     length = np.maximum(np.linalg.norm(a[:, 0], axis=1), 1e-12)
     along = a[:, 0] / length[:, None]
@@ -210,15 +208,15 @@ def greatest_stretches(rest: Floats, moved: Floats, triangles: Ints) -> Floats:
 
 
 def torn_area(rest: Floats, moved: Floats, triangles: Ints) -> float:
-    """The area [mm²], as moved, of the triangles that are stretched more than five times."""
+    """Return the area [mm²], as moved, of the triangles that are stretched more than five times."""
     a, b, c = (moved[triangles[:, k]] for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return float(areas[greatest_stretches(rest, moved, triangles) > TORN].sum())
 
 
 def folded_length(rest: Floats, moved: Floats, triangles: Ints) -> float:
-    """The length [mm], as moved, of the edges that fold sharply: from less than 60 to more than 110 degrees."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    """Return the length [mm], as moved, of the edges that fold sharply: from less than 60 to more than 110 degrees."""
+    edges = np.sort(directed_edges(triangles), axis=1)
     order = np.lexsort(edges.T)
     same = np.flatnonzero((edges[order[1:]] == edges[order[:-1]]).all(axis=1))
     ends, a, b = edges[order[same]], order[same] // 3, order[same + 1] // 3
@@ -228,7 +226,7 @@ def folded_length(rest: Floats, moved: Floats, triangles: Ints) -> float:
 
 
 def _angles(x: Floats, triangles: Ints, a: Ints, b: Ints) -> Floats:
-    """The angle [degrees] between the normals of triangles a (k,) and b (k,)."""
+    """Return the angle [degrees] between the normals of triangles a (k,) and b (k,)."""
     corners = x[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

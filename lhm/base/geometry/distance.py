@@ -24,7 +24,7 @@ class SignedDistance:
         self._vertices = _angle_weighted(surface, self._faces)
 
     def __call__(self, points: Floats) -> tuple[Floats, Floats, Ints, Floats]:
-        """Distance (k,) [mm], outward unit direction (k, 3), triangle (k,) and barycentric weights (k, 3)."""
+        """Return distance (k,) [mm], outward unit direction (k, 3), triangle (k,) and barycentric weights (k, 3)."""
         triangle, weights, distance = self.tree.closest(points)
         corners = self.tree.triangles[triangle]
         zero = weights == 0.0

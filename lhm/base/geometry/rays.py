@@ -14,7 +14,7 @@ EDGE = 1e-9
 
 @njit(cache=True)
 def _enters(box, origin, direction, most):
-    """The parameter at which a ray enters a box, or infinity if it does not before `most`."""
+    """Return the parameter at which a ray enters a box, or infinity if it does not before `most`."""
     low, high = 0.0, most
     for c in range(3):
         if direction[c] == 0.0:
@@ -28,7 +28,7 @@ def _enters(box, origin, direction, most):
 
 @njit(cache=True)
 def _meets(origin, direction, corners):
-    """The parameter at which a ray meets a triangle (3, 3), or infinity (Moeller and Trumbore 1997)."""
+    """Return the parameter at which a ray meets a triangle (3, 3), or infinity (Moeller and Trumbore 1997)."""
     e1, e2 = corners[1] - corners[0], corners[2] - corners[0]
     h = np.cross(direction, e2)
     det = np.dot(e1, h)
@@ -67,7 +67,7 @@ def _first(origins, directions, reach, corners, order, start, stop, left, box):
 
 
 def first_hits(tree: TriangleTree, origins: Floats, directions: Floats, reach: float) -> tuple[Ints, Floats]:
-    """Triangle (k,) that each ray meets first, from either side, and the way there (k,) in lengths of `directions`.
+    """Return the triangle (k,) that each ray meets first, from either side, and the way there (k,) in `directions`.
 
     Triangle -1 and an infinite way for a ray that meets none within `reach`.
     """
@@ -80,7 +80,7 @@ RAYS, REACH, OFF = 16, 200.0, 0.05
 
 
 def visible_sky(surface: Surface, points: Floats | None = None, normals: Floats | None = None) -> Floats:
-    """The share (k,) of the directions before each point, by their cosine, that meet nothing within 200 mm.
+    """Return the share (k,) of the directions before each point, by their cosine, that meet nothing within 200 mm.
 
     `points` on the surface [mm] and their unit normals, shape (k, 3); by default its vertices.
     """

@@ -10,10 +10,11 @@ from numba import njit
 
 from ..errors import InputError
 from ..mesh import Floats, Ints, Surface
+from .topology import unique_edges
 
 
 def geodesic_sphere(frequency: int) -> tuple[Floats, Ints]:
-    """Unit icosphere whose edges are cut into `frequency` parts: 10 f² + 2 vertices, 20 f² triangles."""
+    """Return the unit icosphere whose edges are cut into `frequency` parts: 10 f² + 2 vertices, 20 f² triangles."""
     base = trimesh.creation.icosahedron()
     rows = [(i, j) for i in range(frequency + 1) for j in range(frequency + 1 - i)]
     place = {ij: k for k, ij in enumerate(rows)}
@@ -31,7 +32,7 @@ _AXES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 
 
 def zero_surface(field: Floats, origin: Floats, spacing: float) -> Surface:
-    """The closed surface around where `field` (i, j, k) is negative, normals outward; empty if it nowhere is.
+    """Return the closed surface around where `field` (i, j, k) is negative, normals outward; empty if it nowhere is.
 
     Point (a, b, c) of the grid lies at origin + spacing (a, b, c) [mm]. Every cell with both signs gets one vertex, the
     mean of its edges' zeros; every edge with both signs gets a quad of its four cells (surface nets, Gibson 1998).
@@ -65,29 +66,29 @@ def zero_surface(field: Floats, origin: Floats, spacing: float) -> Surface:
 
 
 def _mixed_edges(inside, axis: int):
-    """Masks over the edges along an axis: both signs, and negative at the start."""
+    """Return masks over the edges along an axis: both signs, and negative at the start."""
     start = np.take(inside, range(inside.shape[axis] - 1), axis)
     end = np.take(inside, range(1, inside.shape[axis]), axis)
     return start != end, start
 
 
 def _around(start: Ints, u: int, v: int) -> list[Ints]:
-    """The four cells around edges, counter-clockwise as seen from the edge's end."""
+    """Return the four cells around edges, counter-clockwise as seen from the edge's end."""
     eu, ev = np.eye(3, dtype=np.int64)[[u, v]]
     return [start - eu - ev, start - ev, start, start - eu]
 
 
 def _split(x: Floats, quads: Ints) -> Ints:
-    """Two triangles per quad, along its shorter diagonal."""
+    """Return two triangles per quad, along its shorter diagonal."""
     a, b, c, d = quads.T
     first = np.linalg.norm(x[a] - x[c], axis=1) <= np.linalg.norm(x[b] - x[d], axis=1)
-    one = np.where(first[:, None], np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
-    two = np.where(first[:, None], np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
-    return np.vstack([one, two])
+    upper = np.where(first[:, None], np.stack([a, b, c], axis=1), np.stack([a, b, d], axis=1))
+    lower = np.where(first[:, None], np.stack([a, c, d], axis=1), np.stack([b, c, d], axis=1))
+    return np.vstack([upper, lower])
 
 
 def _well_composed(inside):
-    """Points added until none of them meet at an edge or corner only: the surface between is then a manifold.
+    """Add points until none of them meet at an edge or corner only: the surface between is then a manifold.
 
     Latecki, 3D well-composed pictures, Graph. Models Image Process. 59 (1997).
     """
@@ -124,28 +125,23 @@ TURN = 0.3
 
 
 def simplify(surface: Surface, most: int) -> Surface:
-    """A closed manifold surface with at most `most` triangles if collapses that keep it a manifold reach it.
+    """Collapse edges of a closed manifold to at most `most` triangles, if collapses that keep it a manifold reach it.
 
     Garland and Heckbert's quadric error (SIGGRAPH 1997); a collapse must satisfy the link condition (Dey et al. 1999)
     and turn no normal far. Raises InputError unless `most` is at least 4.
     """
     if most < 4:
-        raise InputError(f"simplified: most {most} triangles, at least 4 are needed")
+        raise InputError(f"simplify: most {most} triangles, at least 4 are needed")
     if len(surface.triangles) <= most:
         return surface
     x, triangles = surface.vertices.copy(), surface.triangles.copy()
-    alive = _collapse(x, triangles, _quadrics(surface), _edges(triangles), most)
+    alive = _collapse(x, triangles, _quadrics(surface), unique_edges(triangles), most)
     used, numbers = np.unique(triangles[alive], return_inverse=True)
     return Surface(x[used], numbers.reshape(-1, 3))
 
 
-def _edges(triangles: Ints) -> Ints:
-    edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(edges, axis=0)
-
-
 def _quadrics(surface: Surface) -> Floats:
-    """Per vertex the sum of its triangles' area times squared distance to their plane, as (n, 4, 4)."""
+    """Return per vertex the sum of its triangles' area times squared distance to their plane, as (n, 4, 4)."""
     areas = surface.areas
     normals = surface.face_normals / np.maximum(2 * areas, 1e-30)[:, None]
     offset = -np.einsum("md,md->m", normals, surface.vertices[surface.triangles[:, 0]])
@@ -168,7 +164,7 @@ def _error(quadric, p):
 
 @njit(cache=True)
 def _cheapest(x, quadrics, u, v):
-    """Cost of collapsing the edge uv, and how far from u to v the new vertex lies."""
+    """Return the cost of collapsing the edge uv, and how far from u to v the new vertex lies."""
     quadric = quadrics[u] + quadrics[v]
     least, place, squared = np.inf, 0.0, ((x[u] - x[v]) ** 2).sum()
     for share in (0.5, 0.0, 1.0):
@@ -180,7 +176,7 @@ def _cheapest(x, quadrics, u, v):
 
 @njit(cache=True)
 def _ring(u, triangles, alive, head, following, mark, stamp, out):
-    """The neighbours of u, each once; returns how many."""
+    """Write the neighbours of u, each once, to `out`; return how many."""
     count, corner = 0, head[u]
     mark[u] = stamp
     while corner >= 0:
@@ -197,7 +193,7 @@ def _ring(u, triangles, alive, head, following, mark, stamp, out):
 
 @njit(cache=True)
 def _turns(u, other, p, x, triangles, alive, head, following):
-    """Whether moving u to p turns a triangle that does not vanish with the edge to `other`."""
+    """Return whether moving u to p turns a triangle that does not vanish with the edge to `other`."""
     corner = head[u]
     while corner >= 0:
         t, c = corner // 3, corner % 3

@@ -13,7 +13,7 @@ from ..mesh import Floats, Ints, tet_volumes
 
 
 def smallest_dihedrals(vertices: Floats, tets: Ints) -> Floats:
-    """The smallest of the six angles [degrees] between the faces of each tet, shape (m,)."""
+    """Return the smallest of the six angles [degrees] between the faces of each tet, shape (m,)."""
     x = vertices[tets]
     faces = [(1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)]
     normals = np.stack([np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]) for i, j, k in faces], axis=1)
@@ -27,7 +27,7 @@ def smallest_dihedrals(vertices: Floats, tets: Ints) -> Floats:
 
 
 def aspect_ratios(vertices: Floats, tets: Ints) -> Floats:
-    """Longest edge over smallest height of each tet, shape (m,): 1.22 if regular, and large if flat or thin."""
+    """Return longest edge over smallest height of each tet, shape (m,): 1.22 if regular, large if flat or thin."""
     x = vertices[tets]
     edges = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     longest = np.sqrt(np.max([((x[:, j] - x[:, i]) ** 2).sum(axis=1) for i, j in edges], axis=0))
@@ -71,14 +71,14 @@ def tet_quality(vertices: Floats, tets: Ints) -> TetQuality:
 
 ITERATIONS = 500
 REACHED = 0.5
-"""The share of the volume asked for that passes: the last bit of it is slow to come."""
+"""The share of the volume wanted that passes: the last bit of it is slow to come."""
 
 
 def untangle(vertices: Floats, tets: Ints, free: NDArray[np.bool_], least: Floats) -> Floats:
-    """Vertices [mm], shape (n, 3), of which those `free` (n,) that touch too small a tet are moved until it is not.
+    """Move the `free` (n,) of the vertices [mm], shape (n, 3), that touch too small a tet until it is not.
 
-    `least` (m,) [mm³] is the volume asked for. The squared shortfalls, each over its `least`, are minimised by L-BFGS.
-    Raises MeshError with the number of tets that stay inverted or below half of what was asked for.
+    `least` (m,) [mm³] is the volume wanted. The squared shortfalls, each over its `least`, are minimised by L-BFGS.
+    Raises MeshError with the number of tets that stay inverted or below half of that.
     """
     small = tet_volumes(vertices, tets) < least
     if not small.any():
@@ -86,15 +86,15 @@ def untangle(vertices: Floats, tets: Ints, free: NDArray[np.bool_], least: Float
     moving = np.unique(tets[small])
     moving = moving[free[moving]]
     around = np.isin(tets, moving).any(axis=1)
-    touched, asked = tets[around], least[around]
+    touched, wanted = tets[around], least[around]
     x = np.array(vertices)
 
     def shortfall(flat: Floats) -> tuple[float, Floats]:
         x[moving] = flat.reshape(-1, 3)
         a, b, c, d = (x[touched[:, k]] for k in range(4))
         opposite = [np.cross(c - a, d - a), np.cross(d - a, b - a), np.cross(b - a, c - a)]
-        missing = np.maximum(1.0 - np.einsum("md,md->m", opposite[2], d - a) / (6.0 * asked), 0.0)
-        slope = (-missing / (3.0 * asked))[:, None]
+        missing = np.maximum(1.0 - np.einsum("md,md->m", opposite[2], d - a) / (6.0 * wanted), 0.0)
+        slope = (-missing / (3.0 * wanted))[:, None]
         gradient = np.zeros_like(x)
         np.add.at(gradient, touched[:, 0], -slope * sum(opposite))
         for corner in (1, 2, 3):
@@ -102,8 +102,8 @@ def untangle(vertices: Floats, tets: Ints, free: NDArray[np.bool_], least: Float
         return float(missing @ missing), gradient[moving].ravel()
 
     if moving.size:
-        found = minimize(shortfall, x[moving].ravel(), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
-        x[moving] = found.x.reshape(-1, 3)
+        solution = minimize(shortfall, x[moving].ravel(), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
+        x[moving] = solution.x.reshape(-1, 3)
     stuck = int(np.count_nonzero(tet_volumes(x, tets) < REACHED * least))
     if stuck:
         raise MeshError(f"tets: {stuck} stay inverted or all but flat wherever the vertices between the wraps are put")

@@ -11,25 +11,38 @@ from ..errors import MeshError
 from ..mesh import Floats, Ints, Surface
 
 
-def is_closed(triangles: Ints) -> bool:
-    """Whether each edge is run through once in either direction: a closed, consistently oriented surface."""
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+def directed_edges(triangles: Ints) -> Ints:
+    """Return the edges of triangles (m, 3), shape (3 m, 2): edge k of a triangle runs from corner k to k + 1."""
+    return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def unique_edges(triangles: Ints) -> Ints:
+    """Return each edge of triangles (m, 3) once, its smaller vertex first, in rising order, shape (e, 2)."""
+    return np.unique(np.sort(directed_edges(triangles), axis=1), axis=0)
+
+
+def _edge_keys(triangles: Ints) -> tuple[Ints, Ints]:
+    """Return one number for each directed edge, and that of the edge run back, shape (3 m,)."""
+    a, b = directed_edges(triangles).T
     n = int(triangles.max()) + 1
-    forth, back = np.sort(edges[:, 0] * n + edges[:, 1]), np.sort(edges[:, 1] * n + edges[:, 0])
+    return a * n + b, b * n + a
+
+
+def is_closed(triangles: Ints) -> bool:
+    """Return whether each edge is run through once in either direction: a closed, consistently oriented surface."""
+    forth, back = (np.sort(keys) for keys in _edge_keys(triangles))
     return bool((np.diff(forth) > 0).all() and np.array_equal(forth, back))
 
 
 def across_edges(triangles: Ints) -> Ints:
-    """The triangle across edge k (corner k to k + 1) of each triangle of a closed surface, shape (m, 3)."""
-    n = int(triangles.max()) + 1
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    forth, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    """Return the triangle across edge k (corner k to k + 1) of each triangle of a closed surface, shape (m, 3)."""
+    forth, back = _edge_keys(triangles)
     order = np.argsort(forth)
     return order[np.searchsorted(forth[order], back)].reshape(-1, 3) // 3
 
 
 def close_openings(surface: Surface) -> Surface:
-    """The surface with its openings closed; its own vertices come first, one more for each opening follows.
+    """Close a surface's openings by fans; its own vertices come first, one more for each opening follows.
 
     Raises MeshError for edges with more than two triangles, and for neighbours oriented against one another.
     """
@@ -43,18 +56,16 @@ def close_openings(surface: Surface) -> Surface:
 
 
 def find_openings(triangles: Ints) -> list[Ints]:
-    """The loops of edges that have one triangle, as vertices in the direction of their triangles, the longest first.
+    """Find the loops of edges that have one triangle, as vertices in their triangles' direction, the longest first.
 
     Where the boundary touches itself at a vertex it is several loops. Raises MeshError for edges with more than two
     triangles, and for neighbours oriented against one another.
     """
-    edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    n = int(triangles.max()) + 1
-    forth, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    forth, back = _edge_keys(triangles)
     if len(np.unique(forth)) < len(forth):
         raise MeshError("skin: edges with more than two triangles, or neighbours oriented against one another")
     following: dict[int, list[int]] = {}
-    for start, end in edges[~np.isin(forth, back)].tolist():
+    for start, end in directed_edges(triangles)[~np.isin(forth, back)].tolist():
         following.setdefault(start, []).append(end)
     loops = []
     while following:
@@ -78,14 +89,14 @@ def find_openings(triangles: Ints) -> list[Ints]:
 
 
 def connected_parts(triangles: NDArray[np.integer], n_vertices: int) -> tuple[int, Ints]:
-    """How many parts hang together through triangles, and the part of each vertex, shape (n,)."""
+    """Return how many parts hang together through triangles, and the part of each vertex, shape (n,)."""
     pairs = (np.repeat(triangles[:, 0], 2), triangles[:, 1:].ravel())
     graph = coo_matrix((np.ones(len(pairs[0])), pairs), shape=(n_vertices, n_vertices))
     return connected_components(graph, directed=False)
 
 
 def midpoints(elements: Ints, edges: Ints, n: int) -> tuple[Ints, Ints]:
-    """The distinct edges (e, 2) of elements (m, corners) over n vertices, and the number of each element's, (m, k).
+    """Return the distinct edges (e, 2) of elements (m, corners) over n vertices, and each element's by number, (m, k).
 
     edges (k, 2) names the corners that an edge joins.
     """
@@ -95,7 +106,7 @@ def midpoints(elements: Ints, edges: Ints, n: int) -> tuple[Ints, Ints]:
 
 
 def split_triangles(triangles: Ints, n: int) -> tuple[Ints, Ints]:
-    """Every triangle over n vertices split into four, shape (4 m, 3), and the edges (e, 2) in whose middles they meet.
+    """Split every triangle over n vertices into four, shape (4 m, 3); also the edges (e, 2) in whose middles they meet.
 
     The middle of edge k is vertex n + k.
     """
@@ -107,6 +118,6 @@ def split_triangles(triangles: Ints, n: int) -> tuple[Ints, Ints]:
 
 
 def subdivide(vertices: Floats, triangles: Ints) -> tuple[Floats, Ints]:
-    """Vertices and triangles with every triangle split into four at its edges' midpoints, which come after them."""
+    """Split every triangle into four at its edges' midpoints, which come after the vertices."""
     finer, ends = split_triangles(triangles, len(vertices))
     return np.vstack([vertices, vertices[ends].mean(axis=1)]), finer

@@ -18,7 +18,7 @@ def _dot(a0, a1, a2, b0, b1, b2):
 
 @njit(cache=True)
 def closest_on_triangle(p, corners):
-    """Barycentric weights (three floats) of the point of a triangle (3, 3) closest to p, and the squared distance.
+    """Return barycentric weights (three floats) of a triangle's point (3, 3) closest to p, and the squared distance.
 
     Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, section 5.1.5).
     """
@@ -55,7 +55,7 @@ def closest_on_triangle(p, corners):
 
 @njit(cache=True)
 def segment_hits(segment, i, j, corners):
-    """Whether the segment between rows i and j meets the triangle, touching included.
+    """Return whether the segment between rows i and j meets the triangle, touching included.
 
     A segment in the triangle's plane does not count (Möller and Trumbore's test).
     """
@@ -83,7 +83,7 @@ def segment_hits(segment, i, j, corners):
 
 @njit(cache=True)
 def _on_one_side(a, b):
-    """Whether triangle b lies strictly on one side of the plane of triangle a, by more than rounding."""
+    """Return whether triangle b lies strictly on one side of the plane of triangle a, by more than rounding."""
     u0, u1, u2 = a[1, 0] - a[0, 0], a[1, 1] - a[0, 1], a[1, 2] - a[0, 2]
     v0, v1, v2 = a[2, 0] - a[0, 0], a[2, 1] - a[0, 1], a[2, 2] - a[0, 2]
     n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
@@ -98,7 +98,7 @@ def _on_one_side(a, b):
 
 @njit(cache=True)
 def triangles_cross(a, b):
-    """Whether two triangles (3, 3) have a point in common, but for triangles in one plane.
+    """Return whether two triangles (3, 3) have a point in common, but for triangles in one plane.
 
     Two triangles that are not coplanar meet exactly if an edge of one meets the other.
     """
@@ -122,7 +122,7 @@ def _extent(corners, n0, n1, n2):
 
 @njit(cache=True)
 def _overlap(a, b, n0, n1, n2):
-    """The shift along an axis that parts two triangles; infinite for an axis of (nearly) no length."""
+    """Return the shift along an axis that parts two triangles; infinite for an axis of (nearly) no length."""
     length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
     if length < 1e-12:
         return np.inf
@@ -151,7 +151,7 @@ def _parting(first, second):
 
 @njit(cache=True)
 def _crossed_edges(first, second):
-    found = []
+    crossings = []
     for k in range(len(first)):
         a, b = first[k], second[k]
         for i in range(3):
@@ -159,42 +159,42 @@ def _crossed_edges(first, second):
                 continue
             for j in range(3):
                 if segment_hits(b, j, (j + 1) % 3, a):
-                    found.append((k, i, j))
-    return found
+                    crossings.append((k, i, j))
+    return crossings
 
 
 def parting_shifts(first: Floats, second: Floats) -> Floats:
-    """The length [mm] of the shortest shift that parts two triangles, for pairs of corners (k, 3, 3); 0 if apart.
+    """Return the length [mm] of the shortest shift that parts two triangles, for pairs of corners (k, 3, 3).
 
-    The least overlap over both normals and the nine cross products of edges: separating axes, as in Gottschalk, Lin and
-    Manocha 1996.
+    It is 0 for triangles apart. The least overlap over both normals and the nine cross products of edges: separating
+    axes, as in Gottschalk, Lin and Manocha 1996.
     """
     return _parting(np.ascontiguousarray(first), np.ascontiguousarray(second))
 
 
 def crossed_edges(first: Floats, second: Floats) -> Ints:
-    """Triples (pair, i, j), shape (r, 3): edge i of the first triangle meets the second, and j of it the first.
+    """Return triples (pair, i, j), shape (r, 3): edge i of the first triangle meets the second, and j of it the first.
 
     For pairs of corners (k, 3, 3); edge i goes from corner i to the next.
     """
-    found = _crossed_edges(np.ascontiguousarray(first), np.ascontiguousarray(second))
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
+    crossings = _crossed_edges(np.ascontiguousarray(first), np.ascontiguousarray(second))
+    return np.array(crossings, dtype=np.int64).reshape(-1, 3)
 
 
 def fan_crossings(vertices: Floats, triangles: Ints) -> Ints:
-    """Pairs of triangles with exactly one common vertex that have more in common than it, shape (k, 2).
+    """Return pairs of triangles with exactly one common vertex that have more in common than it, shape (k, 2).
 
     Two such triangles cross exactly if the side of one that lies opposite the vertex meets the other.
     """
     corners = np.argsort(triangles.ravel(), kind="stable")
     first = np.searchsorted(triangles.ravel()[corners], np.arange(len(vertices) + 1))
-    found = _fan_crossings(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), corners, first)
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    crossings = _fan_crossings(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), corners, first)
+    return np.array(crossings, dtype=np.int64).reshape(-1, 2)
 
 
 @njit(cache=True)
 def _fan_crossings(vertices, triangles, corners, first):
-    found = []
+    crossings = []
     for v in range(len(first) - 1):
         for a in range(first[v], first[v + 1]):
             s, i = corners[a] // 3, corners[a] % 3
@@ -208,5 +208,5 @@ def _fan_crossings(vertices, triangles, corners, first):
                     continue
                 x, y = vertices[triangles[s]], vertices[triangles[t]]
                 if segment_hits(x, (i + 1) % 3, (i + 2) % 3, y) or segment_hits(y, (j + 1) % 3, (j + 2) % 3, x):
-                    found.append((t, s))
-    return found
+                    crossings.append((t, s))
+    return crossings

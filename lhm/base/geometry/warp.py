@@ -10,7 +10,7 @@ from ..mesh import Floats, Ints
 
 
 def rigid_motion(rest: Floats, moved: Floats) -> tuple[Floats, Floats]:
-    """Rotation R (3, 3) and translation t [mm] of the least-squares fit moved = R rest + t, (n, 3) (Kabsch 1976)."""
+    """Fit rotation R (3, 3) and translation t [mm] of moved = R rest + t, (n, 3), by least squares (Kabsch 1976)."""
     a, b = rest.mean(axis=0), moved.mean(axis=0)
     u, _, vt = np.linalg.svd((moved - b).T @ (rest - a))
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
@@ -18,7 +18,7 @@ def rigid_motion(rest: Floats, moved: Floats) -> tuple[Floats, Floats]:
 
 
 def farthest_points(points: Floats, count: int, first: Ints) -> Ints:
-    """Indices of `first` and of points farthest from all chosen before, `count` in all."""
+    """Return indices of `first` and of points farthest from all chosen before, `count` in all."""
     chosen = list(first)
     distance = np.full(len(points), np.inf)
     for index in chosen:
@@ -47,10 +47,10 @@ class TriharmonicWarp:
         self._factor = lu_factor(system)
 
     def basis(self, points: Floats) -> Floats:
-        """The matrix that takes coefficients to displacements at `points` [mm], shape (k, n + 4)."""
+        """Return the matrix that takes coefficients to displacements at `points` [mm], shape (k, n + 4)."""
         y = (points - self.origin) / self.scale
         return np.hstack([cdist(y, self.centres) ** 3, np.ones((len(y), 1)), y])
 
     def coefficients(self, displacements: Floats) -> Floats:
-        """Coefficients (n + 4, 3) of the warp with these displacements [mm] at the centres, shape (n, 3)."""
+        """Return coefficients (n + 4, 3) of the warp with these displacements [mm] at the centres, shape (n, 3)."""
         return lu_solve(self._factor, np.vstack([displacements, np.zeros((4, 3))]))

@@ -1,4 +1,4 @@
-"""Readers of OBJ, PLY, STL and glTF against trimesh's, and what each refuses before it makes anything of it."""
+"""Readers of OBJ, PLY, STL and glTF against trimesh's, packed buffers, skins, and the cache: what each refuses."""
 
 import json
 import struct
@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm import InputError
+from softdeca.lhm import InputError, MeshError, Surface
+from softdeca.lhm.base.files.cache import load_or_make
+from softdeca.lhm.base.files.meshopt import decode_meshopt
 from softdeca.lhm.base.files.ply import read_ply
-from softdeca.lhm.base.files.surface_file import read_obj, read_scan, read_stl
+from softdeca.lhm.base.files.surface_file import read_obj, read_scan, read_stl, read_surface
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.registration import read_landmarks
 from softdeca.lhm.scans import read_guesses
+from softdeca.lhm.skin import check_skin
 
 UNIT, TRIANGLES = geodesic_sphere(4)
 X = (100 * UNIT).astype(np.float32).astype(float)
@@ -246,3 +249,145 @@ def test_bad_guesses_are_named(tmp_path, text, message):
     with pytest.raises(InputError, match=f"g.json: .*{message}") as raised:
         read_guesses(written(tmp_path / "g.json", text))
     assert str(raised.value).isprintable()
+
+
+BALL = trimesh.creation.icosphere(2, radius=100)
+
+
+def test_units_are_converted(tmp_path):
+    np.savez(tmp_path / "ball.npz", vertices=BALL.vertices / 10, triangles=BALL.faces)
+    np.testing.assert_allclose(read_surface(tmp_path / "ball.npz", unit="cm").vertices, BALL.vertices)
+    with pytest.raises(InputError, match="inch"):
+        read_surface(tmp_path / "ball.npz", unit="inch")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.ply", b"", "the file is empty"),
+        ("broken.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 9", "its header has no end"),
+        ("broken.npz", b"PK", "or damaged"),
+        ("text.glb", b"this is no mesh", "not a GLB file"),
+        ("no.obj", None, "no such file"),
+    ],
+)
+def test_bad_files_are_named_in_one_line(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=f"{name}: .*{message}") as caught:
+        read_surface(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_skins_that_are_open_non_manifold_split_or_of_wrong_size_are_refused():
+    x, triangles = BALL.vertices, BALL.faces
+    check_skin(Surface(x, triangles))
+    touching = np.isin(triangles, triangles[0]).any(axis=1)
+    far = np.linalg.norm(x[triangles].mean(axis=1) + x[triangles[0]].mean(axis=0), axis=1).argmin()
+    kept = ~touching
+    kept[far] = False
+    with pytest.raises(MeshError, match="2 holes"):
+        check_skin(Surface(x, triangles[kept]))
+    fin = np.vstack([triangles, [triangles[0][0], triangles[0][1], triangles[far][0]]])
+    with pytest.raises(MeshError, match="more than two triangles"):
+        check_skin(Surface(x, fin))
+    flipped = triangles.copy()
+    flipped[5] = flipped[5][::-1]
+    with pytest.raises(MeshError, match="oriented against"):
+        check_skin(Surface(x, flipped))
+    with pytest.raises(MeshError, match="2 separate pieces"):
+        check_skin(Surface(np.vstack([x, x + 300]), np.vstack([triangles, triangles + len(x)])))
+    with pytest.raises(MeshError, match="units off"):
+        check_skin(Surface(x / 1000, triangles))
+
+
+def test_cache_is_read_back_and_rebuilt_when_damaged(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOFTDECA_CACHE", str(tmp_path / "cache"))
+    made = []
+
+    def make():
+        made.append(1)
+        return {"a": np.arange(5.0)}
+
+    for _ in range(2):
+        np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
+    assert len(made) == 1
+    file = tmp_path / "cache" / "thing.npz"
+    file.write_bytes(file.read_bytes()[:60])
+    np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
+    assert len(made) == 2
+    np.testing.assert_array_equal(load_or_make("thing", make)["a"], np.arange(5.0))
+    assert len(made) == 2 and len(list(file.parent.iterdir())) == 1
+
+
+# Buffers packed by meshoptimizer's own encoder (0.2.30 of its Python wrapper).
+VERTICES_0 = bytes.fromhex(
+    "a01f006a13f4733d57a7e264094b4f00b81d77515095f2d2ffa12554b6ecd86a6b44ffff00007a30952e8a9252152a0ccaa8"
+    "62213579bbbbbb77330446aaccccca8842000000001f00dd18fe98fa6dbda06269091962c87476b1c2054984bfc574651dae"
+    "bd7a84e0ffff00007c030469568cd9852a017b99326aca6057bb5148ca84179b7506aca803000000001f0002060a0e12161a"
+    "1e22262a2e32363a3e40464a4e5256585e62666a6c72767affff00007e80868a8c92969a0490000000043c0000001e1d043c"
+    "0000004e4d0000000000000000000000000000000000000000000000000000b80b00000000"
+)
+VERTICES_1 = bytes.fromhex(
+    "a17703006a13f4733d57a7e264094b4f00b81d77515095f2d2ffa12554b6ecd86a6b447a30952e8a9252152a0ccaa8622135"
+    "79bbbbbb77330446aaccccca88420000000000dd18fe98fa6dbda06269091962c87476b1c2054984bfc574651daebd7a84e0"
+    "7c030469568cd9852a017b99326aca6057bb5148ca84179b7506aca803000000000002060a0e12161a1e22262a2e32363a3e"
+    "40464a4e5256585e62666a6c72767a7e80868a8c92969a04030002010406001e1d0406004e4d000000000000000000000000"
+    "00000000b80b000000000000"
+)
+TRIANGLES_1 = bytes.fromhex(
+    "e1fefefefefefefefefefefefefefefefefffffffffffffffffffffffffefefefeffff0f0af202f202f2025f045f025f020f"
+    "026f046f025f020f026f046f025f020f02ff2b0a01f2050af1070af1070aff050a01f2050af1070af1070aff050a01f2050a"
+    "f1070af1070a80171615fe0a292f050e007687566778a9866589689801690000"
+)
+SEQUENCE = bytes.fromhex("d100041000911c06b1ef100200000000")
+
+
+@pytest.mark.parametrize("packed", [VERTICES_0, VERTICES_1])
+def test_attributes(packed):
+    k = np.arange(40)
+    x = np.stack([np.round(8000 * np.sin(0.2 * k)), np.round(3000 * np.cos(0.5 * k)), k * k % 257, (k == 17) * 9999], 1)
+    found = np.frombuffer(decode_meshopt(packed, 40, 8, "ATTRIBUTES"), "<i2").reshape(40, 4)
+    np.testing.assert_array_equal(found, x.astype("<i2"))
+
+
+def test_triangles_up_to_where_they_begin():
+    corner = (5 * np.arange(4)[:, None] + np.arange(4)).ravel()
+    lower, upper = (corner[:, None] + np.array(offsets) for offsets in ([0, 1, 5], [1, 6, 5]))
+    expected = np.vstack([lower, upper, [[24, 3, 11], [0, 24, 7]]])
+    for stride, kind in ((4, "<u4"), (2, "<u2")):
+        found = np.frombuffer(decode_meshopt(TRIANGLES_1, 102, stride, "TRIANGLES"), kind).reshape(-1, 3)
+        first = (found == found.min(axis=1, keepdims=True)).argmax(axis=1)
+        turned = np.take_along_axis(found, (first[:, None] + np.arange(3)) % 3, axis=1)
+        first = (expected == expected.min(axis=1, keepdims=True)).argmax(axis=1)
+        np.testing.assert_array_equal(turned, np.take_along_axis(expected, (first[:, None] + np.arange(3)) % 3, axis=1))
+
+
+def test_a_sequence():
+    found = np.frombuffer(decode_meshopt(SEQUENCE, 8, 4, "INDICES"), "<u4")
+    assert found.tolist() == [0, 1, 5, 5, 900, 3, 70000, 2]
+
+
+def test_the_exponential_filter():
+    values = np.array([1.5, -0.25, 3072.0, 0.0], "<f4")
+    exponent = np.array([-4, -8, 7, 0])
+    mantissa = np.round(values / 2.0**exponent).astype(np.int64) & 0xFFFFFF
+    raw = ((exponent & 0xFF) << 24 | mantissa).astype("<u4")
+    # A buffer of one element of 16 bytes: header, no deltas, and the element to which they are added.
+    packed = bytes([0xA0]) + bytes(16) + bytes(32 - 16) + raw.tobytes()
+    found = np.frombuffer(decode_meshopt(packed, 1, 16, "ATTRIBUTES", "EXPONENTIAL"), "<f4")
+    np.testing.assert_array_equal(found, values)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 5, 30])
+def test_damaged_data_are_told(cut):
+    for packed, count, stride, mode in (
+        (VERTICES_0, 40, 8, "ATTRIBUTES"),
+        (VERTICES_1, 40, 8, "ATTRIBUTES"),
+        (TRIANGLES_1, 102, 4, "TRIANGLES"),
+        (SEQUENCE[: len(SEQUENCE) // 2], 800, 4, "INDICES"),
+    ):
+        with pytest.raises(InputError, match="damaged or cut short"):
+            decode_meshopt(packed[:cut], count, stride, mode)
+    with pytest.raises(InputError, match="unknown mode"):
+        decode_meshopt(SEQUENCE, 8, 4, "POINTS")

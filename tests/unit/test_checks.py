@@ -1,0 +1,238 @@
+"""Checks of arguments and of values from outside: good values pass unchanged, the others are named."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softdeca.lhm import InputError, MeshError
+from softdeca.lhm.base import checks, limits
+from softdeca.lhm.base.errors import escape, quote
+from softdeca.lhm.base.files import text
+from softdeca.lhm.base.limits import JSON_DEPTH, Bound
+from softdeca.lhm.base.mesh import Floats
+
+
+@checks.check_arguments
+def called(
+    number: float = 0.0,
+    count: int = 1,
+    flag: bool = False,
+    array: Floats | None = None,
+    path: str | os.PathLike[str] = "",
+    names: Sequence[str] = (),
+    pair: tuple[int, int] = (1, 1),
+    named: Mapping[str, float] | None = None,
+    call: Callable[[], None] = print,
+    **others,
+) -> str:
+    return "done"
+
+
+@checks.check_arguments
+@dataclass(frozen=True)
+class Made:
+    size: float
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("number", 3),
+        ("number", np.float32(1.5)),
+        ("number", np.array(2.0)),
+        ("number", float("nan")),
+        ("count", np.int64(4)),
+        ("flag", np.True_),
+        ("array", [[0, 1], [2, 3]]),
+        ("array", None),
+        ("array", np.zeros(3, dtype=bool)),
+        ("path", Path("a")),
+        ("names", ["a"]),
+        ("names", np.array(["a", "b"])),
+        ("pair", [2, 2]),
+        ("named", {"a": 1.0}),
+        ("anything", object()),
+    ],
+)
+def test_arguments_of_the_right_kind_pass(name, value):
+    assert called(**{name: value}) == "done"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("number", "3", "a number, got '3'"),
+        ("number", True, "a number, got True"),
+        ("number", None, "a number, got None"),
+        ("number", [1.0], "a number, got a list"),
+        ("count", 1.0, "an integer, got 1.0"),
+        ("flag", 1, "True or False, got 1"),
+        ("array", "text", "an array of numbers or None, got 'text'"),
+        ("array", [[1, 2], [3]], "an array of numbers or None, got a list"),
+        ("array", object(), "got an object"),
+        ("path", 5, "a text or a path, got 5"),
+        ("names", "abc", "a list, each a text, got 'abc'"),
+        ("names", [1], "a list, each a text"),
+        ("names", {"a": 1}, "got a dict"),
+        ("pair", (1.0, 2.0), "a list, each an integer"),
+        ("named", [1], "a dict or None"),
+        ("call", 1, "a function"),
+    ],
+)
+def test_arguments_of_the_wrong_kind_are_named(name, value, words):
+    with pytest.raises(InputError) as refused:
+        called(**{name: value})
+    said = str(refused.value)
+    assert said.startswith(f"called: {name}: expected ") and words in said and "\n" not in said
+
+
+def test_a_class_is_checked_when_one_is_made():
+    assert Made(1.0).size == 1.0
+    with pytest.raises(InputError, match="Made: size: expected a number, got a list"):
+        Made([1.0])
+    with pytest.raises(TypeError, match=r"missing 1 required positional argument: 'size'"):
+        Made()  # in Python's own words
+
+
+def limited(values):
+    return checks.finite("x", values, (None, 3), most=1000)
+
+
+def below_three(values):
+    return checks.indices_below("t", values, 3)
+
+
+def step(value):
+    return checks.number("step", value, above=0, most=2, unit="s")
+
+
+@pytest.mark.parametrize(
+    ("check", "value", "message"),
+    [
+        (limited, [[0.0, 1, np.nan]], r"x: 1 values are not finite, the first at \(0, 2\)"),
+        (limited, [[0.0, -np.inf, 1]], r"x: 1 values are not finite, the first at \(0, 1\)"),
+        (limited, [[1j, 0, 0]], "x: expected real numbers, got complex128"),
+        (limited, [["a", "b", "c"]], "x: expected real numbers"),
+        (limited, [[1, 2], [3]], "x: expected real numbers, got"),
+        (limited, [[1.0, 2.0]], r"x: expected shape \(n, 3\), got \(1, 2\)"),
+        (limited, [[1e30, 0, 0]], "x: 1e\\+30 is too large; expected at most 1000"),
+        (limited, [[-1e30, 0, 0]], "x: 1e\\+30 is too large"),
+        (below_three, [0, 3], "t: 3 at 1; expected 0..2"),
+        (below_three, [-1, 0], "t: -1 at 0; expected 0..2"),
+        (below_three, [0.0, 1.0], "t: expected integers, got float64"),
+        (below_three, [True, False], "t: expected integers, got bool"),
+        (below_three, np.uint64([2**63 + 1]), "t: 9223372036854775809 at 0"),
+        (step, 0.0, "step: expected a number above 0 and at most 2 s, got 0.0"),
+        (step, 3, "step: expected a number above 0 and at most 2 s, got 3"),
+        (step, np.nan, "step: expected a number above 0 and at most 2 s, got nan"),
+        (step, "1", "step: expected a number above 0 and at most 2 s, got 1"),
+        (lambda v: checks.number("w", v, least=0), -1, "w: expected a number at least 0, got -1"),
+        (lambda v: checks.one_of("unit", v, ("mm", "cm")), "inch", "unit 'inch': expected one of mm, cm"),
+        (lambda v: checks.one_of("unit", v, {"mm": 1}), [1], r"unit \[1\]: expected one of mm"),
+    ],
+)
+def test_a_wrong_value_is_named(check, value, message):
+    with pytest.raises(InputError, match=message):
+        check(value)
+
+
+def test_good_values_pass_unchanged():
+    assert checks.finite("x", np.float32([[1, 2, 3]]), (None, 3)).tolist() == [[1.0, 2.0, 3.0]]
+    assert checks.finite("x", np.empty((0, 3)), (None, 3)).shape == (0, 3)
+    assert checks.indices_below("t", np.uint8([2, 0]), 3).tolist() == [2, 0]
+    assert checks.in_range("w", [0, 0.5, 1], 0, 1).tolist() == [0, 0.5, 1]
+    assert step(np.float32(2)) == 2.0 and checks.one_of("unit", "mm", ("mm", "cm")) == "mm"
+
+
+def test_the_kind_of_error_is_the_callers():
+    with pytest.raises(MeshError, match="unit 'm': expected one of mm"):
+        checks.one_of("unit", "m", ("mm",), error=MeshError)
+    with pytest.raises(MeshError, match="x: 1 values are not finite"):
+        checks.finite("x", [np.nan], error=MeshError)
+
+
+@pytest.mark.parametrize(
+    ("data", "indices", "indptr", "message"),
+    [
+        ([1.0, 1], [0, 10**9], [0, 1, 2], "w_indices: 1000000000 at 1; expected 0..1"),
+        ([1.0, 1], [0, -1], [0, 1, 2], "w_indices: -1 at 1"),
+        ([1.0, 1], [0], [0, 1, 2], r"w_indices: expected shape \(2,\)"),
+        ([1.0, 1], [0, 1], [0, 10**9, 2], "w_indptr: 1000000000 at 1"),
+        ([1.0, 1], [0, 1], [0, 2, 1], "w_indptr: expected numbers that rise from 0 to 2"),
+        ([1.0, 1], [0, 1], [0, 1], r"w_indptr: expected shape \(3,\)"),
+        ([1.0, np.nan], [0, 1], [0, 1, 2], "w_data: 1 values are not finite"),
+    ],
+)
+def test_sparse_rows_out_of_range_are_refused(data, indices, indptr, message):
+    with pytest.raises(InputError, match=message):
+        checks.sparse_rows("w", data, indices, indptr, 2, 2)
+    matrix = checks.sparse_rows("w", [1.0, 2.0], np.int32([1, 0]), np.int32([0, 1, 2]), 2, 2)
+    assert matrix.toarray().tolist() == [[0.0, 1.0], [2.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("[" * 100_000, "levels of brackets"),
+        ('{"a":' * 65 + "1" + "}" * 65, "65 levels of brackets; expected at most 64"),
+        ('{"a": ' + "1" * 40 + "}", "40 digits in an integer; expected at most 18"),
+        ("[-" + "9" * 400 + "]", "400 digits"),
+        ("[NaN]", "NaN is no finite number"),
+        ("[1e400]", "1e400 is no finite number"),
+        ("{", "not JSON"),
+        (b"\xff\xfe", "not UTF-8"),
+        ('"\x1b[2J', "not JSON"),
+    ],
+)
+def test_json_that_is_deep_huge_or_no_number_is_one_line(said, message):
+    with pytest.raises(InputError, match=message):
+        text.parse_json(said)
+
+
+def test_good_json_passes():
+    deep = "[" * JSON_DEPTH.most + "]" * JSON_DEPTH.most
+    assert text.parse_json(deep) == eval(deep)
+    assert text.parse_json('["[[[", "{\\"", 1, 1.5]' + " " * 5) == ["[[[", '{"', 1, 1.5]
+    assert text.parse_json(b'\xef\xbb\xbf{"a": 1}') == {"a": 1}
+    flat = "[" + ",".join(['{"a[": 1}'] * 100) + "]"
+    assert len(text.parse_json(flat)) == 100
+
+
+def test_a_file_is_read_within_its_bound(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(b"x" * 11)
+    with pytest.raises(InputError, match="a: 11 bytes; expected at most 10"):
+        text.read_bytes(path, Bound("bytes", 10, "a test"))
+    with pytest.raises(InputError, match="/dev/zero: not a plain file"):
+        text.read_bytes("/dev/zero")
+    with pytest.raises(InputError, match="no such file"):
+        text.read_bytes(tmp_path / "b")
+
+
+def test_a_bound_names_what_is_counted():
+    bound = Bound("people", 1000, "a test", least=1)
+    assert bound.check("--people", np.int64(7)) == 7
+    for count, words in ((0, "0 people; expected 1 to 1,000"), (10**30, "more than 10.18 people"), (1.5, "1.5 people")):
+        with pytest.raises(InputError, match=f"--people: {words}"):
+            bound.check("--people", count)
+
+
+def test_texts_of_a_file_cannot_steer_the_terminal():
+    assert escape("a\x1b[31mb\x9b\u202ec") == "a\\x1b[31mb\\x9b\\u202ec"
+    assert escape("Köpfe, 頭") == "Köpfe, 頭"
+    assert quote("x" * 100) == "x" * 40 + "..." and quote("\a") == "\\x07"
+
+
+def test_the_docs_have_every_bound():
+    page = (Path(__file__).parents[2] / "docs" / "bounds.md").read_text()
+    rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `")}
+    named = {name: value for name, value in vars(limits).items() if isinstance(value, Bound)}
+    assert rows.keys() == named.keys()
+    for name, bound in named.items():
+        assert rows[name] == f"| `{name}` | {bound.most:,} | {bound.what} | {bound.reason} |"
