@@ -76,7 +76,8 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
     simulated = found["projective dynamics", AGAINST["PD"]]
     assert simulated.mean < 0.01 and simulated.frame_ms is None
     assert simulated.mean <= found["linearised simulator", AGAINST["PD"]].mean
-    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0)
+    # Methods answer with skins in single precision, 4e-6 mm at 100 mm, of which S is taken.
+    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0, rel=1e-5)
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
