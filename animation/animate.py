@@ -20,7 +20,7 @@ from ..lhm.expressions import Take, rotations
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.dynamics import extrapolate_turns
-from ..surrogate import BoundSurrogate, Surrogate, linearised_rig
+from ..surrogate import BoundRig, Surrogate, derivatives_rig
 from ..surrogate.codes import nearest_code
 from ..surrogate.runtime import Beyond
 from .play import Output, PlayedTake
@@ -35,7 +35,7 @@ KNOWN = 0.5
 class BoundHead:
     """A bound rig, by which method and in how many seconds, and the head's shapes (52, n, 3) [mm]."""
 
-    rig: BoundSurrogate
+    rig: BoundRig
     method: Method
     seconds: float
     deltas: Floats
@@ -85,7 +85,7 @@ def bind_head(
         )
         method = "network + simulator" if exact else "network"
     else:
-        rig = linearised_rig(head, deltas, parameters)
+        rig = derivatives_rig(head, deltas, parameters)
     return BoundHead(rig, method, time.perf_counter() - begin, deltas)
 
 
@@ -123,7 +123,7 @@ def animate(wanted: Output, served: BoundHead, take: Take, progress: OnProgress)
     return AnimateResult(served.method, len(take.times), served.seconds, frame_ms, tuple(files))
 
 
-def _frames(rig: BoundSurrogate, take: Take, dynamic: bool, spent: list[float]) -> Iterator[Floats32]:
+def _frames(rig: BoundRig, take: Take, dynamic: bool, spent: list[float]) -> Iterator[Floats32]:
     """The take's skins in their order; the seconds of each are added to `spent`."""
     bases = None if take.head is None else rotations(take.head)
     moving = rig.dynamic(1.0 / take.rate) if dynamic else None

@@ -24,8 +24,8 @@ from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
-from ..surrogate import BoundSurrogate
-from ..surrogate.modal.rig import Remainder
+from ..surrogate import BoundRig
+from ..surrogate.rig import Remainder
 from .eyes_and_teeth import BACK, TURN, find_eyes_and_teeth
 from .pictures import INSIDE, light_share, parse_colour, to_linear_light
 
@@ -47,7 +47,7 @@ class Rig:
     remainder: Remainder | None = None
 
     @classmethod
-    def baked(cls, name: str, bound: BoundSurrogate) -> Rig:
+    def baked(cls, name: str, bound: BoundRig) -> Rig:
         """Of a bound surrogate."""
         rig = bound.bake()
         return cls(name, rig.neutral, rig.targets, rig.mixing, rig.remainder_of)

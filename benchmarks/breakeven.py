@@ -9,7 +9,7 @@ from ..surrogate.corpus.folder import shard_path, sum_seconds
 from ..surrogate.corpus.manifest import read_manifest
 from ..surrogate.corpus.shard import read_seconds
 from ..surrogate.evaluate import Score
-from ..surrogate.modal.weights import TrainingNote
+from ..surrogate.networks.weights import TrainingNote
 
 PAID = ("shapes", "fit", "settling", "derivatives", "statics", "sequences")
 """Phases of making a corpus that training needs."""

@@ -16,8 +16,7 @@ from ..surrogate.corpus.reading import Faces
 from ..surrogate.corpus.references import FEM_LAWS
 from ..surrogate.evaluate import read_references
 from ..surrogate.heads import Heads
-from ..surrogate.rivals.linearised import Linearised
-from ..surrogate.rivals.modal import ModalMethod
+from ..surrogate.methods import Derivatives, NetworkMethod
 from ..surrogate.ruler import kind_of_coefficients, measure
 from .surrogates import OnCorpus
 
@@ -41,7 +40,7 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
     Where FEniCSx has solved the frame on PD's energy, its answer stands beside the others.
     """
     faces, heads = tested.faces, tested.heads
-    network, settled = ModalMethod(tested.network.weights), Linearised(responses=False)
+    network, settled = NetworkMethod(tested.network.weights), Derivatives(responses=False)
     solved = _solved(tested)
     rows = []
     for number, worst in enumerate(find_worst_frames(faces, network, heads)):
@@ -49,7 +48,7 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
         skin, weights_now = faces.skin(face.identity), frames.weights[0]
         blended = skin.vertices + np.tensordot(weights_now, face.shapes, axes=1)
         truth, carried = frames.corrected[0].astype(np.float64), heads.carry(face)
-        own, still = (method.bind(face)(frames.weights)[0].astype(np.float64) for method in (network, settled))
+        own, still = (method.bind(face).frame(weights_now) - blended for method in (network, settled))
         top = max(0.5, float(np.percentile(np.linalg.norm(truth - carried, axis=1), 99.0)))
         simulated = skin.with_vertices(blended + truth)
 
@@ -73,15 +72,17 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
     return tile_pictures(rows, 1)
 
 
-def find_worst_frames(faces: Faces, method: ModalMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
+def find_worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: int = SHOWN) -> list[Worst]:
     """Find the faces with the worst frames of a method, the worst first, and that frame of each."""
     worst = []
     for index in range(len(faces)):
         face, frames = faces.face(index), faces.frames(index)
         if not len(frames.weights):
             continue
-        truth, bound = frames.corrected.astype(np.float32), method.bind(face)
-        errors = np.linalg.norm(bound(frames.weights) - truth, axis=2)
+        truth, rig = frames.corrected.astype(np.float32), method.bind(face)
+        blended = face.skin + np.tensordot(frames.weights, face.shapes, axes=1)
+        answers = np.stack([rig.frame(weights) for weights in frames.weights])
+        errors = np.linalg.norm(answers - blended - truth, axis=2)
         motions = np.linalg.norm(truth - heads.carry(face), axis=2)
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
         worst.append(Worst(index, int(np.argmax(means)), float(np.max(means))))

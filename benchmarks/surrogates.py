@@ -18,24 +18,19 @@ from ..surrogate.corpus.plan import Split
 from ..surrogate.corpus.reading import Faces
 from ..surrogate.generalisation import PairStore, simulate_pairs
 from ..surrogate.heads import BindCosts, Heads, measure_binds
-from ..surrogate.modal.weights import ModalWeights
-from ..surrogate.rivals import Method
-from ..surrogate.rivals.blendshapes import Blendshapes
-from ..surrogate.rivals.carried import BonesCarried
-from ..surrogate.rivals.linearised import Linearised
-from ..surrogate.rivals.modal import ModalMethod
-from ..surrogate.rivals.responses import LearnedResponses
-from ..surrogate.rivals.ridge import Ridge
-from ..surrogate.rivals.simulated import BakedShapes, CoarsePD
+from ..surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
+from ..surrogate.networks.responses import LearnedResponses
+from ..surrogate.networks.ridge import Ridge
+from ..surrogate.networks.weights import Weights
 from ..surrogate.schedule import count_processors, make_schedule
 from .surrogate_gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED
 
-Maker = Callable[[ModalWeights, Heads], Method]
+Maker = Callable[[Weights, Heads], Method]
 READY: Mapping[str, Maker] = {
-    NETWORK: lambda weights, heads: ModalMethod(weights),
-    HYBRID: lambda weights, heads: ModalMethod(weights, exact=True),
-    LINEARISED: lambda weights, heads: Linearised(),
-    SETTLED: lambda weights, heads: Linearised(responses=False),
+    NETWORK: lambda weights, heads: NetworkMethod(weights),
+    HYBRID: lambda weights, heads: NetworkMethod(weights, exact=True),
+    LINEARISED: lambda weights, heads: Derivatives(),
+    SETTLED: lambda weights, heads: Derivatives(responses=False),
     CARRIED: lambda weights, heads: BonesCarried(heads),
     BLENDSHAPES: lambda weights, heads: Blendshapes(),
 }
@@ -54,9 +49,9 @@ COSTED = 3
 @lru_cache(maxsize=1)
 def learning() -> Mapping[str, Callable[[], Method]]:
     """Return what is fitted to a corpus' training people, by name; most need torch, which is an extra."""
-    from ..surrogate.rivals.face_wise import FaceWise
-    from ..surrogate.rivals.softsmpl import SoftSMPL
-    from ..surrogate.rivals.vertices_only import VerticesOnly
+    from ..surrogate.networks.face_wise import FaceWise
+    from ..surrogate.networks.softsmpl import SoftSMPL
+    from ..surrogate.networks.vertices_only import VerticesOnly
 
     makers: list[Callable[[], Method]] = [LearnedResponses, lambda: Ridge("dimensionless"), lambda: Ridge("raw")]
     makers += [lambda: SoftSMPL("small"), lambda: SoftSMPL("large"), VerticesOnly, FaceWise]

@@ -1,7 +1,7 @@
 """softdeca train and evaluate: a network from a corpus, and methods compared on its test faces."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -23,6 +23,7 @@ from .written_file import FOLDER
     help="modal: what is shipped; paper: SoftDECA's hypernetwork of deformation gradients, to compare with",
 )
 @click.option("--steps", type=counted(TRAINING_STEPS), help="instead of the network's own number")
+@click.option("--seconds", type=click.FloatRange(0.0, min_open=True), help="stop after these; default: no limit")
 @click.option("--device", default="cpu", help="as torch names it: cpu, cuda")
 @click.option(
     "--precision",
@@ -50,6 +51,7 @@ def train(
     out: Path,
     network: str,
     steps: int | None,
+    seconds: float | None,
     device: str,
     precision: str,
     neutrals: Path | None,
@@ -59,19 +61,18 @@ def train(
 ) -> int:
     """Train a surrogate on CORPUS, a folder of `softdeca corpus generate`; a training that was stopped goes on.
 
-    Writes OUT/modal.safetensors, which `Surrogate.load` and `softdeca study --surrogate` read, or OUT/paper.npz, and
+    Writes OUT/modal.safetensors or OUT/paper.safetensors, which `Surrogate.load` and `--surrogate` read, and
     the learning curve as OUT/curve.json and curve.png. Several processes, a device each, share a training of the modal
     network under `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
     """
     from ..animation.plots import draw_learning_curve
 
+    options = {"steps": steps, "device": device, "precision": precision, "seconds": seconds}
+    given = {name: value for name, value in options.items() if value is not None}
+    read = {"partial": partial, "share": share}
     with show_progress() as progress:
-        if network == "modal":
-            config = {"steps": steps, "device": device, "precision": precision}
-            read = {"partial": partial, "share": share}
-            path, curve = _modal(corpus, neutrals, start, out, config, read, progress)
-        else:
-            path, curve = _paper(corpus, out, steps, progress)
+        train_network = _modal if network == "modal" else _paper
+        path, curve = train_network(corpus, neutrals, start, out, given, read, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
     (out / "curve.png").write_bytes(draw_learning_curve(curve))
@@ -83,33 +84,33 @@ def train(
 def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
     from ..surrogate.corpus.people import people_from_text
     from ..surrogate.corpus.reading import Faces
-    from ..surrogate.modal.looseness import Looseness
-    from ..surrogate.modal.training import ModalTraining, train_modal
-    from ..surrogate.modal.weights import ModalWeights
+    from ..surrogate.dynamics import Looseness
+    from ..surrogate.networks.modal_training import ModalTraining, train_modal
+    from ..surrogate.networks.weights import Weights
 
-    config = ModalTraining(**{name: value for name, value in options.items() if value is not None})
-    faces = Faces(corpus, "train", **read)
+    config, faces = ModalTraining(**options), Faces(corpus, "train", **read)
     more = None if neutrals is None else Faces(neutrals, "train", table="groups", **read)
     out.mkdir(parents=True, exist_ok=True)
-    begun = None if start is None else ModalWeights.load(start)
+    begun = None if start is None else Weights.load(start)
     weights = train_modal(faces, config, neutrals=more, start=begun, state=out / "modal.pt", on_progress=progress)
     if faces.space == "anny" and weights.looseness is None:
-        weights = replace(weights, looseness=Looseness.of(people_from_text("anny"), on_progress=progress))
+        weights = replace(weights, looseness=Looseness.from_people(people_from_text("anny"), on_progress=progress))
     weights.save(out / "modal.safetensors")
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
 
 
-def _paper(corpus: Path, out: Path, steps: int | None, progress):
-    from ..surrogate.paper.samples import samples_of
-    from ..surrogate.paper.train import TrainConfig
-    from ..surrogate.paper.train import train as train_paper
+def _paper(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
+    from ..lhm.base.errors import InputError
+    from ..surrogate.corpus.reading import Faces
+    from ..surrogate.networks.hypernetwork_training import HypernetworkTraining, train_hypernetwork
 
-    config = TrainConfig() if steps is None else TrainConfig(steps=steps)
-    samples = samples_of(corpus, "train")
+    if neutrals is not None or start is not None:
+        raise InputError("--network paper learns frames of one corpus alone; leave out --neutrals and --start")
+    config, faces = HypernetworkTraining(**options), Faces(corpus, "train", **read)
     out.mkdir(parents=True, exist_ok=True)
-    checkpoint = train_paper(samples, config, state=out / "paper.pt", on_progress=progress)
-    checkpoint.save(out / "paper.npz")
-    return out / "paper.npz", [asdict(point) for point in checkpoint.summary.history]
+    weights = train_hypernetwork(faces, config, state=out / "paper.pt", on_progress=progress)
+    weights.save(out / "paper.safetensors")
+    return out / "paper.safetensors", [dict(point) for point in weights.note.curve]
 
 
 class Evaluate(click.Command):

@@ -1,5 +1,5 @@
 """The learned surrogate of the simulator: corpora, networks, their training, and the run time."""
 
-from .runtime import BoundSurrogate, Surrogate, linearised_rig
+from .runtime import BoundRig, BoundSurrogate, Surrogate, derivatives_rig
 
-__all__ = ["BoundSurrogate", "Surrogate", "linearised_rig"]
+__all__ = ["BoundRig", "BoundSurrogate", "Surrogate", "derivatives_rig"]

@@ -1,23 +1,65 @@
-"""A bound surrogate as plain morph targets, which any engine draws: few of them, with the error of leaving out more."""
+"""Few shapes for the expressions a rig is likely to be asked for: a remainder in few modes, or plain morph targets."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from os import PathLike
 
 import numpy as np
+from scipy.linalg.blas import ssyrk
 
 from ..lhm.base.errors import InputError
 from ..lhm.base.files.moving_surface import Morphs, write_rig
 from ..lhm.base.mesh import Floats32, Ints, Surface
-from ..lhm.expressions import Take
+from ..lhm.expressions import Take, conversation
+from ..lhm.expressions.made_up import combinations
 from .dynamics import DynamicRig, Swing, dynamic_rig
-from .modal.rig import Remainder
-from .rigs import add_combination, checked_out, checked_weights
-from .usual import usual_expressions
+from .rig import FaceModes, Remainder, add_combination, check_out, check_weights
 
+APART = 8
+"""Frames of a conversation: those in a row hardly differ."""
+LEFT_OUT, COMPRESSED = 5e-4, 300
+"""[mm] Root mean square over vertices and usual expressions of what may be left out of the remainder; and how many."""
 SAMPLED = 400
 """Expressions of each of made-up conversation and random combinations, which the targets are chosen for."""
+
+
+@cache
+def usual_expressions(seed: int, count: int) -> Floats32:
+    """Return weights (2 count, 52): every APART-th frame of a made-up conversation, then random combinations."""
+    talked = conversation(np.random.default_rng([seed, 0]), APART * count)[::APART]
+    random = combinations(np.random.default_rng([seed, 1]), count)
+    weights: Floats32 = np.concatenate([talked, random]).astype(np.float32)
+    weights.flags.writeable = False
+    return weights
+
+
+def compress(bound: FaceModes) -> FaceModes:
+    """Return the same face in principal components of its remainder: they are what a frame costs; see LEFT_OUT."""
+    amplitudes = bound.remainder_of(usual_expressions(2, COMPRESSED)).astype(np.float64)
+    flat = bound.modes.reshape(len(bound.modes), -1)
+    second = amplitudes.T @ amplitudes / len(amplitudes)
+    # Of the two Gram matrices, since components of amplitudes · modes are wanted and modes are not orthogonal.
+    gram = ssyrk(1.0, flat.T, trans=1).astype(np.float64)  # its upper triangle, in a third of a product's time
+    size, turn = np.linalg.eigh(gram, UPLO="U")
+    root = turn * np.sqrt(np.maximum(size, 1e-12 * size[-1]))
+    power, vectors = np.linalg.eigh(root.T @ second @ root)
+    tail = np.cumsum(np.maximum(power, 0.0)) / bound.modes.shape[1]
+    kept = vectors[:, np.count_nonzero(tail <= LEFT_OUT**2) :][:, ::-1]
+    into = root @ kept  # amplitudes of the components, of those of the modes
+    back = np.linalg.solve(root.T, kept).T  # components, of the modes
+    remainder = bound.remainder_of
+    return replace(
+        bound,
+        modes=(back.astype(np.float32) @ flat).reshape(-1, *bound.modes.shape[1:]),
+        remainder_of=replace(
+            remainder,
+            outer=np.ascontiguousarray(remainder.outer @ into, dtype=np.float32),
+            linear=np.ascontiguousarray(remainder.linear @ into, dtype=np.float32),
+            rest=(remainder.rest @ into).astype(np.float32),
+        ),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +87,10 @@ class BakedRig:
         """The skin [mm], shape (n, 3), for 52 ARKit weights; written to `out`, if given. It takes no `blended`."""
         if blended is not None:
             raise InputError("blended: a baked rig has the blendshapes in its targets")
-        weights, surface = checked_weights(weights), checked_out(out, self.neutral.shape)
+        weights, surface = check_weights(weights), check_out(out, self.neutral.shape)
         amplitudes = np.empty(len(self.mixing), dtype=np.float32)
         amplitudes[: len(weights)] = weights
-        self.remainder_of.of_one(weights, amplitudes[len(weights) :])
+        self.remainder_of.write(weights, amplitudes[len(weights) :])
         surface[:] = self.neutral
         add_combination(amplitudes @ self.mixing, self.targets.reshape(len(self.targets), -1), surface.reshape(-1))
         return surface
@@ -70,7 +112,7 @@ class BakedRig:
         return dynamic_rig(self, self.swing, time_step)
 
 
-def baked(
+def bake(
     neutral: Floats32,
     shapes: Floats32,
     remainder_of: Remainder,
@@ -78,11 +120,12 @@ def baked(
     rank: int,
     swing: Swing | None = None,
 ) -> BakedRig:
-    """The best `rank` targets for usual expressions from shapes (52 + k, 3 n) [mm]: their principal components."""
+    """Find the best `rank` targets for usual expressions from shapes (52 + k, 3 n) [mm]: their principal components."""
     if isinstance(rank, bool) or not isinstance(rank, int) or rank < 1:
         raise InputError(f"bake rank: expected a whole number from 1 on, got {rank!r}")
     rank = min(rank, len(shapes))
-    chosen, other = (_amplitudes(seed, remainder_of) for seed in (0, 1))
+    expressions = (usual_expressions(seed, SAMPLED) for seed in (0, 1))
+    chosen, other = (np.concatenate([w, remainder_of(w)], axis=1) for w in expressions)
     second = (chosen.T @ chosen).astype(np.float64) / len(chosen)
     size, turn = np.linalg.eigh(second + 1e-9 * np.trace(second) * np.eye(len(second)))
     root = (turn * np.sqrt(np.maximum(size, 0.0))).T
@@ -102,8 +145,3 @@ def baked(
         largest_error=float(distance.max()),
         swing=swing,
     )
-
-
-def _amplitudes(seed: int, remainder_of: Remainder) -> Floats32:
-    weights = usual_expressions(seed, SAMPLED)
-    return np.concatenate([weights, remainder_of(weights)], axis=1)

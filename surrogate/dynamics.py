@@ -13,13 +13,13 @@ frames by 2 % where flesh is loose, and raised it where a turning head shakes al
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numba
 import numpy as np
 
-from ..lhm.base.errors import InputError
-from ..lhm.base.mesh import Floats, Floats32, Ints, Surface
+from ..lhm.base.errors import FitError, InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.base.progress import OnProgress, silent
 from ..lhm.head import LayeredHead
 from ..reference import Parameters
 from ..reference.face.dynamics import (
@@ -30,9 +30,17 @@ from ..reference.face.dynamics import (
     find_pivot,
     measure_looseness,
 )
+from .corpus.people import People
 from .local import at_vertices
+from .rig import Rig
 
 OSCILLATION = ("frequency", "damping")
+PEOPLE, SEED = 96, 41
+"""How many people looseness is learned from, and the seed that draws them."""
+RIDGE = 8.0
+"""Of each coefficient of a code, whose numbers are of size one, in people."""
+NOTHING = 0.02
+"""A share below which a vertex does not swing: at p's lowest frequency it would be at rest within one frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,30 +53,61 @@ class Swing:
     pivot: Floats
 
     @classmethod
-    def of(cls, loose: Floats, pivot: Floats, parameters: Parameters | Floats, skin: Surface) -> Swing:
-        """With p's frequency and damping, one number or one per face; an array of static parameters has defaults."""
-        known = parameters if isinstance(parameters, Parameters) else Parameters()
-        frequency, damping = (at_vertices(name, getattr(known, name), skin) for name in OSCILLATION)
+    def from_shares(cls, loose: Floats, pivot: Floats, parameters: Parameters | Floats, skin: Surface) -> Swing:
+        """Take p's frequency and damping, one number or one per face; an array of static parameters has defaults."""
+        chosen = parameters if isinstance(parameters, Parameters) else Parameters()
+        frequency, damping = (at_vertices(name, getattr(chosen, name), skin) for name in OSCILLATION)
         return cls(loose, frequency, damping, pivot)
 
     @classmethod
-    def of_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
-        """Of a layered head, whose depth of bone under the skin tells where flesh is loose."""
+    def from_head(cls, head: LayeredHead, parameters: Parameters | Floats) -> Swing:
+        """Take a layered head, whose depth of bone under the skin tells where flesh is loose."""
         # Weights of skin off the wrap's triangles reach a little beyond their corners.
         shares = np.clip(head.skin_from_wrap @ measure_looseness(head), 0.0, 1.0)
-        return cls.of(shares, find_pivot(head), parameters, head.skin)
+        return cls.from_shares(shares, find_pivot(head), parameters, head.skin)
 
     def recurrence(self, time_step: float) -> Recurrence:
         """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
         return Recurrence.from_oscillator(self.frequency, self.damping, time_step, loose=self.loose)
 
 
-class StaticRig(Protocol):
-    """Anything that makes a skin [mm] of 52 weights; `blended` replaces the blendshapes that the weights make."""
+@dataclass(frozen=True, eq=False)
+class Looseness:
+    """Where flesh of a space's people is loose, and what their heads turn about: linear in the code.
 
-    def frame(self, weights, blended=None, *, out: Floats32 | None = None) -> Floats32:
-        """The skin [mm], shape (n, 3)."""
-        ...
+    Both follow from a fitted head's depths of bone, which a bind in milliseconds has not. shares (1 + c, n): of each
+    vertex that swings; pivots (1 + c, 3) [mm]: of the mean, then by number of the code.
+    """
+
+    shares: Floats
+    pivots: Floats
+
+    @classmethod
+    def from_people(cls, people: People, *, count: int = PEOPLE, on_progress: OnProgress = silent) -> Looseness:
+        """Learn by ridge regression over random people whose heads are fitted, a second or so each."""
+        rng = np.random.default_rng(SEED)
+        codes, shares, pivots = [], [], []
+        for number in range(count):
+            person = people.person(rng)
+            on_progress(f"where faces are loose: head {number + 1} of {count}", (number + 1) / count)
+            try:
+                head = people.head(person)
+            except FitError:
+                continue
+            codes.append(np.append(1.0, person.code))
+            shares.append(head.skin_from_wrap @ measure_looseness(head))
+            pivots.append(find_pivot(head))
+        rows = np.array(codes)
+        penalty = RIDGE * np.eye(rows.shape[1])
+        penalty[0, 0] = 0.0
+        inverse: Floats = np.linalg.solve(rows.T @ rows + penalty, rows.T)
+        return cls(inverse @ np.array(shares), inverse @ np.array(pivots))
+
+    def at(self, code: Floats) -> tuple[Floats, Floats]:
+        """Shares (n,), in [0, 1], and pivot (3,) [mm] of a person."""
+        row = np.append(1.0, code)
+        shares = row @ self.shares
+        return np.where(shares > NOTHING, np.clip(shares, 0.0, 1.0), 0.0), row @ self.pivots
 
 
 class DynamicRig:
@@ -77,13 +116,13 @@ class DynamicRig:
     The head may turn in the room (`base`), which shakes what is loose; answers are in the head's own frame.
     """
 
-    def __init__(self, rig: StaticRig, swing: Swing, time_step: float):
-        found = swing.recurrence(time_step)
-        self.time_step, self.recurrence = float(time_step), found
+    def __init__(self, rig: Rig, swing: Swing, time_step: float):
+        self.time_step, self.recurrence = float(time_step), swing.recurrence(time_step)
+        alpha, beta = np.asarray(self.recurrence.alpha), np.asarray(self.recurrence.beta)
         self._rig = rig
-        self._loose = np.flatnonzero(np.asarray(found.beta) > 0.0)
-        self._coefficients = _columns(found, self._loose)
-        self._driven = np.asarray(found.driven, dtype=np.float64)[self._loose, None]
+        self._loose = np.flatnonzero(beta > 0.0)
+        self._coefficients = np.stack([2.0 * alpha, beta], axis=1)[self._loose].astype(np.float32)
+        self._driven = np.asarray(self.recurrence.driven, dtype=np.float64)[self._loose, None]
         self._pivot = swing.pivot
         self._last = np.zeros((len(self._loose), 3), dtype=np.float32)
         self._before, self._pushed = np.zeros_like(self._last), np.zeros_like(self._last)
@@ -132,7 +171,7 @@ class DynamicRig:
         self._turns = np.stack([self._turns[1], now])
 
 
-def dynamic_rig(rig: StaticRig, swing: Swing | None, time_step: float) -> DynamicRig:
+def dynamic_rig(rig: Rig, swing: Swing | None, time_step: float) -> DynamicRig:
     """A rig's frames with inertia; InputError for one of which nothing is known."""
     if swing is None:
         raise InputError(
@@ -141,19 +180,13 @@ def dynamic_rig(rig: StaticRig, swing: Swing | None, time_step: float) -> Dynami
     return DynamicRig(rig, swing, time_step)
 
 
-def _columns(recurrence: Recurrence, chosen: Ints) -> Floats32:
-    """2α and β of some vertices, shape (k, 2)."""
-    columns = 2.0 * np.asarray(recurrence.alpha), np.asarray(recurrence.beta)
-    return np.stack(columns, axis=1)[chosen].astype(np.float32)
-
-
 @numba.njit(cache=True, fastmath=True)
 def _swing(skin, loose, coefficients, last, before, pushed):
     """Eq. 21 at the loose vertices of a static skin, in place; as differences, so that rest is kept to the bit."""
     for k in range(len(loose)):
         a, b, v = coefficients[k, 0], coefficients[k, 1], loose[k]
         for c in range(3):
-            still, one = skin[v, c], last[k, c]
-            moved = still + (a * (one - still) - b * (before[k, c] - still)) + pushed[k, c]
-            before[k, c], last[k, c] = one, moved
+            still, now = skin[v, c], last[k, c]
+            moved = still + (a * (now - still) - b * (before[k, c] - still)) + pushed[k, c]
+            before[k, c], last[k, c] = now, moved
             skin[v, c] = moved

@@ -23,7 +23,7 @@ from .corpus.plan import Split
 from .corpus.reading import Faces, Row, Table
 from .corpus.references import FEM_LAWS
 from .heads import BindCosts, Heads
-from .rivals import Method, Takes
+from .methods import Method, Takes
 from .ruler import KINDS, STRENGTHS, kind_of_coefficients, measure, strength_of
 
 ALL, VARYING = "all", "p varying over the face"
@@ -123,16 +123,15 @@ class Static(Contender):
     def answer(self, trial: Trial) -> Answers:
         """Bind the face, and make each frame as a user has it: with S by blendshapes."""
         begin = time.process_time()
-        bound = self._method.bind(trial.face)
+        rig = self._method.bind(trial.face)
         binding = time.process_time() - begin
         skin, shapes = trial.face.skin.astype(np.float32), np.asarray(trial.face.shapes, dtype=np.float32)
         corrected, seconds = [], []
         for row in trial.weights:
             begin = time.process_time()
-            moved = bound(row[None])[0]
-            _ = skin + np.tensordot(row, shapes, axes=1) + moved
+            answer = rig.frame(row)
             seconds.append(time.process_time() - begin)
-            corrected.append(moved)
+            corrected.append(answer - (skin + np.tensordot(row, shapes, axes=1)))
         return Answers(np.stack(corrected), binding, seconds)
 
 

@@ -19,11 +19,10 @@ from .corpus.face import Face
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE, Split
 from .corpus.reading import Faces, Row, Table
-from .dynamics import OSCILLATION, DynamicRig, Swing
+from .dynamics import OSCILLATION, DynamicRig, Looseness, Swing
 from .evaluate import Answers, Contender, Named, Score, Static, Trial, measure_frames
 from .heads import Heads
-from .modal.looseness import Looseness
-from .rivals import Method
+from .methods import Method
 
 DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
 

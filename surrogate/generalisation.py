@@ -25,8 +25,8 @@ from .corpus.shard import ACCEPTED
 from .corpus.simulator import FaceSimulator
 from .evaluate import Score, Static, Trial, measure_frames
 from .heads import BindCosts, Heads
-from .modal.weights import ModalWeights
-from .rivals import Method
+from .methods import Method
+from .networks.weights import Weights
 from .schedule import Schedule, run_items
 
 COMBINATIONS: tuple[tuple[Split, Split, Split], ...] = tuple(product(SPLITS, SPLITS, SPLITS))
@@ -58,7 +58,7 @@ class Pair:
         return f"pair-{self.people['train']:05d}-{self.people['test']:05d}"
 
 
-def choose_pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pair]:
+def choose_pairs(plan: CorpusPlan, weights: Weights, count: int) -> list[Pair]:
     """Return the first `count` pairs; the k-th takes the (k mod groups)-th parameter set of both.
 
     InputError where training or test has fewer people.
@@ -77,7 +77,7 @@ def choose_pairs(plan: CorpusPlan, weights: ModalWeights, count: int) -> list[Pa
     return chosen
 
 
-def check_learned(plan: CorpusPlan, people: People, weights: ModalWeights) -> None:
+def check_learned(plan: CorpusPlan, people: People, weights: Weights) -> None:
     """Raise InputError for weights that have not learned from the plan's first people, as their mean code tells."""
     first = weights.note.people + len(weights.note.held)
     if first <= plan.trained:
@@ -90,7 +90,7 @@ def check_learned(plan: CorpusPlan, people: People, weights: ModalWeights) -> No
 
 
 def simulate_pairs(
-    weights: ModalWeights,
+    weights: Weights,
     plan: CorpusPlan,
     people: People,
     folder: Path,

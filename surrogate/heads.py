@@ -19,8 +19,8 @@ from ..reference.face.settle import TARGET_OPTIONS, carry_skin
 from .corpus.face import Face
 from .corpus.folder import read_kept_plan
 from .corpus.people import OfSpace, People, people_from_text
-from .linear import derivatives
 from .ruler import BONES
+from .runtime import derivatives
 
 SCALED = 1.02
 """Of a cranium, to measure what carrying costs."""

@@ -16,27 +16,31 @@ import numpy as np
 from ..lhm import fit_head, identities, load_template
 from ..lhm.base.checks import check_arguments
 from ..lhm.base.errors import InputError
+from ..lhm.base.geometry.deformation import DeformationTransfer
 from ..lhm.base.mesh import Floats, Floats32, Surface
 from ..lhm.head import LayeredHead
 from ..lhm.identities import LinearSpace
 from ..reference import Parameters
-from .baked import BakedRig, baked
+from ..reference.face.derivatives import differentiate_head
+from .baked import BakedRig, bake, compress
+from .corpus.face import Face
 from .corpus.mixture import STATIC
 from .dynamics import DynamicRig, Swing, dynamic_rig
-from .linear import derivatives
 from .local import around_vertices, of_static, on_wraps
-from .modal.compressed import compressed
-from .modal.rig import BoundModes, Modal, Remainder
-from .modal.weights import ModalWeights
-from .rigs import (
-    EXPRESSIONS,
+from .networks.features import Inputs
+from .networks.hypernetwork import HypernetworkRig, open_transfer
+from .networks.modal import bind_modal
+from .networks.weights import Weights
+from .rig import (
+    WEIGHTS,
+    FaceModes,
     add_combination,
-    checked_blended,
-    checked_code,
-    checked_out,
-    checked_shapes,
-    checked_skin,
-    checked_weights,
+    check_blended,
+    check_code,
+    check_out,
+    check_shapes,
+    check_skin,
+    check_weights,
 )
 
 Beyond = Literal["refuse", "clamp"]
@@ -45,17 +49,16 @@ SHIPPED = Path(str(files("softdeca.surrogate") / "pretrained" / "anny.safetensor
 
 
 class Surrogate:
-    """A trained modal network for any person and parameters of its space; see `modal.network` for its form."""
+    """A trained network for any person and parameters of its space; see `networks.modal` for the shipped one's form."""
 
-    def __init__(self, weights: ModalWeights):
-        self.weights = weights
-        self._modal = Modal(weights)
+    def __init__(self, weights: Weights):
+        self.weights, self.inputs = weights, Inputs.from_weights(weights)
 
     @classmethod
     @check_arguments
     def load(cls, path: str | PathLike[str] | None = None) -> Surrogate:
         """Read weights; None is the network that is shipped, of the default space. InputError if it is damaged."""
-        return cls(ModalWeights.load(SHIPPED if path is None else path))
+        return cls(Weights.load(SHIPPED if path is None else path))
 
     @property
     def space(self) -> str:
@@ -77,8 +80,8 @@ class Surrogate:
         exact: bool = False,
         head: LayeredHead | None = None,
         beyond: Beyond = "refuse",
-    ) -> BoundSurrogate:
-        """A rig of one person and p: in milliseconds, or with `exact` in seconds.
+    ) -> BoundRig:
+        """Return a rig of one person and p: in milliseconds, or with `exact` in seconds.
 
         skin: the neutral surface [mm]; code: h, shape (c,). parameters: one set (default: all defaults), whose local
         values may be one per face of the skin, or an array of `parameter_names` per face, shape (faces, P). What lies
@@ -90,21 +93,55 @@ class Surrogate:
         refused, and what the simulator raises.
         """
         self._check_skin(skin)
-        mean, weights = self.weights.mean, self.weights
-        code = checked_code(code, len(weights.code_mean))
+        weights = self.weights
+        code = check_code(code, len(weights.code_mean))
         chosen = Parameters() if parameters is None else parameters
-        at_vertices = _seen(_at_vertices(chosen, mean), weights.note.seen, beyond)
+        at_vertices = _within_seen(_at_vertices(chosen, weights.mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
-            modes = _finite(self._modal.bound(code, skin.vertices, at_vertices, shapes))
-            modes = _finite(compressed(modes))
         if exact:
+            self._check_exact()
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
-            modes = replace(modes, offset=offset, responses=responses)
-            return BoundSurrogate(skin, modes, shapes, Swing.of_head(fitted, chosen))
+            rig = self._bind_modes(skin, code, at_vertices, shapes, Swing.from_head(fitted, chosen))
+            return rig.with_derivatives(offset, responses)
         known = weights.looseness
-        return BoundSurrogate(skin, modes, shapes, None if known is None else Swing.of(*known.at(code), chosen, skin))
+        swing = None if known is None else Swing.from_shares(*known.at(code), chosen, skin)
+        return self._bind(skin, code, at_vertices, shapes, swing)
+
+    def bind_face(self, face: Face, *, exact: bool = False) -> BoundRig:
+        """Bind a face of a corpus; with `exact`, its own offset and responses."""
+        skin = self.weights.mean.with_vertices(face.skin)
+        shapes = np.asarray(face.shapes, dtype=np.float32)
+        at_vertices = self.inputs.features.at_vertices(face.coefficients)
+        if not exact:
+            return self._bind(skin, face.code, at_vertices, shapes)
+        self._check_exact()
+        rig = self._bind_modes(skin, face.code, at_vertices, shapes)
+        return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
+
+    def _check_exact(self) -> None:
+        if self.weights.kind != "modal":
+            raise InputError(f"exact: a {self.weights.kind} network has no offset and responses to replace")
+
+    def _bind(
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
+    ) -> BoundRig:
+        if self.weights.kind == "hypernetwork":
+            network, code = self.weights.network, self.inputs.code(code)
+            return HypernetworkRig(network, self._transfer, code, at_vertices, skin, shapes, swing)
+        return self._bind_modes(skin, code, at_vertices, shapes, swing)
+
+    def _bind_modes(
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
+    ) -> BoundSurrogate:
+        network, features, code = self.weights.network, self.inputs.features, self.inputs.code(code)
+        with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
+            modes = _check_finite(bind_modal(network, features, code, skin.vertices, at_vertices, shapes))
+            return BoundSurrogate(skin, _check_finite(compress(modes)), shapes, swing)
+
+    @cached_property
+    def _transfer(self) -> DeformationTransfer:
+        return open_transfer(self.weights.network, self.weights.mean)
 
     @cached_property
     def _people(self) -> LinearSpace:
@@ -112,14 +149,14 @@ class Surrogate:
         return identities.Anny()
 
     def _check_skin(self, skin: Surface) -> None:
-        checked_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
+        check_skin(skin, self.weights.mean, f"the weights' template {self.weights.template}")
 
     def _expressions(self, code: Floats, expressions: Floats | None) -> Floats32:
         if expressions is None:
             if self.space != "anny":
                 raise InputError("expressions: not known for the weights' space; bind needs expressions=")
             expressions = self._people.expression_deltas(code)
-        return checked_shapes(expressions, len(self.weights.mean.vertices))
+        return check_shapes(expressions, len(self.weights.mean.vertices))
 
     def _head(self, skin: Surface, head: LayeredHead | None) -> LayeredHead:
         if head is not None:
@@ -130,19 +167,29 @@ class Surrogate:
         return fit_head(load_template(identities.Anny()), skin)
 
 
+def derivatives(head: LayeredHead, parameters: Parameters, shapes: Floats32) -> tuple[Floats32, Floats32]:
+    """Compute T - S at w = 0, shape (n, 3), and its derivatives by shapes (k, n, 3), all [mm]; some seconds.
+
+    InputError for a face that does not settle under these parameters, and what the simulator raises.
+    """
+    first = differentiate_head(head, parameters)
+    deltas = shapes.astype(np.float64)
+    offset = (first.offset + first.face.displacement).astype(np.float32)
+    return offset, (first.skin_by_shapes(deltas) - deltas).astype(np.float32)
+
+
 @check_arguments
-def linearised_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
-    """A rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
+def derivatives_rig(head: LayeredHead, expressions: Floats, parameters: Parameters | None = None) -> BoundSurrogate:
+    """Return a rig of any head by the simulator's derivatives alone, in some seconds: for people that no network knows.
 
     expressions: what the 52 weights add to the head's skin [mm], shape (52, n, 3); parameters: local values are one per
     face of the skin. What is not linear in the weights is left out. Raises InputError for other shapes, and what the
     simulator raises.
     """
     chosen = Parameters() if parameters is None else parameters
-    shapes = checked_shapes(expressions, len(head.skin.vertices))
+    shapes = check_shapes(expressions, len(head.skin.vertices))
     offset, responses = derivatives(head, on_wraps(chosen, head), shapes)
-    modes = BoundModes(offset, responses, np.zeros((0, *offset.shape), dtype=np.float32), Remainder.none())
-    return BoundSurrogate(head.skin, modes, shapes, Swing.of_head(head, chosen))
+    return BoundSurrogate(head.skin, FaceModes.linear(offset, responses), shapes, Swing.from_head(head, chosen))
 
 
 class BoundSurrogate:
@@ -151,17 +198,27 @@ class BoundSurrogate:
     skin: the person's without p. `swing` is what `dynamic` needs; None where the weights do not know it.
     """
 
-    def __init__(self, skin: Surface, modes: BoundModes, expressions: Floats32, swing: Swing | None):
+    def __init__(self, skin: Surface, modes: FaceModes, expressions: Floats32, swing: Swing | None = None):
         self.skin, self.modes, self.swing = skin, modes, swing
         self._expressions = expressions
         self._skin = skin.vertices.astype(np.float32)
         count, n = len(modes.modes), len(self._skin)
         self._settled = (self._skin + modes.offset).ravel()
-        self._added = np.concatenate([modes.responses, modes.modes]).reshape(EXPRESSIONS + count, 3 * n)
+        self._added = np.concatenate([modes.responses, modes.modes]).reshape(WEIGHTS + count, 3 * n)
         self._offset = np.ascontiguousarray(modes.offset.ravel())
-        self._amplitudes = np.zeros(EXPRESSIONS + count, dtype=np.float32)
+        self._amplitudes = np.zeros(WEIGHTS + count, dtype=np.float32)
         self._shapes = self._added.copy()
-        self._shapes[:EXPRESSIONS] += expressions.reshape(EXPRESSIONS, -1)
+        self._shapes[:WEIGHTS] += expressions.reshape(WEIGHTS, -1)
+
+    @classmethod
+    def from_face(cls, face: Face, modes: FaceModes) -> BoundSurrogate:
+        """Bind what a method says of a face of a corpus."""
+        return cls(face.person.skin, modes, np.asarray(face.shapes, dtype=np.float32))
+
+    def with_derivatives(self, offset: Floats32, responses: Floats32) -> BoundSurrogate:
+        """Return the same rig with the simulator's offset (n, 3) and responses (52, n, 3) [mm]."""
+        modes = replace(self.modes, offset=offset, responses=responses)
+        return BoundSurrogate(self.skin, modes, self._expressions, self.swing)
 
     @property
     def neutral(self) -> Floats32:
@@ -174,16 +231,16 @@ class BoundSurrogate:
         blended: the linear blendshapes' answer S_t [mm] of a rig of one's own, shape (n, 3). Weights outside [0, 1]
         are clipped with a warning that counts them. Raises InputError for shapes and values that are not finite.
         """
-        weights = checked_weights(weights)
-        surface = checked_out(out, self._skin.shape)
+        weights = check_weights(weights)
+        surface = check_out(out, self._skin.shape)
         flat = surface.reshape(-1)
-        self._amplitudes[:EXPRESSIONS] = weights
-        self.modes.remainder_of.of_one(weights, self._amplitudes[EXPRESSIONS:])
+        self._amplitudes[:WEIGHTS] = weights
+        self.modes.remainder_of.write(weights, self._amplitudes[WEIGHTS:])
         if blended is None:
             flat[:] = self._settled
             add_combination(self._amplitudes, self._shapes, flat)
         else:
-            surface[:] = checked_blended(blended, self._skin.shape)
+            surface[:] = check_blended(blended, self._skin.shape)
             flat += self._offset
             add_combination(self._amplitudes, self._added, flat)
         return surface
@@ -191,13 +248,13 @@ class BoundSurrogate:
     def blend(self, weights) -> Floats32:
         """Linear blendshapes S_t [mm], shape (n, 3), without p."""
         surface = self._skin.copy()
-        shapes = self._expressions.reshape(EXPRESSIONS, -1)
+        shapes = self._expressions.reshape(WEIGHTS, -1)
         add_combination(np.asarray(weights, dtype=np.float32), shapes, surface.reshape(-1))
         return surface
 
     def bake(self, rank: int = 64) -> BakedRig:
         """Plain morph targets, at most `rank` of them, with their error; InputError for a rank out of range."""
-        return baked(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
+        return bake(self.neutral, self._shapes, self.modes.remainder_of, self.skin.triangles, rank, self.swing)
 
     @check_arguments
     def dynamic(self, time_step: float = 1.0 / 60.0) -> DynamicRig:
@@ -220,27 +277,27 @@ def _at_vertices(parameters: Parameters | Floats, mean: Surface) -> Floats:
                 f"parameters: expected finite values of shape ({faces}, {len(STATIC)}), got {values.shape}"
             )
         columns = list(values.T)
-    found = np.empty((n, len(STATIC)))
+    normalised = np.empty((n, len(STATIC)))
     for k, (name, column) in enumerate(zip(STATIC, columns, strict=True)):
         info = Parameters.info(name)
         outside = ~((column >= info.low) & (column <= info.high))
         if outside.any():
             value = np.ravel(column)[np.ravel(outside)][0]
             raise InputError(f"parameter {name} = {value:g} is outside [{info.low:g}, {info.high:g}] {info.unit}")
-        normalised = info.normalise(column)
-        found[:, k] = around_vertices(normalised, mean) if normalised.ndim else normalised
-    return found
+        values = info.normalise(column)
+        normalised[:, k] = around_vertices(values, mean) if values.ndim else values
+    return normalised
 
 
-def _finite(modes: BoundModes) -> BoundModes:
+def _check_finite(modes: FaceModes) -> FaceModes:
     """Return what weights give for a face; InputError unless it is finite."""
     if not all(np.isfinite(array).all() for array in (modes.offset, modes.responses, modes.modes)):
         raise InputError("weights: what they give for this face is not finite; they are damaged")
     return modes
 
 
-def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:
-    """Parameters within what training saw of each."""
+def _within_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: Beyond) -> Floats:
+    """Return parameters within what training saw of each."""
     if beyond not in ("refuse", "clamp"):
         raise InputError(f"beyond: expected 'refuse' or 'clamp', got {beyond!r}")
     low, high = (np.array([seen[name][side] for name in STATIC]) for side in (0, 1))
@@ -256,3 +313,7 @@ def _seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], beyond: 
             raise InputError(f"{text}; bind(beyond='clamp') takes the nearest")
         warnings.warn(f"{text}; the nearest is taken", stacklevel=3)
     return np.clip(at_vertices, low, high)
+
+
+BoundRig = BoundSurrogate | HypernetworkRig
+"""What weights of either kind are bound to."""

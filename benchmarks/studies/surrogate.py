@@ -16,7 +16,7 @@ from ...surrogate.corpus.manifest import OWNER, read_manifest, read_template
 from ...surrogate.evaluate import ALL, SIMULATOR, Score, evaluate, evaluate_references
 from ...surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
 from ...surrogate.generalisation import evaluate_generalisation
-from ...surrogate.rivals.modal import ModalMethod
+from ...surrogate.methods import NetworkMethod
 from ...surrogate.ruler import MOVES
 from ..beyond import KIND as BEYOND
 from ..beyond import score_beyond
@@ -209,7 +209,7 @@ class SurrogateOnCorpus(Study):
 
     def _moving(self, tested: OnCorpus, name: str) -> list[Score]:
         if name == SNP:
-            from ...surrogate.rivals.snp import SubspacePhysics
+            from ...surrogate.networks.snp import SubspacePhysics
 
             return [evaluate_sequences(SubspacePhysics(), tested.corpus, tested.heads, partial=self.partial)]
         known = tested.network.weights.looseness
@@ -245,7 +245,7 @@ class SurrogateOnCorpus(Study):
         learned = np.setdiff1d(people, [number for note in notes for number in note.held])
         rows = np.flatnonzero(np.isin(training.groups[:, 0], learned))
         seen = rows[np.unique(np.linspace(0, len(rows) - 1, SEEN).round().astype(int))].tolist()
-        method = ModalMethod(network)
+        method = NetworkMethod(network)
         of_unseen = evaluate([method], tested.faces, tested.heads)[0]
         of_seen = evaluate([method], training, tested.heads, chosen=seen)[0]
         name = f"network of {network.note.people} people"

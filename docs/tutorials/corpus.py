@@ -24,10 +24,8 @@ from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
 from softdeca.surrogate.evaluate import evaluate
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.modal.training import ModalTraining, train_modal
-from softdeca.surrogate.rivals.carried import BonesCarried
-from softdeca.surrogate.rivals.linearised import Linearised
-from softdeca.surrogate.rivals.modal import ModalMethod
+from softdeca.surrogate.methods import BonesCarried, Derivatives, NetworkMethod
+from softdeca.surrogate.networks.modal_training import ModalTraining, train_modal
 from softdeca.surrogate.sphere import Spheres
 
 plan = CorpusPlan(
@@ -85,7 +83,7 @@ assert curve[-1]["loss"] < curve[0]["loss"]
 
 # %%
 heads = Heads(people)
-methods = [ModalMethod(weights), Linearised(), Linearised(responses=False)]
+methods = [NetworkMethod(weights), Derivatives(), Derivatives(responses=False)]
 for score in evaluate([*methods, BonesCarried(heads)], test, heads):
     if score.kind == "all":
         print(f"{score.method:<34} mean {score.mean:.4f} mm, {100 * score.share:.1f} %")

@@ -104,7 +104,7 @@ def test_generalisation_needs_people_that_a_command_knows(command, corpus, tmp_p
 
 def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):
     ended = command("train", corpus, "--network", "paper", "--out", tmp_path, "--steps", "4")
-    assert ended.status == 0 and (tmp_path / "paper.npz").is_file()
+    assert ended.status == 0 and (tmp_path / "paper.safetensors").is_file()
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,9 @@ from softdeca.surrogate.corpus.mixture import STATIC
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan, read_plan
 from softdeca.surrogate.corpus.reading import Table
-from softdeca.surrogate.modal.features import Features
-from softdeca.surrogate.modal.shapes import array_shapes
-from softdeca.surrogate.modal.weights import ModalWeights, TrainingNote
+from softdeca.surrogate.networks.features import Features
+from softdeca.surrogate.networks.modal import ARRAYS, ModalConfig
+from softdeca.surrogate.networks.weights import TrainingNote, Weights
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -62,16 +62,16 @@ def recorder() -> bytes:
     return "\n".join(map(",".join, rows)).encode()
 
 
-def random_weights() -> ModalWeights:
+def random_weights() -> Weights:
     """A network of random numbers on the coarsest sphere: what it answers means nothing."""
     rng, features = np.random.default_rng(0), Features(SPACE.mean)
-    widths = dict.fromkeys(("settled", "relaxed", "responses", "remainder"), 3)
-    shapes = array_shapes(features, SPACE.code_size, position=2, other=4, **widths)
+    sizes = ModalConfig(3, 3, 3, 3, 2, 4, 4, 4).sizes(features, SPACE.code_size)
+    shapes = {name: tuple(sizes[each] for each in names) for name, names in ARRAYS.items()}
     network = {name: 0.1 * rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     seen = dict.fromkeys(STATIC, (-1.0, 1.0))
     note = TrainingNote(2, 4, 8, 4, 10, {"seed": 0}, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))
     code = np.zeros(SPACE.code_size)
-    return ModalWeights(SPACE.name, SPACE.mean, code, code + 1.0, network, note)
+    return Weights("modal", SPACE.name, SPACE.mean, code, code + 1.0, network, note)
 
 
 # Damage that keeps the format

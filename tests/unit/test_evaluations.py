@@ -15,15 +15,12 @@ from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces, Table
+from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_distances
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.modal.looseness import Looseness
-from softdeca.surrogate.modal.weights import TrainingNote
-from softdeca.surrogate.rivals.blendshapes import Blendshapes
-from softdeca.surrogate.rivals.carried import BonesCarried
-from softdeca.surrogate.rivals.linearised import Linearised
-from softdeca.surrogate.rivals.simulated import BakedShapes, CoarsePD
+from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives
+from softdeca.surrogate.networks.weights import TrainingNote
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -33,7 +30,7 @@ PLAN = CorpusPlan(
     kinds={"effects": 0.5, "both": 0.5}, sources={"conversation": 1.0}, conversations=4, random=0, seconds=4.0,
 )  # fmt: skip
 HEADS = Heads(PEOPLE)
-METHODS = [Linearised(), BonesCarried(HEADS), Blendshapes()]
+METHODS = [Derivatives(), BonesCarried(HEADS), Blendshapes()]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +42,7 @@ def corpus(tmp_path_factory):
 
 
 def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
-    looseness = Looseness.of(PEOPLE, count=8)
+    looseness = Looseness.from_people(PEOPLE, count=8)
     scores = evaluate_dynamic(METHODS, corpus, "train", HEADS, looseness)
     found = {(score.method, score.kind): score for score in scores}
     assert len(found) == 6 and all(score.frames % 16 == 0 and score.frame_ms > 0 for score in scores)
@@ -57,7 +54,7 @@ def test_eq_21_over_exact_derivatives_follows_sequences(corpus):
 
 def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     pytest.importorskip("torch")
-    from softdeca.surrogate.rivals.snp import SubspacePhysics
+    from softdeca.surrogate.networks.snp import SubspacePhysics
 
     score = evaluate_sequences(SubspacePhysics(steps=5), corpus, HEADS)
     assert (score.method, score.kind) == ("SNP", DYNAMIC) and score.frames % 16 == 0 and score.fit_seconds > 0
@@ -79,12 +76,13 @@ def test_the_simulator_is_nearest_to_fenicsx(corpus):
     simulated = found["projective dynamics", AGAINST["PD"]]
     assert simulated.mean < 0.01 and simulated.frame_ms is None
     assert simulated.mean <= found["linearised simulator", AGAINST["PD"]].mean
-    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0)
+    # Methods answer with skins in single precision, 4e-6 mm at 100 mm, of which S is taken.
+    assert found["bones carried", AGAINST["PD"]].share == pytest.approx(1.0, rel=1e-5)
 
 
 def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
     note = TrainingNote(9, 9, 27, 0, 5, {}, ({"seconds": 100.0},), {})
-    score = evaluate([Linearised()], Faces(corpus, "test"), HEADS)[0]
+    score = evaluate([Derivatives()], Faces(corpus, "test"), HEADS)[0]
     found = compute_breakeven(corpus, note, score)
     assert found.training == 100.0 and found.corpus > 0 and found.simulated_frame > 0
     assert found.frames == pytest.approx(
@@ -97,7 +95,7 @@ def test_breakeven_is_what_was_spent_over_what_a_frame_saves(corpus, tmp_path):
 
 def test_simulation_stopped_early_is_nearer_the_longer_it_runs(corpus):
     test = Faces(corpus, "train")
-    methods = [CoarsePD(HEADS, 1), CoarsePD(HEADS, 200), BakedShapes(HEADS), Linearised()]
+    methods = [CoarsePD(HEADS, 1), CoarsePD(HEADS, 200), BakedShapes(HEADS), Derivatives()]
     scores = evaluate(methods, test, HEADS, chosen=[0, 2])
     errors = [score.mean for score in scores if score.kind == "all"]
     assert {score.frames for score in scores if score.kind == "all"} == {6}

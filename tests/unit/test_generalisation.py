@@ -17,8 +17,7 @@ from softdeca.surrogate.generalisation import (
     evaluate_generalisation,
     simulate_pairs,
 )
-from softdeca.surrogate.rivals.blendshapes import Blendshapes
-from softdeca.surrogate.rivals.linearised import Linearised
+from softdeca.surrogate.methods import Blendshapes, Derivatives
 from softdeca.surrogate.schedule import Schedule
 from softdeca.surrogate.sphere import Spheres
 
@@ -76,7 +75,7 @@ def scored(methods, folder, **changed):
 
 def test_each_combination_has_its_people_parameters_and_recordings(folder):
     watching = Watching()
-    scores = scored([watching, Linearised(), Blendshapes()], folder)
+    scores = scored([watching, Derivatives(), Blendshapes()], folder)
     assert KINDS[0] == "unseen: nothing" and KINDS[1] == "unseen: recordings" and len(set(KINDS)) == 8
     assert KINDS[-1] == "unseen: people, parameters, recordings"
     assert [score.kind for score in scores] == [kind for kind in KINDS for _ in range(3)]

@@ -23,23 +23,29 @@ from softdeca.surrogate.corpus.mixture import STATIC, WAVES
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
+from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import UNSCALED, VARYING, evaluate
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.modal.features import Features
-from softdeca.surrogate.modal.looseness import Looseness
-from softdeca.surrogate.modal.network import ModalConfig
-from softdeca.surrogate.modal.rig import Modal
-from softdeca.surrogate.modal.training import ModalTraining, _Loop, train_modal
-from softdeca.surrogate.modal.weights import ModalWeights
-from softdeca.surrogate.rigs import add_combination
-from softdeca.surrogate.rivals.blendshapes import Blendshapes
-from softdeca.surrogate.rivals.face_wise import FaceWise
-from softdeca.surrogate.rivals.linearised import Linearised
-from softdeca.surrogate.rivals.modal import ModalMethod
-from softdeca.surrogate.rivals.responses import LearnedResponses
-from softdeca.surrogate.rivals.ridge import Ridge
-from softdeca.surrogate.rivals.softsmpl import SoftSMPL
-from softdeca.surrogate.rivals.vertices_only import VerticesOnly
+from softdeca.surrogate.methods import Blendshapes, Derivatives, NetworkMethod
+from softdeca.surrogate.networks.face_wise import FaceWise
+from softdeca.surrogate.networks.features import Features
+from softdeca.surrogate.networks.modal import (
+    ModalConfig,
+    basis,
+    bind_modal,
+    hidden_features,
+    neutral,
+    remainder,
+    responses,
+)
+from softdeca.surrogate.networks.modal_training import ModalLesson, ModalTraining, train_modal
+from softdeca.surrogate.networks.responses import LearnedResponses
+from softdeca.surrogate.networks.ridge import Ridge
+from softdeca.surrogate.networks.softsmpl import SoftSMPL
+from softdeca.surrogate.networks.trainer import Trainer
+from softdeca.surrogate.networks.vertices_only import VerticesOnly
+from softdeca.surrogate.networks.weights import Weights
+from softdeca.surrogate.rig import add_combination
 from softdeca.surrogate.ruler import KINDS, STRENGTHS
 from softdeca.surrogate.sphere import Spheres
 
@@ -68,10 +74,11 @@ def weights(faces):
 
 def test_people_with_shapes_of_their_own_are_bound(faces, weights):
     """A corpus keeps such shapes as it keeps what it simulates: in half precision."""
-    face, method = faces["test"].face(0), ModalMethod(weights)
+    face, method = faces["test"].face(0), NetworkMethod(weights)
     own = replace(face, person=replace(face.person, shapes=face.shapes.astype(np.float16)))
-    expressions = np.linspace(0.0, 1.0, 104).reshape(2, 52)
-    np.testing.assert_allclose(method.bind(own)(expressions), method.bind(face)(expressions), atol=0.02)
+    expression = np.linspace(0.0, 1.0, 52)
+    answers = [method.bind(one).frame(expression, blended=face.skin) for one in (own, face)]
+    np.testing.assert_allclose(*answers, atol=0.02)
 
 
 def test_the_note_names_the_people_held_out(faces, weights):
@@ -95,14 +102,19 @@ def bound(surrogate, **changes):
     return surrogate.bind(**{**arguments, "expressions": shapes(), **changes})
 
 
+def score(methods, test, training=None):
+    """Scores over all frames by method."""
+    return {one.method: one for one in evaluate(methods, test, HEADS, training) if one.kind == "all"}
+
+
 def test_the_network_beats_doing_nothing_and_the_hybrid_its_own_derivatives(weights, faces):
-    methods = [ModalMethod(weights), ModalMethod(weights, exact=True), Linearised(), Blendshapes()]
-    scores = {score.method: score for score in evaluate(methods, faces["test"], HEADS) if score.kind == "all"}
+    methods = [NetworkMethod(weights), NetworkMethod(weights, exact=True), Derivatives(), Blendshapes()]
+    scores = score(methods, faces["test"])
     assert scores["network"].everywhere < 0.5 * scores["blendshapes (T = S)"].everywhere
     # Small spheres answer all but linearly: what is left is float16's rounding.
     hybrid, linearised_alone = scores["network + simulator at bind"], scores["linearised simulator"]
     assert hybrid.everywhere < 1.2 * linearised_alone.everywhere < 0.01
-    assert not scores["network"].simulates and scores["network + simulator at bind"].simulates
+    assert not scores["network"].simulates and hybrid.simulates
 
 
 def test_rivals_that_learn_are_scored_by_kind(faces):
@@ -117,29 +129,31 @@ def test_rivals_that_learn_are_scored_by_kind(faces):
 
 def test_networks_of_others_learn_and_are_bound(faces):
     methods = [SoftSMPL("small", 150), SoftSMPL("large", 150), VerticesOnly(150), FaceWise(150)]
-    found = evaluate([*methods, Blendshapes()], faces["train"], HEADS, faces["train"])
-    *scores, nothing = [score for score in found if score.kind == "all"]
-    assert [score.method for score in scores] == [method.name for method in methods]
-    assert all(score.everywhere < 0.95 * nothing.everywhere and score.fit_seconds > 0 for score in scores)
-    # Bound or not, a network is the same function of w, p and h.
-    method, face, w = methods[2], faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)[None]
-    summary = (method._inputs.summary_of(face) - method._mean) / method._scale
-    with torch.no_grad():
-        whole = method._network(torch.from_numpy(w), torch.from_numpy(summary.astype(np.float32))[None], np.arange(N))
-    assert np.abs(method.bind(face)(w) - method._size * whole.numpy()).max() < 1e-4
+    scores = score([*methods, Blendshapes()], faces["train"], faces["train"])
+    *learned, nothing = scores.values()
+    assert all(one.everywhere < 0.95 * nothing.everywhere and one.fit_seconds > 0 for one in learned)
+    # In numpy or torch, a network is the same function of w, p and h.
+    face, w = faces["test"].face(0), np.linspace(0.0, 0.5, 52, dtype=np.float32)
+    for method in methods:
+        summary = ((method._inputs.summary_of(face) - method._mean) / method._scale).astype(np.float32)[None]
+        network = {name: torch.from_numpy(value) for name, value in method.arrays.items()}
+        bound = method.bound(network, torch.from_numpy(summary))
+        answer = method._size * method.answer(network, bound, torch.from_numpy(w[None]))[0].numpy()
+        assert np.abs(method.bind(face).correct(w) - answer).max() < 1e-4
 
 
 def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):
     state = tmp_path / "state.pt"
-    loop = _Loop(faces["train"], CONFIG)
-    loop.run(100)
-    loop.keep(state)
+    train_modal(faces["train"], replace(CONFIG, seconds=1e-9), state=state)  # stops at the first point of the curve
+    content = torch.load(state, weights_only=True)
+    assert content["step"] == CONFIG.validate_every
+    torch.save(content | {"of": [repr(CONFIG), *content["of"][1:]]}, state)
     resumed = train_modal(faces["train"], CONFIG, state=state)
     assert [point["loss"] for point in resumed.note.curve] == [point["loss"] for point in weights.note.curve]
     for name, value in weights.network.items():
         assert np.array_equal(value, resumed.network[name]), name
     with pytest.raises(InputError, match="of another training"):
-        train_modal(faces["train"], ModalTraining(network=NETWORK, steps=7, frames=4, vertices=42), state=state)
+        train_modal(faces["train"], replace(CONFIG, steps=7), state=state)
     state.write_text("not a state")
     with pytest.raises(InputError, match="state.pt: damaged"):
         train_modal(faces["train"], CONFIG, state=state)
@@ -150,7 +164,7 @@ def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, 
 PARALLEL = """
 import os, pickle, sys
 from softdeca.surrogate.corpus.reading import Faces
-from softdeca.surrogate.modal.training import train_modal
+from softdeca.surrogate.networks.modal_training import train_modal
 folder, out = sys.argv[1:]
 config = pickle.load(open(out + "/config", "rb"))
 weights = train_modal(Faces(folder, "train"), config, state=out + "/state.pt")
@@ -169,7 +183,7 @@ def test_processes_of_torchrun_end_with_one_network(faces, tmp_path):
         [sys.executable, *words, folder, tmp_path], capture_output=True, text=True, env=environment, timeout=300
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
-    one, two = (ModalWeights.load(tmp_path / f"{rank}.safetensors") for rank in (0, 1))
+    one, two = (Weights.load(tmp_path / f"{rank}.safetensors") for rank in (0, 1))
     for name, value in one.network.items():
         np.testing.assert_array_equal(value, two.network[name])
     # Two batches a step teach something else than one.
@@ -188,10 +202,10 @@ def test_bfloat16_learns_alike(faces):
 
 def test_training_goes_on_from_weights(faces, weights, tmp_path):
     weights.save(tmp_path / "weights.safetensors")
-    start = ModalWeights.load(tmp_path / "weights.safetensors")
+    start = Weights.load(tmp_path / "weights.safetensors")
     more = train_modal(faces["train"], replace(CONFIG, steps=40, validate_every=20), start=start)
-    begun = _Loop(faces["train"], CONFIG, start=start).weights()
-    assert all(np.array_equal(value, start.network[name]) for name, value in begun.network.items())
+    begun = ModalLesson(faces["train"], CONFIG, start=start).network
+    assert all(np.array_equal(value.detach(), start.network[name]) for name, value in begun.items())
     kept = ("settled", "relaxed", "gain", "position", "effect", "modes.0", "modes.1", "size")
     for name, value in more.network.items():
         assert np.array_equal(value, start.network[name]) == name.startswith(kept), name
@@ -200,7 +214,7 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
         train_modal(faces["train"], CONFIG, start=start, neutrals=object())
     assert more.note.before["steps"] == CONFIG.steps and more.note.steps == 40
     more.save(tmp_path / "more.safetensors")
-    assert ModalWeights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
+    assert Weights.load(tmp_path / "more.safetensors").note.before["people"] == weights.note.people
     with pytest.raises(InputError, match="other sizes"):
         train_modal(faces["train"], replace(CONFIG, network=replace(NETWORK, local=8)), start=start)
     other = replace(start, mean=Surface(start.mean.vertices * 2.0, start.mean.triangles))
@@ -208,48 +222,44 @@ def test_training_goes_on_from_weights(faces, weights, tmp_path):
         train_modal(faces["train"], CONFIG, start=other)
 
 
-def test_run_time_equals_torch(faces):
-    loop = _Loop(faces["train"], CONFIG)
-    loop.run(3)
-    modal, network = Modal(loop.weights()), loop.network
-    face = faces["test"].face(1)
-    p = modal.features.at_vertices(face.coefficients)
-    found = modal.bound(face.code, face.skin, p, face.shapes)
-    every = np.arange(N)
-    expressions = np.random.default_rng(0).random((3, 52)).astype(np.float32)
+def test_the_run_time_s_arrays_give_the_same_as_the_training_s_tensors(faces):
+    lesson = ModalLesson(faces["train"], CONFIG)
+    trainer = Trainer(lesson, CONFIG)
+    trainer.run(3)
+    face, features, w = faces["test"].face(1), lesson.features, np.random.default_rng(0).random((3, 52))
+    p, every, size = features.at_vertices(face.coefficients), np.arange(N), lesson.code_size
+    bound = bind_modal(trainer.arrays(), features, lesson.inputs.code(face.code), face.skin, p, face.shapes)
+    network, shapes, offset = lesson.network, torch.from_numpy(face.shapes[None]).float(), 0.0
     with torch.no_grad():
-        local, summary, unmoved = loop._features([face], [p], every)
-        hidden = network.hidden(local, summary, every)
-        responses, remainder = network.bases(hidden, every, (2, 3))
-        lagging = (network.lags(hidden, local)[0, :, None] * torch.from_numpy(face.shapes).float()).flatten(1)
-        rested = modal.features.without_palsy(p)
-        of_rested = loop._features([face], [rested], every)
-        expected = [
-            network.neutral(1, hidden, summary, unmoved, loop._effects([p], [face.skin], every), every)
-            + network.neutral(
-                0,
-                network.hidden(of_rested[0], of_rested[1], every),
-                *of_rested[1:],
-                loop._effects([rested], [face.skin], every),
-                every,
-            ),
-            network.response_amplitudes(summary) @ responses - lagging,
-            network.remainder_amplitudes(summary, torch.from_numpy(expressions)[None]) @ remainder,
-        ]
-    for one, other in zip((found.offset, found.responses, found.remainder(expressions)), expected, strict=True):
+        for part, values in enumerate((features.without_palsy(p), p)):
+            local, summary, unmoved = lesson.inputs_of([face], [values], every)
+            hidden = hidden_features(network, local, summary[..., :size], every)
+            effects = lesson.effects_of([values], [face.skin], every)
+            offset = offset + neutral(network, part, hidden, summary, unmoved, effects, every)
+        amplitudes = remainder(network, summary)(torch.from_numpy(w).float()[None])
+        expected = (
+            offset,
+            responses(network, hidden, local, summary, shapes, every),
+            amplitudes @ basis(network, 3, hidden, every),
+        )
+    for one, other in zip((bound.offset, bound.responses, bound.remainder(w)), expected, strict=True):
         assert np.abs(one.ravel() - other.numpy().ravel()).max() < 1e-4 * max(1.0, np.abs(one).max())
 
 
 def test_the_gradient_of_the_whole_loss_by_finite_differences(faces):
-    loop = _Loop(faces["train"], CONFIG)
-    network = loop.network.double()
-    loop._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
+    lesson = ModalLesson(faces["train"], CONFIG)
+    learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
+    lesson.network = {name: value.detach().double() for name, value in lesson.network.items()}
+    lesson._tensor = lambda rows: torch.from_numpy(np.stack(rows).astype(np.float64))
 
     def loss():
-        return loop._loss(loop.training[:3], np.random.default_rng(5), np.arange(N))
+        return lesson.loss_of(lesson.training[:3], np.random.default_rng(5), np.arange(N))
 
+    for name in learned:
+        lesson.network[name].requires_grad_()
     loss().backward()
-    for name, value in network.named_parameters():
+    for name in learned:
+        value = lesson.network[name]
         place = np.unravel_index(int(value.grad.abs().reshape(-1).argmax()), value.shape)
         slope, h = float(value.grad[place]), 1e-6
         with torch.no_grad():
@@ -276,7 +286,7 @@ def test_a_face_is_the_same_wherever_it_lies(surrogate):
 
 
 def test_settling_knows_no_palsy(surrogate):
-    features = surrogate._modal.features
+    features = surrogate.inputs.features
     whole, half = (
         features.at_vertices(np.column_stack([chosen, np.zeros((len(chosen), WAVES))]))
         for chosen in (_normalised(soft_volume=1.2), _normalised(soft_volume=1.2, paralysis_left=0.8))
@@ -425,23 +435,23 @@ def test_bad_frames_are_named(surrogate, given, options, message):
 def test_files_that_are_no_weights_are_named(weights, tmp_path):
     path = tmp_path / "modal.safetensors"
     with pytest.raises(InputError, match="no such file"):
-        ModalWeights.load(path)
+        Weights.load(path)
     path.write_text("v 0 0 0\n")
     with pytest.raises(InputError, match="no weights of softdeca"):
-        ModalWeights.load(path)
+        Weights.load(path)
     path.write_bytes(b"")
     with pytest.raises(InputError, match="no weights of softdeca"):
-        ModalWeights.load(path)
+        Weights.load(path)
     weights.save(path)
     path.write_bytes(path.read_bytes()[:-300])
     with pytest.raises(InputError, match="no weights of softdeca"):
-        ModalWeights.load(path)
+        Weights.load(path)
 
 
 def test_dynamics_need_the_looseness_that_weights_keep(weights, surrogate, tmp_path):
     with pytest.raises(InputError, match="dynamic: the weights do not tell where faces are loose"):
         bound(surrogate).dynamic()
-    known = Looseness.of(OfSpace(SPACE, SPACE.mean, SPACE.fit), count=8)
+    known = Looseness.from_people(OfSpace(SPACE, SPACE.mean, SPACE.fit), count=8)
     path = tmp_path / "modal.safetensors"
     replace(weights, looseness=known).save(path)
     rig = bound(Surrogate.load(path), parameters=Parameters(frequency=3.0))
@@ -469,7 +479,7 @@ def test_features_follow_the_mirror():
     if features.mirror is None:
         pytest.skip("this sphere is not symmetric")
     p = np.random.default_rng(0).uniform(-1.0, 1.0, size=(N, len(STATIC)))
-    assert np.array_equal(features.mirrored(features.mirrored(p)), p)
+    assert np.array_equal(features.mirror_parameters(features.mirror_parameters(p)), p)
     assert len(set(features.points.tolist())) == len(features.points)
 
 
@@ -499,7 +509,7 @@ def test_a_network_of_other_shapes_or_numbers_is_named(weights, tmp_path, name, 
     path = tmp_path / "modal.safetensors"
     replace(weights, network={**weights.network, name: change(weights.network[name])}).save(path)
     with pytest.raises(InputError, match=f"modal.safetensors: damaged.*{words}"):
-        ModalWeights.load(path)
+        Weights.load(path)
 
 
 def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
@@ -509,4 +519,4 @@ def test_a_flipped_bit_of_weights_is_found_by_their_checksum(weights, tmp_path):
     content[-1000] ^= 1
     path.write_bytes(content)
     with pytest.raises(InputError, match="their numbers do not match their checksum"):
-        ModalWeights.load(path)
+        Weights.load(path)

@@ -28,8 +28,7 @@ from softdeca.surrogate.corpus.plan import PRESETS, CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.evaluate import ALL, UNSCALED, Score, evaluate
 from softdeca.surrogate.heads import Heads, measure_binds
-from softdeca.surrogate.rivals.carried import BonesCarried
-from softdeca.surrogate.rivals.linearised import Linearised
+from softdeca.surrogate.methods import BonesCarried, Derivatives
 from softdeca.surrogate.ruler import (
     MOVES,
     STRENGTHS,
@@ -133,7 +132,7 @@ def faces(tmp_path_factory):
 def test_trivial_rivals_are_scored_by_kind_with_what_their_users_wait_for(faces):
     heads = Heads(PEOPLE)
     costs = measure_binds(heads, [faces.face(0)])
-    methods = [BonesCarried(heads), Linearised(responses=False), Linearised()]
+    methods = [BonesCarried(heads), Derivatives(responses=False), Derivatives()]
     scores = {(score.method, score.kind): score for score in evaluate(methods, faces, heads, costs=costs)}
     kinds = {kind for _, kind in scores}
     assert {ALL, UNSCALED, "materials", *STRENGTHS} <= kinds

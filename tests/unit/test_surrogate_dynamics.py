@@ -9,10 +9,9 @@ import pytest
 
 from softdeca.lhm import InputError, expressions
 from softdeca.reference import Parameters, Sequence, settle
-from softdeca.surrogate import linearised_rig
+from softdeca.surrogate import derivatives_rig
 from softdeca.surrogate.corpus.people import OfSpace
-from softdeca.surrogate.dynamics import DynamicRig, Swing
-from softdeca.surrogate.modal.looseness import Looseness
+from softdeca.surrogate.dynamics import DynamicRig, Looseness, Swing
 from softdeca.surrogate.sphere import Spheres
 
 SPACE = Spheres(1)
@@ -31,7 +30,7 @@ def head():
 
 @pytest.fixture(scope="module")
 def rig(head):
-    return linearised_rig(head, shapes(), P)
+    return derivatives_rig(head, shapes(), P)
 
 
 def test_frames_follow_the_simulators(head, rig):
@@ -109,7 +108,7 @@ def test_blendshapes_of_ones_own_lag_alike(rig):
 
 def test_looseness_of_people_is_linear_in_their_code(head):
     people = OfSpace(SPACE, SPACE.mean, SPACE.fit)
-    found = Looseness.of(people, count=12)
+    found = Looseness.from_people(people, count=12)
     shares, pivot = found.at(np.zeros(SPACE.code_size))
     # A sphere without regions is loose everywhere, and turns about its middle.
     assert shares == pytest.approx(np.ones(N)) and np.abs(pivot).max() < 2.0
@@ -130,7 +129,7 @@ def test_bad_parameters_are_named(head, changes, message):
             """Unchecked, as an array of parameters is."""
 
     with pytest.raises(InputError, match=message):
-        Swing.of_head(head, Given(**changes))
+        Swing.from_head(head, Given(**changes))
 
 
 @pytest.mark.parametrize(

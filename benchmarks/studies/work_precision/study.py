@@ -293,7 +293,7 @@ class _Run:
 
 def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
-    from ....surrogate import Surrogate, linearised_rig
+    from ....surrogate import Surrogate, derivatives_rig
     from ....surrogate.heads import solve_neutral
 
     head, parameters, network = of.head, Parameters(), Surrogate.load()
@@ -308,7 +308,7 @@ def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     return {
         SURROGATE: lambda: network.bind(**given).frame,
         EXACT: lambda: network.bind(**given, exact=True, head=head).frame,
-        LINEARISED: lambda: linearised_rig(head, shapes).frame,
+        LINEARISED: lambda: derivatives_rig(head, shapes).frame,
         SETTLED: lambda: moved(lambda: solve_neutral(head, parameters) - head.skin.vertices),
         CARRIED: lambda: moved(lambda: carry_skin(head, parameters)),
         BLENDSHAPES: lambda: blend,

@@ -22,7 +22,7 @@ from ..corpus.mixture import STATIC, basis
 if TYPE_CHECKING:
     from ..corpus.face import Face
     from ..corpus.reading import Faces
-    from .weights import ModalWeights
+    from .weights import Weights
 
 POINTS = 24
 """Places at which the summary has what varies over the face."""
@@ -43,6 +43,8 @@ _MOVING = _THERE + _GRAVITY + _BONES
 GIVE = -1
 """The column of `local` that holds `give`."""
 EFFECTS = len(_THERE) + 2 * len(_BONES) + 3
+WIDENED = 0.05
+"""By which ranges that training saw are widened, of parameters mapped to [-1, 1]."""
 LIKENESS = 10.0
 """[mm] By which people's skins differ from the mean, about."""
 _DEFAULTS = np.array([_INFOS[name].normalise(_INFOS[name].default) for name in STATIC])
@@ -79,8 +81,8 @@ class Features:
     def mirror(self) -> Ints | None:
         """The vertex in whose mirror image, by x, each lies, shape (n,); None where the mean skin is not symmetric."""
         vertices = self.mean.vertices
-        away, found = cKDTree(vertices).query(vertices * [-1.0, 1.0, 1.0])
-        return found if away.max() < MIRRORED and np.array_equal(found[found], np.arange(len(found))) else None
+        away, image = cKDTree(vertices).query(vertices * [-1.0, 1.0, 1.0])
+        return image if away.max() < MIRRORED and np.array_equal(image[image], np.arange(len(image))) else None
 
     @cached_property
     def points(self) -> Ints:
@@ -89,8 +91,8 @@ class Features:
         chosen: list[int] = []
         away = -vertices[:, 2].max() + vertices[:, 2] + 1e6
         while len(chosen) < POINTS:
-            one = int(np.argmax(away))
-            pair = {one} if self.mirror is None else {one, int(self.mirror[one])}
+            farthest = int(np.argmax(away))
+            pair = {farthest} if self.mirror is None else {farthest, int(self.mirror[farthest])}
             chosen += sorted(pair)
             away = np.minimum(away, np.min([np.linalg.norm(vertices - vertices[k], axis=1) for k in pair], axis=0))
         return np.array(chosen[:POINTS])
@@ -99,11 +101,11 @@ class Features:
         """The p at the vertices, shape (n, P), of coefficients (P, 1 + WAVES), see `corpus.mixture`."""
         return np.clip(self._basis @ np.asarray(coefficients, dtype=np.float64).T, -1.0, 1.0)
 
-    def mirrored(self, at_vertices: Floats) -> Floats:
+    def mirror_parameters(self, at_vertices: Floats) -> Floats:
         """The p of the mirrored face, for a symmetric mean skin."""
         return at_vertices[self.mirror][:, _SWAPPED] * _SIGNS
 
-    def mirrored_move(self, move: np.ndarray) -> np.ndarray:
+    def mirror_move(self, move: np.ndarray) -> np.ndarray:
         """A displacement (n, 3), or a skin, of the mirrored face."""
         return move[self.mirror] * np.array([-1.0, 1.0, 1.0], dtype=move.dtype)
 
@@ -157,7 +159,7 @@ class Features:
         return _by_default(at_vertices, _PARALYSES)
 
 
-def normalised_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
+def normalise_code(code: Floats, mean: Floats, scale: Floats) -> Floats:
     """A code (c,) as the network has it: all of it counts about as much as a few parameters."""
     return 0.5 * (np.asarray(code, dtype=np.float64) - mean) / scale
 
@@ -171,20 +173,20 @@ class Inputs:
     code_scale: Floats
 
     @classmethod
-    def of(cls, faces: Faces) -> Inputs:
-        """From the codes of all faces."""
+    def from_faces(cls, faces: Faces) -> Inputs:
+        """Normalise by the codes of all faces."""
         codes = np.array([faces.code(k) for k in range(len(faces))])
         people = np.unique(faces.groups[:, 0], return_index=True)[1]
         return cls(Features(faces.mean), codes[people].mean(axis=0), np.maximum(codes[people].std(axis=0), 1e-6))
 
     @classmethod
-    def as_of(cls, weights: ModalWeights) -> Inputs:
-        """As trained weights have them."""
+    def from_weights(cls, weights: Weights) -> Inputs:
+        """Normalise as trained weights do."""
         return cls(Features(weights.mean), weights.code_mean, weights.code_scale)
 
     def code(self, code: Floats) -> Floats:
-        """See `normalised_code`."""
-        return normalised_code(code, self.code_mean, self.code_scale)
+        """See `normalise_code`."""
+        return normalise_code(code, self.code_mean, self.code_scale)
 
     def summary(self, code: Floats, at_vertices: Floats) -> Floats32:
         """See `Features.summary`."""
@@ -195,10 +197,20 @@ class Inputs:
         return self.summary(face.code, self.features.at_vertices(face.coefficients))
 
 
+def seen_ranges(faces: Faces, chosen: Ints, features: Features) -> dict[str, tuple[float, float]]:
+    """Return the range of each parameter over some faces, a little widened: ends of a range are hardly ever drawn."""
+    values = [features.at_vertices(faces.coefficients(int(index))) for index in chosen]
+    low = np.min([value.min(axis=0) for value in values], axis=0)
+    high = np.max([value.max(axis=0) for value in values], axis=0)
+    widened = np.where(high > low, WIDENED, 0.0)
+    low, high = np.maximum(low - widened, -1.0), np.minimum(high + widened, 1.0)
+    return {name: (float(low[k]), float(high[k])) for k, name in enumerate(STATIC)}
+
+
 def _by_default(at_vertices: Floats, columns: tuple[int, ...]) -> Floats:
-    found = np.array(at_vertices)
-    found[:, list(columns)] = _DEFAULTS[list(columns)]
-    return found
+    changed = np.array(at_vertices)
+    changed[:, list(columns)] = _DEFAULTS[list(columns)]
+    return changed
 
 
 def _softness(normalised):

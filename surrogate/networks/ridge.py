@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 
-from ...lhm.base.mesh import Floats
-from ..corpus.face import Face
+from ...lhm.base.mesh import Floats, Floats32
+from ..corpus.face import Face, Frames
 from ..corpus.mixture import STATIC
 from ..corpus.reading import Faces
-from ..modal.features import Inputs
-from ..modal.principal import principal
-from .protocol import Bound, Takes
+from ..methods import Takes
+from ..rig import CorrectedRig
+from .features import Inputs
 
 FRAMES = 6000
 PENALTIES = 10.0 ** np.arange(-2.0, 5.0)
@@ -32,24 +33,21 @@ class Ridge:
         self.name = f"ridge regression, {features}"
 
     def fit(self, faces: Faces) -> None:
-        """To at most FRAMES frames; the penalty is the one of least leave-one-out error (Allen 1974)."""
-        self._inputs = Inputs.of(faces)
+        """Fit at most FRAMES frames; the penalty is the one of least leave-one-out error (Allen 1974)."""
+        self._inputs = Inputs.from_faces(faces)
         rng = np.random.default_rng(0)
         rows, values = [], []
-        each = max(1, FRAMES // max(len(faces), 1))
-        for index in range(len(faces)):
-            face = faces.face(index)
-            frames = faces.frames(index, rng.permutation(len(faces.frames_of[index]))[:each])
+        for face, frames in sample_frames(faces, FRAMES, rng):
             rows.append(self._rows(face, frames.weights))
             values.append(frames.corrected.reshape(len(frames.weights), -1).astype(np.float32))
         features, motion = np.vstack(rows), np.vstack(values)
         self._mean, self._scale = features.mean(axis=0), np.maximum(features.std(axis=0), 1e-6)
-        known = (features - self._mean) / self._scale
+        normalised = (features - self._mean) / self._scale
         self._centre = motion.mean(axis=0)
-        self._basis, _ = principal(motion - self._centre, self._components, rng)
+        self._basis, _ = find_components(motion - self._centre, self._components, rng)
         scores = ((motion - self._centre) @ self._basis.T).astype(np.float64)
-        size, turn = np.linalg.eigh(known.T @ known)
-        turned, pulled = known @ turn, turn.T @ (known.T @ scores)
+        size, turn = np.linalg.eigh(normalised.T @ normalised)
+        turned, pulled = normalised @ turn, turn.T @ (normalised.T @ scores)
 
         def wrong(penalty: float) -> float:
             leverage = (turned**2 / (size + penalty)).sum(axis=1)
@@ -59,15 +57,15 @@ class Ridge:
         best = min(PENALTIES, key=wrong)
         self._coefficients = turn @ (pulled / (size + best)[:, None])
 
-    def bind(self, face: Face) -> Bound:
-        """The same matrix for all faces."""
+    def bind(self, face: Face) -> CorrectedRig:
+        """Take the same matrix for all faces."""
 
-        def corrected(weights):
-            known = (self._rows(face, weights) - self._mean) / self._scale
-            motion = self._centre + (known @ self._coefficients).astype(np.float32) @ self._basis
-            return motion.reshape(len(weights), *face.offset.shape)
+        def correct(weights: Floats32) -> Floats32:
+            rows = (self._rows(face, weights[None]) - self._mean) / self._scale
+            motion: Floats32 = self._centre + (rows @ self._coefficients).astype(np.float32) @ self._basis
+            return motion.reshape(face.skin.shape)
 
-        return corrected
+        return CorrectedRig(face.skin, face.shapes, correct)
 
     def _rows(self, face: Face, weights) -> Floats:
         summary = np.tile(self._inputs.summary_of(face), (len(weights), 1))
@@ -77,3 +75,27 @@ class Ridge:
             ratio = np.exp(_LOG[SOFT] * level[SOFT] - _LOG[TARGET] * level[TARGET])
             parts += [weights * ratio**q for q in (1.0 / 3.0, 2.0 / 3.0, 1.0)]
         return np.hstack(parts)
+
+
+def sample_frames(faces: Faces, most: int, rng: np.random.Generator) -> Iterator[tuple[Face, Frames]]:
+    """Yield each face with some of its frames, about `most` in all."""
+    each = max(1, most // max(len(faces), 1))
+    for index in range(len(faces)):
+        yield faces.face(index), faces.frames(index, rng.permutation(len(faces.frames_of[index]))[:each])
+
+
+def find_components(data: Floats32, count: int, rng: np.random.Generator) -> tuple[Floats32, Floats]:
+    """Find the `count` leading right singular vectors (count, m) of data (rows, m), and their amplitudes' mean size.
+
+    By one power iteration of random combinations (Halko, Martinsson and Tropp 2011); vectors beyond the rank are zero.
+    Sizes (count,) are roots of mean squares.
+    """
+    more = min(len(data), count + 20)
+    sketch = data.T @ (data @ (data.T @ rng.normal(size=(len(data), more)).astype(np.float32)))
+    basis = np.linalg.qr(sketch)[0]
+    _, size, vectors = np.linalg.svd(data @ basis, full_matrices=False)
+    kept = min(count, len(size))
+    modes, sizes = np.zeros((count, data.shape[1]), dtype=np.float32), np.zeros(count)
+    modes[:kept] = vectors[:kept] @ basis.T
+    sizes[:kept] = size[:kept] / np.sqrt(len(data))
+    return modes, sizes

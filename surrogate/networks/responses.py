@@ -8,8 +8,10 @@ from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.face import Face
 from ..corpus.reading import Faces
-from ..modal.features import Inputs
-from .protocol import Bound, Takes
+from ..methods import Takes
+from ..rig import FaceModes
+from ..runtime import BoundSurrogate
+from .features import Inputs
 
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 """Of the kernel, over the median distance of training faces."""
@@ -29,32 +31,28 @@ class LearnedResponses:
         """Keep all training faces; InputError for fewer than ten."""
         if len(faces) < 10:
             raise InputError(f"learned responses: {len(faces)} faces; at least 10 are needed")
-        self._inputs = Inputs.of(faces)
-        known = [faces.face(k) for k in range(len(faces))]
-        rows = np.array([self._inputs.summary_of(face) for face in known], dtype=np.float64)
+        self._inputs = Inputs.from_faces(faces)
+        every = [faces.face(k) for k in range(len(faces))]
+        rows = np.array([self._inputs.summary_of(face) for face in every], dtype=np.float64)
         self._mean, self._scale = rows.mean(axis=0), np.maximum(rows.std(axis=0), 1e-3)
         self._rows = (rows - self._mean) / self._scale
         self._unit = float(np.median(np.linalg.norm(self._rows[:, None] - self._rows[None, :200], axis=2)))
-        n3 = known[0].offset.size
-        self._offsets = np.stack([face.offset.ravel() for face in known])
-        self._responses = np.stack([face.responses.reshape(-1) for face in known])
+        n3 = every[0].offset.size
+        self._offsets = np.stack([face.offset.ravel() for face in every])
+        self._responses = np.stack([face.responses.reshape(-1) for face in every])
         probe = np.random.default_rng(0).permutation(52 * n3)[:PROBED]
-        self._offset_weights, self._offset_length = self._chosen(self._offsets[:, probe[probe < n3]])
-        self._response_weights, self._response_length = self._chosen(self._responses[:, np.sort(probe)])
+        self._offset_weights, self._offset_length = self._choose_kernel(self._offsets[:, probe[probe < n3]])
+        self._response_weights, self._response_length = self._choose_kernel(self._responses[:, np.sort(probe)])
 
-    def bind(self, face: Face) -> Bound:
-        """A combination of all training faces."""
+    def bind(self, face: Face) -> BoundSurrogate:
+        """Combine all training faces."""
         row = (self._inputs.summary_of(face) - self._mean) / self._scale
-        offset = self._combined(row, self._offset_weights, self._offset_length, self._offsets)
-        responses = self._combined(row, self._response_weights, self._response_length, self._responses)
-        shape = face.offset.shape
+        offset = self._combine(row, self._offset_weights, self._offset_length, self._offsets)
+        responses = self._combine(row, self._response_weights, self._response_length, self._responses)
+        n3 = face.skin.shape
+        return BoundSurrogate.from_face(face, FaceModes.linear(offset.reshape(n3), responses.reshape(-1, *n3)))
 
-        def corrected(weights: Floats32) -> Floats32:
-            return (offset + weights @ responses.reshape(52, -1)).reshape(len(weights), *shape).astype(np.float32)
-
-        return corrected
-
-    def _combined(self, row: Floats, inverse: Floats, length: float, values: np.ndarray) -> Floats32:
+    def _combine(self, row: Floats, inverse: Floats, length: float, values: np.ndarray) -> Floats32:
         shares = (inverse @ self._kernel(self._rows, row[None], length)[:, 0]).astype(np.float32)
         total: Floats32 = np.zeros(values.shape[1], dtype=np.float32)
         for share, value in zip(shares, values, strict=True):
@@ -65,8 +63,8 @@ class LearnedResponses:
         squares = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1)[None] - 2.0 * one @ other.T
         return np.exp(-squares / (2.0 * (length * self._unit) ** 2)) + one @ other.T / one.shape[1]
 
-    def _chosen(self, values: np.ndarray) -> tuple[Floats, float]:
-        """The regularised inverse kernel, symmetric, and its length."""
+    def _choose_kernel(self, values: np.ndarray) -> tuple[Floats, float]:
+        """Return the regularised inverse kernel, symmetric, and its length."""
         values = values.astype(np.float64)
         best: tuple[float, Floats, float] | None = None
         for length in LENGTHS:

@@ -13,10 +13,11 @@ from ...lhm.base.mesh import Floats, Floats32
 from ..corpus.mixture import NAMES, select_static
 from ..corpus.reading import Row, Table
 from ..dynamics import OSCILLATION
-from ..learning import torch
-from ..modal.features import Features, Inputs
-from ..modal.principal import principal
-from .trained import SEED, STEPS, perceptron
+from .features import Features, Inputs
+from .layers import perceptron
+from .ridge import find_components
+from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+from .vertex_network import SEED, STEPS
 
 MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3
 _SWINGING = [NAMES.index(name) for name in OSCILLATION]
@@ -27,6 +28,8 @@ class SubspacePhysics:
 
     name = "SNP"
     simulates = False
+    slow: tuple[str, ...] = ("-",)  # none
+    about: tuple[str, ...] = ()
 
     def __init__(self, steps: int = STEPS):
         self._steps = steps
@@ -43,42 +46,46 @@ class SubspacePhysics:
         count, length = motion.shape[:2]
         flat = motion.reshape(count * length, -1)
         self._mean = flat.mean(axis=0)
-        self._modes = principal(flat - self._mean, min(MODES, len(flat)), rng)[0]
+        self._modes = find_components(flat - self._mean, min(MODES, len(flat)), rng)[0]
         z = ((flat - self._mean) @ self._modes.T).reshape(count, length, -1)
         self._size = np.maximum(z.std(axis=(0, 1)), 1e-6)
         z /= self._size
         self._before = _momentum(z)
-        known = np.stack([self._known(row) for row in rows])
-        self._middle, self._spread = known.mean(axis=(0, 1)), np.maximum(known.std(axis=(0, 1)), 1e-3)
-        known = ((known - self._middle) / self._spread).astype(np.float32)
-        self._network = perceptron(2 * z.shape[2] + known.shape[2], WIDTH, WIDTH, z.shape[2])
-        self._train(torch.from_numpy(z.astype(np.float32)), torch.from_numpy(known), rng)
+        inputs = np.stack([self._inputs_of(row) for row in rows])
+        self._middle, self._spread = inputs.mean(axis=(0, 1)), np.maximum(inputs.std(axis=(0, 1)), 1e-3)
+        inputs = ((inputs - self._middle) / self._spread).astype(np.float32)
+        size = z.shape[2]
+        self.network = draw_layers(perceptron_layers("step", 2 * size + inputs.shape[2], WIDTH, WIDTH, size))
+        for value in self.network.values():
+            value.requires_grad_()
+        self._z, self._frames = torch.from_numpy(z.astype(np.float32)), torch.from_numpy(inputs)
+        config = TrainerConfig(SEED, self._steps, RATE, clip=1.0, validate_every=self._steps)
+        Trainer(self, config).train()
+        del self._z, self._frames
 
-    def _train(self, z, known, rng: np.random.Generator) -> None:
-        optimiser = torch.optim.Adam(self._network.parameters(), lr=RATE)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, self._steps)
+    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+        """Return the mean distance over the steps of some sequences."""
+        rows = torch.from_numpy(rng.integers(len(self._z), size=min(BATCH, len(self._z))))
+        z = self._z[rows]
         weight = torch.from_numpy((self._size / self._size.max()).astype(np.float32))
-        for _ in range(self._steps):
-            rows = torch.from_numpy(rng.integers(len(z), size=min(BATCH, len(z))))
-            found = self._rolled(z[rows, 0], z[rows, 1], known[rows])
-            loss = (weight * (found - z[rows, 2:])).square().sum(dim=-1).add(1e-8).sqrt().mean()
-            optimiser.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
-            optimiser.step()
-            schedule.step()
+        rolled = self._roll(z[:, 0], z[:, 1], self._frames[rows])
+        return (weight * (rolled - z[:, 2:])).square().sum(dim=-1).add(1e-8).sqrt().mean()
 
-    def _rolled(self, earlier, last, known):
+    def errors(self) -> dict[str, float]:
+        """Hold out nobody."""
+        return {}
+
+    def _roll(self, earlier, last, inputs):
         """Steps (b, L, k) after two states (b, k) under inputs (b, L, ...)."""
         kept, momentum = (torch.from_numpy(part.astype(np.float32)) for part in self._before)
-        found = []
-        for now in known.unbind(dim=1):
+        steps = []
+        for now in inputs.unbind(dim=1):
             ahead = kept * last + momentum * (last - earlier)
-            earlier, last = last, ahead + self._network(torch.cat([ahead, last, now], dim=1))
-            found.append(last)
-        return torch.stack(found, dim=1)
+            earlier, last = last, ahead + perceptron(self.network, "step", torch.cat([ahead, last, now], dim=1))
+            steps.append(last)
+        return torch.stack(steps, dim=1)
 
-    def _known(self, row: Row) -> Floats:
+    def _inputs_of(self, row: Row) -> Floats:
         """Inputs of each frame: weights, the summary of p and h, and p's frequency and damping."""
         features = self._inputs.features
         summary = self._inputs.summary(row["code"], features.at_vertices(select_static(row["coefficients"])))
@@ -88,13 +95,13 @@ class SubspacePhysics:
 
     def play(self, row: Row) -> Floats32:
         """T - S [mm], shape (L, n, 3), of a sequence after the two skins that were before it."""
-        known = ((self._known(row) - self._middle) / self._spread).astype(np.float32)
+        inputs = ((self._inputs_of(row) - self._middle) / self._spread).astype(np.float32)
         flat = _motion(row)[:2].reshape(2, -1)
         z = ((flat - self._mean) @ self._modes.T / self._size).astype(np.float32)
         with torch.no_grad():
-            found = self._rolled(torch.from_numpy(z[:1]), torch.from_numpy(z[1:]), torch.from_numpy(known)[None])
-        moved: Floats32 = (found[0].numpy() * self._size.astype(np.float32)) @ self._modes + self._mean
-        return moved.reshape(len(known), -1, 3)
+            steps = self._roll(torch.from_numpy(z[:1]), torch.from_numpy(z[1:]), torch.from_numpy(inputs)[None])
+        moved: Floats32 = (steps[0].numpy() * self._size.astype(np.float32)) @ self._modes + self._mean
+        return moved.reshape(len(inputs), -1, 3)
 
 
 def _motion(row: Row) -> Floats32:
@@ -112,5 +119,5 @@ def _momentum(z: Floats) -> tuple[Floats, Floats]:
     an, bn = (np.einsum("qtk,qtk->k", one, now) for one in (last, moving))
     ridge = 1e-6 * (aa + bb) + 1e-12
     matrix = np.stack([np.stack([aa + ridge, ab], axis=-1), np.stack([ab, bb + ridge], axis=-1)], axis=-2)
-    found = np.linalg.solve(matrix, np.stack([an, bn], axis=-1)[..., None])[..., 0]
-    return found[:, 0], found[:, 1]
+    ab_of = np.linalg.solve(matrix, np.stack([an, bn], axis=-1)[..., None])[..., 0]
+    return ab_of[:, 0], ab_of[:, 1]

@@ -1,4 +1,4 @@
-"""The weights of a trained modal network as one safetensors file: numbers only, so that reading it runs no code."""
+"""The weights of a trained network as one safetensors file: numbers only, so that reading it runs no code."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ from ...lhm.base.files.text import parse_json, read_bytes
 from ...lhm.base.limits import CURVE_POINTS, WEIGHTS_BYTES
 from ...lhm.base.mesh import Floats, Surface
 from ..corpus.mixture import STATIC
+from ..dynamics import Looseness
 from ..surface_hash import surface_hash
-from .looseness import Looseness
-from .shapes import check_network
+from .hypernetwork import check_hypernetwork
+from .modal import check_modal
 
-FORMAT = "softdeca-modal-3"
-PARTS = ("settled", "relaxed", "responses", "remainder")
-"""The neutral face that p has settled; what it relaxes to among its targets; what is linear in w; and the rest."""
-NEUTRAL = PARTS[:2]
+CHECKS = {"modal": check_modal, "hypernetwork": check_hypernetwork}
+"""What checks the arrays of each kind of network: the run time indexes them without looking."""
 FARTHEST = 1e5
 """[mm] Of any vertex or pivot, and of a number of a code: a hundred metres."""
 
@@ -55,12 +54,13 @@ class TrainingNote:
 
 
 @dataclass(frozen=True, eq=False)
-class ModalWeights:
-    """Arrays of the network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,).
+class Weights:
+    """Arrays of a network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,).
 
-    looseness: what dynamic frames need besides; None where nobody could fit heads to the people.
+    kind: one of CHECKS. looseness: what dynamic frames need besides; None where nobody could fit heads to the people.
     """
 
+    kind: str
     space: str
     mean: Surface
     code_mean: Floats
@@ -87,7 +87,7 @@ class ModalWeights:
         Tables and matrices of the network in float16, which rounds an answer of 10 mm by some thousandths.
         """
         about = {
-            "format": FORMAT,
+            "format": _format(self.kind),
             "space": self.space,
             "template": self.template,
             "parameters": STATIC,
@@ -110,7 +110,7 @@ class ModalWeights:
         write_whole(Path(path), save(arrays, metadata={"softdeca": json.dumps(about)}))
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> ModalWeights:
+    def load(cls, path: str | PathLike[str]) -> Weights:
         """Read what `save` wrote, each array and note checked; InputError names the file and what is wrong."""
         path = Path(path)
         if not path.exists():
@@ -119,20 +119,21 @@ class ModalWeights:
         try:
             size = int.from_bytes(content[:8], "little")
             about = parse_json(parse_json(content[8 : 8 + size])["__metadata__"]["softdeca"])
-            if about["format"] != FORMAT:
-                raise InputError(f"format {quote(about['format'])!r}, this version reads {FORMAT!r}")
+            formats = {_format(kind): kind for kind in CHECKS}
+            if about["format"] not in formats:
+                raise InputError(f"format {quote(about['format'])!r}, this version reads {', '.join(formats)}")
             if tuple(about["parameters"]) != STATIC:
                 raise InputError("of other parameters than this version has; train them anew")
             arrays = load(content)
             if about.get("checksum", checksum := _checksum(arrays)) != checksum:
                 raise InputError("their numbers do not match their checksum")
-            return cls._checked(about, arrays)
+            return cls._from_arrays(formats[about["format"]], about, arrays)
         except (SafetensorError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
             said = escape(" ".join(str(error).split()))[:200] or type(error).__name__
             raise InputError(f"weights {path}: damaged, or no weights of softdeca ({said})") from None
 
     @classmethod
-    def _checked(cls, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> ModalWeights:
+    def _from_arrays(cls, kind: str, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Weights:
         mean = Surface(
             finite("mean.vertices", arrays["mean.vertices"], (None, 3), most=FARTHEST), arrays["mean.triangles"]
         )
@@ -143,13 +144,17 @@ class ModalWeights:
             for name, value in arrays.items()
             if name.startswith("network.")
         }
-        check_network(network, mean, len(code_mean))
-        loose = _looseness(arrays, len(code_mean), len(mean.vertices))
-        weights = cls(text("space", about["space"]), mean, code_mean, code_scale, network, _note(about["note"]), loose)
+        CHECKS[kind](network, mean, len(code_mean))
+        looseness = _read_looseness(arrays, len(code_mean), len(mean.vertices))
+        space, note = text("space", about["space"]), _read_note(about["note"])
+        weights = cls(kind, space, mean, code_mean, code_scale, network, note, looseness)
         if weights.template != about["template"]:
-            named = quote(about["template"])
-            raise InputError(f"their mesh is not the one they name ({named}); train them anew")
+            raise InputError(f"their mesh is not the one they name ({quote(about['template'])}); train them anew")
         return weights
+
+
+def _format(kind: str) -> str:
+    return f"softdeca-{kind}-3"
 
 
 def _checksum(arrays: Mapping[str, np.ndarray]) -> str:
@@ -161,8 +166,8 @@ def _checksum(arrays: Mapping[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
-def _note(said: Mapping[str, Any]) -> TrainingNote:
-    """The note of a training, its counts, curve and ranges checked."""
+def _read_note(said: Mapping[str, Any]) -> TrainingNote:
+    """Read the note of a training; check its counts, curve and ranges."""
     counts = {name: said[name] for name in ("people", "faces", "frames", "neutrals", "steps")}
     for name, count in counts.items():
         integers(f"note {name}", count, 0, 2**53, ())
@@ -183,7 +188,7 @@ def _note(said: Mapping[str, Any]) -> TrainingNote:
     return TrainingNote(**counts, config=config, curve=tuple(curve), seen=seen, held=tuple(held), before=before)
 
 
-def _looseness(arrays: Mapping[str, np.ndarray], code_size: int, vertices: int) -> Looseness | None:
+def _read_looseness(arrays: Mapping[str, np.ndarray], code_size: int, vertices: int) -> Looseness | None:
     if "looseness.shares" not in arrays:
         return None
     shares = finite("looseness.shares", arrays["looseness.shares"], (code_size + 1, vertices), most=FARTHEST)

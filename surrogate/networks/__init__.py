@@ -1,0 +1,13 @@
+"""Networks as pure functions of named arrays, their weights, and one trainer: a file each.
+
+| file           | T - S                                                | of           |
+|----------------|------------------------------------------------------|--------------|
+| modal          | modes with local gains; what is shipped              | this project |
+| hypernetwork   | z(w) L(p, h) by deformation gradients                | SoftDECA     |
+| vertices_only  | z(w) L(p, h) at each vertex                          | SoftDECA's ablation |
+| face_wise      | a network at each vertex, in each frame              | SoftDECA's ablation |
+| softsmpl       | one perceptron of w, p and h to all vertices         | SoftSMPL     |
+| snp            | sequences alone, step by step in one subspace        | Subspace Neural Physics |
+| ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
+| responses      | offset and responses by kernel ridge regression      | a baseline   |
+"""

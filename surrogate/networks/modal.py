@@ -1,0 +1,246 @@
+"""The modal network: offset, responses and remainder of a face in modes whose gains follow p and h locally.
+
+    T - S = Σ_i [Σ_e e(v) (d_ie + g_ie(v)) E_ie(v) + Σ_k a_ik g_k(v) B_k(v)]
+            + Σ_j w_j [Σ_k Z_jk g_k(v) B_k(v) - l(v) S_j(v)] + Σ_k N_k(w) g_k(v) B_k(v)
+
+with effects e(v) of p at a vertex (see `Features.effects`) and tables E_i of what they do to the mean face in each of
+NEUTRAL, modes B_k (n, 3) of each of PARTS, gains g(v) from p at the vertex, the code and a trained position of the
+vertex, a lag l(v) of the person's shapes S_j, which is `Features.give` times such a gain, and
+amplitudes a, d, Z and N from a summary of p and h; N(0) = 0, and e = a = 0 where nothing of p moves the neutral face.
+What has settled is the same with a palsy as without.
+The paper's L(p, h) in the vertex form of its ablation, where a separable table of modes takes the place of one network
+per face.
+
+Functions take arrays of numpy or torch. Run time has one face: features (n, f) and a summary (s,). Training has
+batches of faces at some vertices: features (batch, v, f) and summaries (batch, 1, s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...lhm.base.errors import InputError
+from ...lhm.base.mesh import Floats, Floats32, Surface
+from ..rig import WEIGHTS, FaceModes, Remainder
+from .features import EFFECTS, GIVE, Features
+from .layers import (
+    EVERY,
+    Arrays,
+    check_numbers,
+    check_sizes,
+    count_rows,
+    einsum,
+    exp,
+    linear,
+    perceptron,
+    scale_modes,
+    silu,
+)
+
+PARTS = ("settled", "relaxed", "responses", "remainder")
+"""The neutral face that p has settled; what it relaxes to among its targets; what is linear in w; and the rest."""
+NEUTRAL = PARTS[:2]
+MIXED = 16
+"""Tables of responses that the summary mixes."""
+TABLES: dict[str, tuple[str, ...]] = {
+    "effects": ("parts", "each", "n", "xyz"),
+    "modes.0": ("settled", "n", "xyz"),
+    "modes.1": ("relaxed", "n", "xyz"),
+    "modes.2": ("responses", "n", "xyz"),
+    "modes.3": ("remainder", "n", "xyz"),
+    "size_settled": ("settled",),
+    "size_relaxed": ("relaxed",),
+    "size_responses": ("responses",),
+    "size_remainder": ("remainder",),
+    "position": ("n", "position"),
+    "response_table": ("weights", "responses"),
+    "response_tables": ("mixed", "weights", "responses"),
+}
+"""Shapes of arrays that are no layers: equal names are equal sizes."""
+LAYERS: dict[str, tuple[str, str]] = {
+    "gain_in": ("wide", "local+position"),
+    "gain_code": ("wide", "code"),
+    "gain_middle": ("wide", "wide"),
+    "gain_out": ("modes", "wide"),
+    "lag": ("one", "wide"),
+    "effect_gain": ("effects", "wide"),
+    "effect_level.0": ("level", "summary"),
+    "effect_level.2": ("effects", "level"),
+    "settled_linear": ("settled", "summary"),
+    "settled.0": ("settled_a", "summary"),
+    "settled.2": ("settled_b", "settled_a"),
+    "settled.4": ("settled", "settled_b"),
+    "relaxed_linear": ("relaxed", "summary"),
+    "relaxed.0": ("relaxed_a", "summary"),
+    "relaxed.2": ("relaxed_b", "relaxed_a"),
+    "relaxed.4": ("relaxed", "relaxed_b"),
+    "response_summary.0": ("response_a", "summary"),
+    "response_summary.2": ("response_b", "response_a"),
+    "response_gain": ("responses", "response_b"),
+    "response_mix": ("mixed", "response_b"),
+    "remainder_summary.0": ("remainder_a", "summary"),
+    "remainder_gain": ("remainder", "remainder_a"),
+    "remainder_modulation": ("twice", "remainder_a"),
+    "remainder_in": ("expression", "weights"),
+    "remainder_middle": ("middle", "expression"),
+    "remainder_out": ("remainder", "middle"),
+    "remainder_linear": ("remainder", "weights"),
+}
+"""Outputs and inputs of each layer."""
+WITHOUT_BIAS = ("gain_code", "settled_linear", "relaxed_linear", "remainder_out", "remainder_linear")
+QUIET = (
+    "gain_out", "lag", "settled.4", "relaxed.4", "response_gain", "response_mix", "effect_gain", "effect_level.2",
+    "remainder_gain", "remainder_modulation",
+)  # fmt: skip
+"""Layers that begin near zero."""
+ARRAYS = {
+    **TABLES,
+    **{f"{name}.weight": sizes for name, sizes in LAYERS.items()},
+    **{f"{name}.bias": sizes[:1] for name, sizes in LAYERS.items() if name not in WITHOUT_BIAS},
+}
+
+
+@dataclass(frozen=True)
+class ModalConfig:
+    """Sizes, each with its reason; InputError for one that is not positive."""
+
+    settled_modes: int = 56  # what effects, gained at each vertex, leave
+    relaxed_modes: int = 24  # a twentieth of the motion
+    response_modes: int = 96
+    remainder_modes: int = 96  # the span of half as many leaves twice what is in it; a bound face keeps what it needs
+    position: int = 16  # trained position of a vertex
+    local: int = 64  # hidden width of the gains, which every vertex evaluates at bind
+    summary: int = 96  # hidden width of what the whole face evaluates
+    expression: int = 256  # hidden width over w, once per frame
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            if not isinstance(value, int) or value < 1:
+                raise InputError(f"modal network {name}: expected a positive integer, got {value!r}")
+
+    @property
+    def modes(self) -> tuple[int, int, int, int]:
+        """How many of each of PARTS."""
+        return self.settled_modes, self.relaxed_modes, self.response_modes, self.remainder_modes
+
+    def sizes(self, features: Features, code_size: int) -> dict[str, int]:
+        """Return the sizes that ARRAYS names."""
+        hidden = self.summary
+        return {
+            **_sizes(features, code_size, self.modes, self.position, self.expression),
+            "wide": self.local, "level": hidden, "settled_a": 2 * hidden, "settled_b": 2 * hidden,
+            "relaxed_a": hidden, "relaxed_b": hidden, "response_a": hidden, "response_b": hidden,
+            "remainder_a": hidden, "mixed": MIXED, "middle": self.expression // 2,
+        }  # fmt: skip
+
+
+def _sizes(features: Features, code_size: int, modes: tuple[int, ...], position: int, expression: int) -> dict:
+    """Return the sizes that follow from the space, the modes, a vertex' position and the width over w."""
+    return {
+        "n": len(features.mean.vertices), "xyz": 3, "one": 1, "parts": 2, "each": EFFECTS, "effects": 2 * EFFECTS,
+        "weights": WEIGHTS, "code": code_size, "summary": code_size + features.summary_size,
+        **dict(zip(PARTS, modes, strict=True)), "modes": sum(modes), "position": position,
+        "local+position": features.local_size + position, "expression": expression, "twice": 2 * expression,
+    }  # fmt: skip
+
+
+def check_modal(network: Mapping[str, np.ndarray], mean: Surface, code_size: int) -> None:
+    """Raise InputError unless a network has every array, of fitting shapes and finite numbers."""
+    check_numbers(network, [*ARRAYS])
+    *modes, expression = count_rows(network, *(f"size_{part}" for part in PARTS), "remainder_in.bias")
+    position = network["position"].shape[-1] if network["position"].ndim else 0
+    check_sizes(network, ARRAYS, _sizes(Features(mean), code_size, tuple(modes), position, expression))
+
+
+def hidden_features(network: Arrays, local, code, vertices=EVERY):
+    """Return what gains follow from at some vertices, shape (..., v, wide), of local features and codes."""
+    weight = network["gain_in.weight"]
+    place = network["position"][vertices] @ weight[:, local.shape[-1] :].T + network["gain_in.bias"]
+    hidden = silu(local @ weight[:, : local.shape[-1]].T + place + code @ network["gain_code.weight"].T)
+    return silu(linear(network, "gain_middle", hidden) + hidden)
+
+
+def basis(network: Arrays, part: int, hidden, vertices=EVERY):
+    """Return g_k(v) B_k(v) of one of PARTS by number, shape (..., k, 3 v)."""
+    modes = network[f"modes.{part}"]
+    begin = sum(len(network[f"modes.{earlier}"]) for earlier in range(part))
+    gains = 1.0 + linear(network, "gain_out", hidden, slice(begin, begin + len(modes)))
+    scaled = scale_modes(gains, modes[:, vertices], float(1.0 / np.sqrt(3 * modes.shape[1])))
+    return scaled.reshape(*scaled.shape[:-2], -1)
+
+
+def neutral(network: Arrays, part: int, hidden, summary, unmoved, effects, vertices=EVERY):
+    """Return one of NEUTRAL by number at some vertices [mm], shape (..., v, 3): effects (..., v, EFFECTS), then modes.
+
+    unmoved: the summary of the same face with nothing moved, where the answer is zero.
+    """
+    name, columns = NEUTRAL[part], slice(part * EFFECTS, (part + 1) * EFFECTS)
+    bent = perceptron(network, name, summary) - perceptron(network, name, unmoved)
+    amplitudes = (summary - unmoved) @ network[f"{name}_linear.weight"].T + bent * network[f"size_{name}"]
+    level = linear(network, "effect_level.2", silu(linear(network, "effect_level.0", summary)), columns)
+    strength = effects * (1.0 + linear(network, "effect_gain", hidden, columns) + level)
+    first = einsum("...ve,evc->...vc", strength, network["effects"][part][:, vertices])
+    return first + (amplitudes @ basis(network, part, hidden, vertices)).reshape(first.shape)
+
+
+def responses(network: Arrays, hidden, local, summary, shapes, vertices=EVERY):
+    """Return what each weight adds to T - S [mm], shape (..., 52, v, 3), besides shapes (..., 52, v, 3)."""
+    inner = silu(perceptron(network, "response_summary", summary))
+    tables = network["response_tables"]
+    mixed = linear(network, "response_mix", inner) @ tables.reshape(len(tables), -1)
+    amplitudes = mixed.reshape(*summary.shape[:-2], *tables.shape[1:])
+    amplitudes = amplitudes + network["response_table"] * exp(linear(network, "response_gain", inner))
+    moved = amplitudes @ basis(network, 2, hidden, vertices)
+    lag = local[..., [GIVE]] * (1.0 + linear(network, "lag", hidden))
+    lag = lag + 0.0 * shapes[..., 0, :, :]  # at each coordinate, so that numpy's loops are long
+    return moved.reshape(shapes.shape) - lag[..., None, :, :] * shapes
+
+
+def remainder(network: Arrays, summary) -> Remainder:
+    """Return the amplitudes N(w) as two layers over w, with all that depends on p and h multiplied out."""
+    hidden = silu(linear(network, "remainder_summary.0", summary))
+    modulation = linear(network, "remainder_modulation", hidden)
+    width = modulation.shape[-1] // 2
+    gain, shift = 1.0 + modulation[..., :width], modulation[..., width:]
+    size = exp(linear(network, "remainder_gain", hidden)) * network["size_remainder"]
+    return Remainder.from_layers(
+        inner=network["remainder_in.weight"].T * gain,
+        inner_bias=network["remainder_in.bias"] * gain + shift,
+        middle=network["remainder_middle.weight"].T,
+        middle_bias=network["remainder_middle.bias"],
+        outer=network["remainder_out.weight"].T * size,
+        linear=network["remainder_linear.weight"].T * size,
+    )
+
+
+def bind_modal(
+    network: Arrays, features: Features, code: Floats, skin: Floats, at_vertices: Floats, shapes: np.ndarray
+) -> FaceModes:
+    """Return offset, responses and remainder of a person under parameters mapped to [-1, 1] at vertices (n, P).
+
+    code (c,): normalised. skin: the person's neutral one [mm], shape (n, 3); shapes: what the 52 weights add to it,
+    shape (52, n, 3).
+    """
+    settling = features.without_palsy(at_vertices)
+    effects = features.effects(at_vertices, skin)
+    seen: list[tuple[Any, ...]] = []
+    for values in (at_vertices, settling):
+        if seen and np.array_equal(settling, at_vertices):
+            seen.append(seen[0])
+            continue
+        local = features.local(values)
+        summary, unmoved = features.summary(code, values), features.summary(code, features.unmoved(values))
+        seen.append((local, hidden_features(network, local, code.astype(np.float32)), summary, unmoved))
+    (local, hidden, summary, unmoved), (_, *at_rest) = seen
+    settled: Floats32 = neutral(network, 0, at_rest[0], at_rest[1], at_rest[2], effects)
+    offset = settled + neutral(network, 1, hidden, summary, unmoved, effects)
+    return FaceModes(
+        offset=offset,
+        responses=responses(network, hidden, local, summary, shapes.astype(np.float32, copy=False)),
+        modes=basis(network, 3, hidden).reshape(-1, *skin.shape),
+        remainder_of=remainder(network, summary),
+    )

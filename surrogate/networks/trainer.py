@@ -1,0 +1,283 @@
+"""The one trainer: options, a visible loop, a state that resumes, and the processes of torchrun."""
+
+from __future__ import annotations
+
+import io
+import os
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, Protocol, get_args
+
+import numpy as np
+
+from ...lhm.base.errors import InputError, MissingDependencyError
+from ...lhm.base.files.atomic import write_whole
+from ...lhm.base.progress import OnProgress, silent
+
+try:
+    import torch
+    from torch import nn
+except ImportError as error:
+    raise MissingDependencyError(f"training needs torch ({error}): pip install 'softdeca[train]'") from None
+
+__all__ = [
+    "ALONE",
+    "Lesson",
+    "Processes",
+    "Trainer",
+    "TrainerConfig",
+    "draw_layers",
+    "hold_out_people",
+    "nn",
+    "perceptron_layers",
+    "start_processes",
+    "torch",
+]
+
+Precision = Literal["float32", "bfloat16"]
+Tensors = dict[str, torch.Tensor]
+
+
+@dataclass(frozen=True)
+class TrainerConfig:
+    """Options that all trainings share, each with its reason."""
+
+    seed: int = 0
+    steps: int = 3600
+    learning_rate: float = 4e-3  # the highest, of AdamW
+    one_cycle: bool = False  # super-convergence (Smith and Topin 2019); otherwise a warm-up and a cosine
+    warm_up: int = 1  # steps, before a cosine
+    final_rate: float = 0.0  # where a cosine ends
+    weight_decay: float = 0.0
+    clip: float | None = None  # norm of the gradient beyond which it is shortened
+    validate_every: int = 400  # steps between two points of the curve
+    best_by: str = ""  # a number of the curve: the network of its least value is the answer; otherwise the last
+    seconds: float | None = None  # stop after these, for slow machines
+    device: str = "cpu"
+    precision: Precision = "float32"  # "bfloat16": of products of matrices, which GPUs do faster
+
+
+class Lesson(Protocol):
+    """What is learned: a network's tensors, the loss of a step, and errors on held-out people."""
+
+    network: Tensors
+    slow: tuple[str, ...]
+    """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
+    about: Sequence[str]
+    """What a kept state has to be of."""
+
+    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+        """Return the loss of a step's batch."""
+        ...
+
+    def errors(self) -> Mapping[str, float]:
+        """Return mean vertex errors [mm] on held-out people."""
+        ...
+
+
+class Trainer:
+    """A training between two steps, which depend on seed and number alone; `curve` has a point per validation."""
+
+    def __init__(self, lesson: Lesson, config: TrainerConfig, group: Processes | None = None):
+        if config.precision not in get_args(Precision):
+            raise InputError(f"training precision {config.precision!r}: there are {', '.join(get_args(Precision))}")
+        self.lesson, self.config, self.group = lesson, config, ALONE if group is None else group
+        learned = {name: value for name, value in lesson.network.items() if value.requires_grad}
+        slow = [value for name, value in learned.items() if name.startswith(lesson.slow)]
+        rest = [value for name, value in learned.items() if not name.startswith(lesson.slow)]
+        groups = [{"params": rest, "weight_decay": config.weight_decay}]
+        groups += [{"params": slow, "weight_decay": 0.0}] if slow else []
+        self.learned, rate = [*learned.values()], config.learning_rate
+        self.optimiser = torch.optim.AdamW(groups, lr=rate)
+        self.schedule: torch.optim.lr_scheduler.LRScheduler
+        if config.one_cycle:
+            self.schedule = torch.optim.lr_scheduler.OneCycleLR(
+                self.optimiser, [rate, 0.3 * rate][: len(groups)], total_steps=config.steps + 1, pct_start=0.05
+            )
+        else:
+            self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimiser, self._share_of_rate)
+        self.step, self.seconds = 0, 0.0
+        self.curve: list[dict[str, float]] = []
+        self.best: Tensors = self._copy() if config.best_by else {}
+        self.least = float("inf")
+
+    def train(self, state: str | PathLike[str] | None = None, on_progress: OnProgress = silent) -> None:
+        """Make all steps; with `state`, a file, go on from what is kept there, and keep there now and then."""
+        config = self.config
+        if state is not None and Path(state).is_file():
+            self.restore(state)
+        self.group.wait()
+        while self.step < config.steps and not (config.seconds is not None and self.seconds >= config.seconds):
+            self.run(min(config.validate_every, config.steps - self.step))
+            if state is not None and self.group.first:
+                self.keep(state)
+            errors = {name: value for name, value in self.curve[-1].items() if name not in ("step", "seconds", "loss")}
+            on_progress(
+                "training: held-out people, mm: " + ", ".join(f"{name} {value:.4f}" for name, value in errors.items()),
+                self.step / config.steps,
+            )
+
+    def run(self, steps: int) -> None:
+        """Make some steps, then add a point to the curve."""
+        begin, total = time.perf_counter(), 0.0
+        device, precision = self.group.device.type, self.config.precision
+        for _ in range(steps):
+            # The first of several processes draws what one alone would.
+            own = [self.group.number] if self.group.number else []
+            rng = np.random.default_rng([self.config.seed, 1, self.step, *own])
+            with torch.autocast(device, torch.bfloat16, enabled=precision == "bfloat16"):
+                loss = self.lesson.loss(self.step, rng)
+            self.optimiser.zero_grad()
+            loss.backward()
+            self.group.average(self.learned)
+            if self.config.clip is not None:
+                torch.nn.utils.clip_grad_norm_(self.learned, self.config.clip)
+            self.optimiser.step()
+            self.schedule.step()
+            self.step += 1
+            total += float(loss.detach())
+        self.seconds += time.perf_counter() - begin
+        errors = {name: float(value) for name, value in self.lesson.errors().items()}
+        if self.config.best_by and errors[self.config.best_by] < self.least:
+            self.least, self.best = errors[self.config.best_by], self._copy()
+        self.curve.append({"step": self.step, "seconds": self.seconds, "loss": total / steps, **errors})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the trained network: the best of the curve, or as it is now."""
+        tensors = self.best if self.config.best_by else self._copy()
+        return {name: value.cpu().numpy() for name, value in tensors.items()}
+
+    def keep(self, path: str | PathLike[str]) -> None:
+        """Write all that `restore` needs, whole or not at all."""
+        buffer = io.BytesIO()
+        parts = {name: getattr(self, name) for name in _VALUES}
+        torch.save(
+            {
+                "of": self._of,
+                "network": self._copy(),
+                "optimiser": self.optimiser.state_dict(),
+                "schedule": self.schedule.state_dict(),
+                **parts,
+            },
+            buffer,
+        )
+        write_whole(Path(path), buffer.getvalue())
+
+    def restore(self, path: str | PathLike[str]) -> None:
+        """Go on where `keep` was called last; InputError for a damaged file, and for one of another training."""
+        try:
+            state: dict[str, Any] = torch.load(path, weights_only=True)
+            is_same = state["of"] == self._of
+        except Exception as error:
+            raise InputError(f"{path}: damaged, or no state of a training ({type(error).__name__})") from None
+        if not is_same:
+            raise InputError(f"{path}: of another training (config or corpus); remove it, or name another file")
+        with torch.no_grad():
+            for name, value in state["network"].items():
+                self.lesson.network[name].copy_(value)
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.schedule.load_state_dict(state["schedule"])
+        for name in _VALUES:
+            setattr(self, name, state[name])
+
+    @property
+    def _of(self) -> list[str]:
+        return [repr(self.config), *self.lesson.about]
+
+    def _copy(self) -> Tensors:
+        return {name: value.detach().clone() for name, value in self.lesson.network.items()}
+
+    def _share_of_rate(self, step: int) -> float:
+        last = self.config.final_rate / self.config.learning_rate
+        cosine = last + (1.0 - last) * 0.5 * (1.0 + np.cos(np.pi * step / self.config.steps))
+        return float(cosine * min(1.0, (step + 1) / self.config.warm_up))
+
+
+_VALUES = ("step", "seconds", "curve", "best", "least")
+"""Attributes of a trainer that its state has as they are."""
+
+
+def hold_out_people(people: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """Choose a share of people, at least one, for the errors of a curve; numbers in their order."""
+    return np.sort(rng.permutation(people)[: max(1, round(share * len(people)))])
+
+
+def draw_layers(layers: Mapping[str, tuple[int, int]], without_bias: Iterable[str] = ()) -> Tensors:
+    """Draw layers of (outputs, inputs) as `torch.nn.Linear` begins, in their order."""
+    network: Tensors = {}
+    for name, (outputs, inputs) in layers.items():
+        layer = nn.Linear(inputs, outputs, bias=name not in without_bias)
+        network |= {f"{name}.{part}": value.detach() for part, value in layer.named_parameters()}
+    return network
+
+
+def perceptron_layers(name: str, *widths: int) -> dict[str, tuple[int, int]]:
+    """Return the sizes of layers `name.0`, `name.2`, ... of these widths; see `layers.perceptron`."""
+    pairs = zip(widths[:-1], widths[1:], strict=True)
+    return {f"{name}.{2 * k}": (outputs, inputs) for k, (inputs, outputs) in enumerate(pairs)}
+
+
+@dataclass(frozen=True)
+class Processes:
+    """The processes that torchrun starts for one training: the number of this one among `count`, and its device.
+
+    Each takes its own batch; the mean of gradients makes one network.
+    """
+
+    number: int
+    count: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the one that writes and speaks."""
+        return self.number == 0
+
+    def average(self, parameters: Iterable[torch.Tensor]) -> None:
+        """Give every process the mean of all gradients."""
+        if self.count == 1:
+            return
+        gradients = [value.grad for value in parameters if value.grad is not None]
+        flat = torch.cat([gradient.flatten() for gradient in gradients])
+        torch.distributed.all_reduce(flat)
+        begin = 0
+        for gradient in gradients:
+            gradient.copy_(flat[begin : begin + gradient.numel()].view_as(gradient) / self.count)
+            begin += gradient.numel()
+
+    def wait(self) -> None:
+        """Wait until all are here."""
+        if self.count > 1:
+            torch.distributed.barrier()
+
+
+ALONE = Processes(0, 1, torch.device("cpu"))
+
+
+@contextmanager
+def start_processes(device: str) -> Iterator[Processes]:
+    """Join those of torchrun, or work alone; of several each has its own "cuda" device.
+
+    Raises InputError for a device that is not there.
+    """
+    number, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    if count > 1 and device == "cuda":
+        device = f"cuda:{os.environ.get('LOCAL_RANK', number)}"
+    try:
+        own = torch.device(device)
+        torch.zeros(1, device=own)
+    except (RuntimeError, AssertionError) as error:
+        said = str(error).splitlines()[0][:80]
+        raise InputError(f"training: no device {device!r} ({said})") from None
+    if count == 1:
+        yield Processes(0, 1, own)
+        return
+    torch.distributed.init_process_group("nccl" if own.type == "cuda" else "gloo")
+    try:
+        yield Processes(number, count, own)
+    finally:
+        torch.distributed.destroy_process_group()

@@ -1,0 +1,207 @@
+"""SoftDECA's hypernetwork: its torch solve, training, weights and run time, on a small corpus of layered spheres."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from softdeca.lhm import InputError, Surface
+from softdeca.lhm.base.geometry.deformation import DeformationTransfer
+from softdeca.reference import Parameters
+from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.folder import Corpus
+from softdeca.surrogate.corpus.people import OfSpace
+from softdeca.surrogate.corpus.plan import CorpusPlan
+from softdeca.surrogate.corpus.reading import Faces
+from softdeca.surrogate.dynamics import Looseness
+from softdeca.surrogate.evaluate import evaluate
+from softdeca.surrogate.heads import Heads
+from softdeca.surrogate.methods import Blendshapes, NetworkMethod
+from softdeca.surrogate.networks.hypernetwork import HypernetworkConfig, deformation_gradients
+from softdeca.surrogate.networks.hypernetwork_training import (
+    FrameArrays,
+    HypernetworkLesson,
+    HypernetworkTraining,
+    least_gradients,
+    principal_gradients,
+    smooth_positions,
+    still_vertices,
+    train_hypernetwork,
+    transfer_delta,
+)
+from softdeca.surrogate.networks.weights import Weights
+from softdeca.surrogate.sphere import Spheres
+
+SPACE = Spheres(1)
+PEOPLE = OfSpace(SPACE, SPACE.mean, SPACE.fit)
+HEADS = Heads(PEOPLE)
+N = len(SPACE.mean.vertices)
+PLAN = CorpusPlan(
+    identities=20, groups=5, frames=2, sequences=0, responses=1.0, references=0, parameter_responses=0.0,
+    kinds={"few": 1.0}, varying=0.0, sources={"random": 1.0}, conversations=0, random=6,
+)  # fmt: skip
+SMALL = HypernetworkConfig(latent=24, expression_hidden=32, position=8, gain_hidden=8, hidden=8)
+CONFIG = HypernetworkTraining(network=SMALL, steps=400, validate_every=50)
+
+
+@pytest.fixture(scope="module")
+def faces(tmp_path_factory):
+    corpus = Corpus(tmp_path_factory.mktemp("corpus"), PLAN, PEOPLE)
+    corpus.generate()
+    return {split: Faces(corpus.folder, split) for split in ("train", "test")}
+
+
+@pytest.fixture(scope="module")
+def samples(faces):
+    return FrameArrays.from_faces(faces["train"])
+
+
+@pytest.fixture(scope="module")
+def weights(faces):
+    return train_hypernetwork(faces["train"], CONFIG)
+
+
+@pytest.fixture(scope="module")
+def surrogate(weights):
+    return Surrogate(weights)
+
+
+def shapes():
+    return SPACE.expression_deltas(np.zeros(SPACE.code_size))
+
+
+def bind(surrogate, **changes):
+    arguments = {"skin": SPACE.mean, "code": np.zeros(SPACE.code_size), "parameters": Parameters()}
+    return surrogate.bind(**{**arguments, "expressions": shapes(), **changes})
+
+
+def test_torch_solve_passes_gradcheck():
+    skin = SPACE.mean
+    transfer = DeformationTransfer(skin, [0, 5])
+    generator = torch.Generator().manual_seed(0)
+    gradients = 0.1 * torch.randn(2, len(skin.triangles), 9, generator=generator, dtype=torch.float64)
+    blended = torch.from_numpy(np.stack([skin.vertices, 1.1 * skin.vertices]))
+    assert torch.autograd.gradcheck(
+        lambda g: transfer_delta(g, blended, transfer), (gradients.requires_grad_(),), fast_mode=True
+    )
+
+
+def test_least_gradients_reproduce_the_simulated_skins_and_principal_ones_span_them(samples):
+    transfer, gradients = DeformationTransfer(samples.reference, [0]), least_gradients(samples)
+    delta = transfer.delta(gradients.astype(np.float64), samples.blended.astype(np.float64))
+    expected = (samples.simulated - samples.blended).astype(np.float64)
+    relative = delta - delta[:, :1] - (expected - expected[:, :1])
+    assert np.abs(relative).max() < 0.01 * np.abs(expected).max()
+    table = principal_gradients(samples, len(gradients)).reshape(len(gradients), -1)
+    flat = gradients.reshape(len(gradients), -1)
+    fitted = np.linalg.lstsq(table.T, flat.T, rcond=None)[0].T @ table
+    assert np.abs(fitted - flat).max() < 1e-3 * np.abs(flat).max()
+
+
+def test_training_beats_blendshapes_on_unseen_people_by_the_same_evaluator(weights, faces):
+    scores = evaluate([NetworkMethod(weights), Blendshapes()], faces["test"], HEADS)
+    network, nothing = (score for score in scores if score.kind == "all")
+    assert network.method == "network (hypernetwork)" and network.frames == 20
+    assert network.everywhere < nothing.everywhere / 1.5
+    held, training = set(weights.note.held), set(faces["train"].groups[:, 0].tolist())
+    assert held < training and len(training - held) == weights.note.people
+
+
+def test_training_is_deterministic_and_resumes_where_it_stopped(faces, weights, tmp_path):
+    state = tmp_path / "state.pt"
+    halted = train_hypernetwork(faces["train"], replace(CONFIG, seconds=1e-9), state=state)
+    assert halted.note.steps == 50
+    content = torch.load(state, weights_only=True)
+    torch.save(content | {"of": [repr(CONFIG), *content["of"][1:]]}, state)
+    resumed = train_hypernetwork(faces["train"], CONFIG, state=state)
+    assert [p["network"] for p in resumed.note.curve] == [p["network"] for p in weights.note.curve]
+    for name, value in weights.network.items():
+        assert np.array_equal(value, resumed.network[name]), name
+
+
+def test_the_run_time_s_frames_are_those_of_the_training_s_network(weights, surrogate, faces):
+    network = {name: torch.from_numpy(value) for name, value in weights.network.items()}
+    followed, test = weights.network["followed"] > 0.0, FrameArrays.from_faces(faces["test"])
+    codes = np.array([surrogate.inputs.code(code) for code in test.codes]).astype(np.float32)
+    parts = test.weights, codes, test.parameters[:, followed]
+    gradients = deformation_gradients(network, *map(torch.from_numpy, parts)).double().numpy()
+    transfer = DeformationTransfer(weights.mean, np.flatnonzero(weights.network["anchored"]))
+    expected = test.blended + transfer.delta(gradients, test.blended.astype(np.float64))
+    assert np.abs(expected - test.blended).max() > 1e-2
+    face, method = faces["test"].face(0), NetworkMethod(weights)
+    for k in range(2):  # frames of the first face
+        frame = method.bind(face).frame(test.weights[k], blended=test.blended[k])
+        assert np.abs(frame - expected[k]).max() < 1e-4
+
+
+def test_saved_and_loaded_is_the_same_to_half_precision(weights, surrogate, tmp_path):
+    weights.save(tmp_path / "paper.safetensors")
+    loaded, expression = Surrogate.load(tmp_path / "paper.safetensors"), np.linspace(0.0, 1.0, 52)
+    before, after = (bind(one, parameters=Parameters(target_stiffness=2.0)) for one in (surrogate, loaded))
+    assert np.abs(before.frame(expression) - after.frame(expression)).max() < 0.02
+    assert np.abs(before.frame(expression) - before.frame(expression, blended=before.blend(expression))).max() == 0.0
+    assert loaded.weights.note == weights.note and loaded.weights.kind == "hypernetwork"
+    damaged = {**weights.network, "middle.bias": weights.network["middle.bias"][:-1]}
+    replace(weights, network=damaged).save(tmp_path / "paper.safetensors")
+    with pytest.raises(InputError, match="network middle.bias: expected shape|where others have"):
+        Weights.load(tmp_path / "paper.safetensors")
+
+
+def test_parameters_per_face(surrogate):
+    soft, count = Parameters(target_stiffness=2.0), len(SPACE.mean.triangles)
+    per_face = np.tile(soft.vector(surrogate.parameter_names), (count, 1))
+
+    def frame(parameters):
+        return bind(surrogate, parameters=parameters).frame(np.full(52, 0.3), blended=1.02 * SPACE.mean.vertices)
+
+    assert np.abs(frame(per_face) - frame(soft)).max() < 1e-4
+    per_face[: count // 2] = Parameters().vector(surrogate.parameter_names)
+    assert np.abs(frame(per_face) - frame(soft)).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"parameters": Parameters(soft_volume=1.2)},
+            r"soft_volume = 1.2 is beyond \[1, 1\]",
+        ),
+        ({"exact": True}, "exact: a hypernetwork network has no offset and responses"),
+        ({"expressions": None}, "expressions: not known"),
+    ],
+)
+def test_bad_bindings_are_named(surrogate, changes, message):
+    with pytest.raises(InputError, match=message):
+        bind(surrogate, **changes)
+
+
+def test_it_swings_where_weights_know_what_is_loose(weights, surrogate):
+    with pytest.raises(InputError, match="dynamic: the weights do not tell where faces are loose"):
+        bind(surrogate).dynamic()
+    rig = bind(Surrogate(replace(weights, looseness=Looseness.from_people(PEOPLE, count=8))))
+    moving = rig.dynamic()
+    moving.frame(np.zeros(52))
+    assert np.abs(moving.frame(np.full(52, 0.1)) - rig.frame(np.full(52, 0.1))).max() > 0.0
+
+
+def test_positions_start_smooth_and_normalised():
+    positions = smooth_positions(SPACE.mean, 8, np.random.default_rng(0))
+    assert positions.shape == (80, 8)
+    assert np.allclose(positions.mean(axis=0), 0.0, atol=1e-5) and np.allclose(positions.std(axis=0), 1.0, atol=1e-4)
+
+
+def test_anchors_are_the_stillest_of_each_part(samples, faces):
+    motion = np.linalg.norm(samples.simulated - samples.blended, axis=2)
+    stillest = np.argsort(np.sqrt((motion**2).mean(axis=0)))[:4]
+    assert set(still_vertices(samples, 0.1)) == set(stillest)
+    apart = Surface(
+        np.vstack([SPACE.mean.vertices, SPACE.mean.vertices + 300.0]),
+        np.vstack([SPACE.mean.triangles, SPACE.mean.triangles + N]),
+    )
+    far = np.concatenate([samples.simulated, samples.blended + 9.0], axis=1)
+    both = np.concatenate([samples.blended] * 2, axis=1)
+    anchors = still_vertices(replace(samples, reference=apart, blended=both, simulated=far), 0.1)
+    assert set(anchors[:4]) == set(stillest) and len(anchors) == 8 and anchors[4:].min() >= N
+    lesson = HypernetworkLesson(faces["train"], CONFIG)
+    assert np.array_equal(np.flatnonzero(lesson.network["anchored"]), still_vertices(lesson.samples))
