@@ -54,7 +54,7 @@ def animate(
     which, parameters = request.which, request.parameters
     if targets is not None and request.dynamic:
         raise click.UsageError("--targets are of static frames; leave out --dynamic", click.get_current_context())
-    output = Output(*request.files)
+    output = Output(**request.files)
     network = Surrogate.load(surrogate)
     with show_progress() as progress:
         if which.head_file is None and which.space.name == network.space == "anny":

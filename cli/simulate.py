@@ -38,7 +38,7 @@ def simulate(
     from ..animation.simulate import TakeConfig, run_take
 
     choices = {"bones": bones} | ({"contact": list(contact)} if contact else {})
-    config = TakeConfig(*request.files, choices=choices)
+    config = TakeConfig(**request.files, choices=choices)
     config = config if tolerance is None else replace(config, tolerance=tolerance)
     try:
         with show_progress() as progress:

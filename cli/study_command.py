@@ -135,7 +135,7 @@ def command_of(kind: type[Study], *, out: str = "", argument: str = "", judged: 
     out: the default folder, by default out/NAME. argument: the field that is one, in place of an option. judged:
     whether a missed gate makes exit status 1, as a case that could not be measured does.
     """
-    own = [
+    own: list[click.Parameter] = [
         click.Argument([field.name]) if field.name == argument else option_of(field)
         for field in fields(kind)  # type: ignore[arg-type]  # every study is a dataclass
     ]

@@ -62,7 +62,8 @@ def take_options(command: Callable) -> Callable:
         which = HeadChoice(head_file, space_name, seed, level)
         played = load_take(take, fps, chosen, turned)
         parameters = Parameters() if parameter_file is None else read_parameters(parameter_file)
-        status: int = command(TakeRequest(which, played, parameters, (out, kind, preview, dynamic, turned)), **own)
+        files = {"out": out, "format": kind, "preview": preview, "dynamic": dynamic, "turned": turned}
+        status: int = command(TakeRequest(which, played, parameters, files), **own)
         return status
 
     for option in reversed((*OF_HEADS, *OF_FILES, DYNAMIC)):
@@ -114,23 +115,23 @@ class HeadChoice:
 
 @dataclass(frozen=True, eq=False)
 class TakeRequest:
-    """A take on a head under p, and the arguments of `animation.play.Output`: folder, format, preview, ..."""
+    """A take on a head under p, and the fields of `animation.play.Output`: folder, format, preview, ..."""
 
     which: HeadChoice
     take: Take
     parameters: Parameters
-    files: tuple[Any, ...]
+    files: dict[str, Any]
 
     @property
     def out(self) -> Path:
         """The folder of the results."""
-        folder: Path = self.files[0]
+        folder: Path = self.files["out"]
         return folder
 
     @property
     def dynamic(self) -> bool:
         """Whether the frames have inertia."""
-        return bool(self.files[3])
+        return bool(self.files["dynamic"])
 
 
 def load_take(text: str, fps: float | None, chosen: str | None, turned: bool) -> Take:

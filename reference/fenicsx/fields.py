@@ -53,9 +53,14 @@ class Sampling:
         """Evaluate nodal displacements (n, 3) and pressures, shape (cells, 4), at the points of all ranks."""
         displacement = (self._values @ u[self._order.cell_dofs]).reshape(-1, 3)
         gradient = self._quadrature.deformation_gradient(u) - np.eye(3)
-        at_points = (self.X, self._quadrature.volume, displacement, gradient)
-        pressures = None if pressure is None else gather(self._order.comm, (pressure @ self._linear.T).ravel())
-        return Fields(*(gather(self._order.comm, values) for values in at_points), pressures)
+        comm = self._order.comm
+        return Fields(
+            X=gather(comm, self.X),
+            weights=gather(comm, self._quadrature.volume),
+            u=gather(comm, displacement),
+            gradient=gather(comm, gradient),
+            pressure=None if pressure is None else gather(comm, (pressure @ self._linear.T).ravel()),
+        )
 
 
 @dataclass(frozen=True, eq=False)

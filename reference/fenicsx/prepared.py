@@ -203,7 +203,8 @@ class PreparedFenicsx:
 
         A path that ends where others branch off leaves what descent has found beyond it.
         """
-        scene, names, leaves = run.scene, ["minimise", "continuation"], GIVEN_UP
+        scene, names = run.scene, ["minimise", "continuation"]
+        leaves: tuple[Reason, ...] = GIVEN_UP
         if self._condensed is not None:
             names = ["continuation", "augmented Lagrangian"]
             if self._linear_solver == "block" or (self._large and not scene.of(Traction)):

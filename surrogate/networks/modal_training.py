@@ -257,7 +257,9 @@ class ModalLesson:
             raise InputError(f"training: the weights to begin with are of a {start.kind} network, not of a modal one")
         start.check_mesh(self.faces.mean)
         sizes = self.config.network.sizes(self.features, self.code_size)
-        expected = {f"{name}.weight": (sizes[a], sizes[b]) for name, (a, b) in LAYERS.items()}
+        expected: dict[str, tuple[int, ...]] = {
+            f"{name}.weight": (sizes[a], sizes[b]) for name, (a, b) in LAYERS.items()
+        }
         expected |= {name: tuple(sizes[each] for each in names) for name, names in TABLES.items()}
         if any(start.network[name].shape != shape for name, shape in expected.items()):
             raise InputError("training: the weights to begin with have other sizes than the network's config")

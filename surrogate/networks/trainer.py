@@ -67,8 +67,11 @@ class Lesson(Protocol):
     network: Tensors
     slow: tuple[str, ...]
     """Beginnings of names of tensors that learn at .3 of the rate, without decay."""
-    about: Sequence[str]
-    """What a kept state has to be of."""
+
+    @property
+    def about(self) -> Sequence[str]:
+        """Name what a kept state has to be of."""
+        ...
 
     def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
         """Return the loss of a step's batch."""

@@ -176,13 +176,12 @@ class Unknowns(OfPerson):
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
     """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
     forget_peak()
-    of = (lambda scene: scene) if law == PD_ENERGY else apply_law
     start, watch = None, Stopwatch()
     if coarse is not None:
-        near = prepare(of(coarse[0]), solver="fenicsx").solve(tolerance=NEAR)
+        near = prepare(apply_law(coarse[0], law), solver="fenicsx").solve(tolerance=NEAR)
         start = coarse[1](near.positions)
     coarse_s, coarse_cpu_s = watch.lap()
-    solution, costs = timed(lambda: of(scene), TOLERANCE, start=start, solver="fenicsx", element=element)
+    solution, costs = timed(lambda: apply_law(scene, law), TOLERANCE, start=start, solver="fenicsx", element=element)
     costs["cpu_s"] += coarse_cpu_s
     unknowns, linear = 3 * nodes_of(scene, element), solution.detail["linear_iterations"]
     return {
