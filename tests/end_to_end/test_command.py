@@ -112,7 +112,7 @@ def test_the_list_of_studies_has_whole_questions(command):
         (("corpus", "generate", "--people", "100000"), "2<=x<=99999"),
         (("corpus", "generate", "--workers", "100000"), "1<=x<=256"),
         (("corpus", "sample", "out", "--count", "1000000"), "1<=x<=200"),
-        (("evaluate", "out", "--generalisation", "1000000000"), "1<=x<=10000"),
+        (("evaluate", "out", "--generalisation", "1000000000"), "0<=x<=10000"),
         (("train", "out", "--steps", "9" * 40), "1<=x<=100000000"),
         (("animate", "conversation", "--targets", "1000000"), "1<=x<=4096"),
         (("view", "--seed", "9" * 40), "0<=x<=9223372036854775807"),
