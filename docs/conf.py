@@ -144,6 +144,15 @@ def _plain(app, what, name, obj, options, lines):
         )
 
 
+def _plain_command(app, ctx, lines):
+    """The same for the help of commands; directives and fields among their lines stay."""
+    for number, line in enumerate(lines):
+        if not line.lstrip().startswith((".. ", ":")):
+            plain = [line]
+            _plain(app, "", "", None, None, plain)
+            lines[number] = plain[0]
+
+
 def _by_alias(app, what, name, obj, options, signature, returned):
     """Names of arrays as they are written, also beside None."""
     return tuple(
@@ -155,4 +164,6 @@ def _by_alias(app, what, name, obj, options, signature, returned):
 def setup(app):
     """Let docstrings pass `_plain` and signatures `_by_alias`."""
     app.connect("autodoc-process-docstring", _plain)
+    for part in ("description", "options", "arguments", "epilog"):
+        app.connect(f"sphinx-click-process-{part}", _plain_command)
     app.connect("autodoc-process-signature", _by_alias)
