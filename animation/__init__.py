@@ -1,1 +1,1 @@
-"""A head that moves: takes in, simulated or by a rig, and out as animation files and previews."""
+"""Heads that are drawn and move: pictures, the 3D page, takes played by simulator or rig, files and previews."""

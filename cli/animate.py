@@ -1,4 +1,4 @@
-"""softdeca animate: a take of ARKit weights through the surrogate."""
+"""softdeca animate: play a take of ARKit weights on a head by the surrogate."""
 
 import json
 from dataclasses import asdict
@@ -18,16 +18,20 @@ from .written_file import FOLDER
 @click.argument("take")
 @take_options
 @click.option("--out", default="out/animation", type=FOLDER, help="folder of the results")
-@click.option("--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped")
-@click.option("--exact", is_flag=True, help="offset and responses by the simulator, in seconds, on any head")
+@click.option(
+    "--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped network"
+)
+@click.option("--exact", is_flag=True, help="take the simulator's derivatives at bind, in seconds; on any head")
 @click.option(
     "--beyond",
     type=click.Choice(["refuse", "clamp"]),
     default="refuse",
-    help="parameters that the network has not seen: refuse them, or take the nearest",
+    help="parameters that the network has not seen: refuse them, or use the nearest",
 )
-@click.option("--targets", type=counted(BAKED_TARGETS), help="write glTF of so many morph targets that serve any take")
-@click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
+@click.option(
+    "--targets", type=counted(BAKED_TARGETS), help="also write glTF with this many morph targets, for any take"
+)
+@click.option("--json", "as_json", is_flag=True, help="print the result as JSON")
 def animate(
     request: TakeRequest,
     surrogate: Path | None,
@@ -36,15 +40,14 @@ def animate(
     targets: int | None,
     as_json: bool,
 ) -> int:
-    """Animate TAKE by the surrogate: what `simulate` reads and writes, at the price of blendshapes.
+    """Animate TAKE by the surrogate, at the price of blendshapes. It reads and writes the files of `simulate`.
 
-    The shipped network serves the default head's people. A head of their triangles that is none of them takes offset
-    and responses of the simulator besides; a head of other triangles, such as ICT-FaceKit's, takes these alone and
-    leaves out what is not linear in the weights. The method is named. Parameters in the TOML file may vary: one value
-    per face of the skin.
+    The shipped network knows the default head's people. Other heads with their triangles also get the simulator's
+    derivatives. Heads with other triangles, such as ICT-FaceKit's, get the derivatives alone, which are linear in the
+    weights. The method is printed. Parameters in the TOML file may vary: one value per face of the skin.
 
-    Writes OUT/take.vtkhdf (or .glb) and OUT/preview.gif (or .mp4); with --targets OUT/rig.glb besides, whose morph
-    targets are the rig's own, with the take's weights of them.
+    Writes OUT/take.vtkhdf (or .glb) and OUT/preview.gif (or .mp4). With --targets it also writes OUT/rig.glb, with the
+    rig's own morph targets and the take's weights of them.
     """
     from ..animation.animate import animate as run
     from ..animation.animate import bind_head, bind_person

@@ -11,8 +11,8 @@ from .streams import silence_streams
 from .terminal import INTERRUPTED, end_at_ctrl_c
 
 ROOT = (
-    "Several processes: mpirun -n 2 softdeca ... shares each FEniCSx solve among them. As root, Open MPI refuses to "
-    "start them unless OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 stand in the environment."
+    "mpirun -n 2 softdeca ... shares each FEniCSx solve among two processes. As root, set "
+    "OMPI_ALLOW_RUN_AS_ROOT=1 and OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1, or Open MPI refuses to start."
 )
 
 SHARED = ("study", "bench", "evaluate")

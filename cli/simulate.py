@@ -1,4 +1,4 @@
-"""softdeca simulate: a take of ARKit weights on a head."""
+"""softdeca simulate: play a take of ARKit weights on a head by the simulator."""
 
 import json
 from dataclasses import asdict, replace
@@ -13,13 +13,13 @@ from .written_file import FOLDER
 @click.command()
 @click.argument("take")
 @take_options
-@click.option("--out", default="out/take", type=FOLDER, help="folder of the results; what is done there is kept")
+@click.option("--out", default="out/take", type=FOLDER, help="folder of the results; finished frames in it are kept")
 @click.option(
-    "--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="how a jaw moves"
+    "--bones", type=click.Choice(["prescribed", "rigid", "soft"]), default="prescribed", help="motion of the mandible"
 )
-@click.option("--contact", multiple=True, help="a region of the skin kept from crossing itself, as lips; repeat")
-@click.option("--tolerance", type=float, help="gradient norm over that of skin 1 mm off its targets  [5e-05]")
-@click.option("--json", "as_json", is_flag=True, help="print the outcome as JSON")
+@click.option("--contact", multiple=True, help="region of the skin that must not cross itself, as lips; repeatable")
+@click.option("--tolerance", type=float, help="gradient norm, relative to that of skin 1 mm off its targets  [5e-05]")
+@click.option("--json", "as_json", is_flag=True, help="print the result as JSON")
 def simulate(
     request: TakeRequest,
     bones: str,
@@ -29,11 +29,10 @@ def simulate(
 ) -> int:
     """Simulate TAKE: a LiveLink Face CSV, weights.csv, JSON, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
 
-    What p makes of the neutral face (weight, gravity, bones) settles first; the take moves that face.
+    The neutral face first settles under the parameters (weight, gravity, bones). The take moves that face.
 
-    Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (or .mp4) and OUT/log.jsonl, a line per frame. A run that was
-    stopped goes on where it was. Exit status 1 if a frame, or the neutral face, did not converge; those are
-    listed.
+    Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (or .mp4) and OUT/log.jsonl, a line per frame. An interrupted run
+    resumes. Exit status 1 if a frame or the neutral face did not converge; those are listed.
     """
     from ..animation.simulate import TakeConfig, run_take
 

@@ -1,4 +1,4 @@
-"""softdeca study: the main job."""
+"""softdeca study: the main report."""
 
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,9 @@ from .written_file import FOLDER
 
 @click.command()
 @click.option(
-    "--identities", default="anny", help="whose head: 'anny' (the default), 'ict:FILE', 'flame:FILE' or 'folder:DIR'"
+    "--identities", default="anny", help="identity space of the head: anny, ict:FILE, flame:FILE or folder:DIR"
 )
-@click.option("--out", default="out/study", type=FOLDER, help="folder of the report; what is in it is used again")
+@click.option("--out", default="out/study", type=FOLDER, help="folder of the report; rows in it are used again")
 @click.option(
     "--expressions",
     default="jawOpen,mouthSmileLeft+mouthSmileRight,mouthPucker,cheekPuff,browInnerUp",
@@ -23,15 +23,17 @@ from .written_file import FOLDER
 @click.option(
     "--surrogate",
     type=click.Path(path_type=Path),
-    help="weights to test, of `softdeca train`; by default those that are shipped, for the people they know",
+    help="weights to test, from `softdeca train`; default: the shipped network",
 )
-@click.option("--only", type=click.Choice(ONLY), default="missing", help="which rows to make: failed again, or all")
+@click.option(
+    "--only", type=click.Choice(ONLY), default="missing", help="rows to make: missing ones, failed ones again, or all"
+)
 @click.option("--json", "as_json", is_flag=True, help="print the results of all studies to stdout")
 def study(identities: str, out: Path, expressions: str, surrogate: Path | None, only: Any, as_json: bool) -> int:
-    """Head, scenes, every solver and the surrogate, compared: OUT/index.html and OUT/report.json.
+    """Compare every solver and the surrogate on one head: OUT/index.html and OUT/report.json.
 
-    The quick version of what `softdeca bench` has, each in its folder of OUT. A run that was stopped goes on. Exit
-    status 1 if an answer misses its bound or a study could not be run; a figure of speed that does is printed only.
+    It runs quick versions of the studies of `softdeca bench`, each in a folder of OUT. An interrupted run resumes. Exit
+    status 1 if an answer misses its bound or a study could not run. Missed aims of speed are printed only.
     """
     from ..benchmarks.main_study import run_study
     from ..benchmarks.studies.agreement.study import Agreement

@@ -40,8 +40,8 @@ COUNTS: dict[str, Bound] = {
 }
 """The bound of a study's option by its field's name; where a study itself takes less, it says so."""
 ONLY = ("missing", "failed", "all")
-WRITES = """Writes OUT/index.html, OUT/results.json and, as rows come, OUT/rows.jsonl; rows that are there are kept.
-    Exit status 1 if a statement does not hold or a case could not be measured."""
+WRITES = """Writes OUT/index.html, OUT/results.json and, as rows come, OUT/rows.jsonl. Rows in OUT are kept.
+    Exit status 1 if a gate is missed or a case could not be measured."""
 
 
 def gate_line(gate: dict) -> str:

@@ -24,29 +24,33 @@ from .counts import counted
 
 AFile = click.Path(path_type=Path)
 OF_HEADS = (
-    click.option("--head", "head_file", type=AFile, help="a head by `head fit`; default: one fitted to --identities"),
+    click.option("--head", "head_file", type=AFile, help="head from `head fit`; default: one fitted to --identities"),
     click.option(
-        "--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with --head: whose expressions"
+        "--identities",
+        "space_name",
+        help="identity space of the head (anny or ict:FILE); with --head: of the expressions",
     ),
-    click.option("--seed", type=counted(SEED), help="of a random identity; default: the mean"),
+    click.option("--seed", type=counted(SEED), help="random seed of the identity; default: mean face"),
     click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap"),
-    click.option(
-        "--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults"
-    ),
+    click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults"),
 )
 OF_FILES = (
     click.option(
-        "--format", "kind", type=click.Choice(["vtkhdf", "gltf"]), default="vtkhdf", help="of the moving skin"
+        "--format",
+        "kind",
+        type=click.Choice(["vtkhdf", "gltf"]),
+        default="vtkhdf",
+        help="file format of the moving skin",
     ),
     click.option(
-        "--preview", type=click.Choice(["mp4", "gif", "none"]), default="gif", help="a rendered picture of it"
+        "--preview", type=click.Choice(["mp4", "gif", "none"]), default="gif", help="format of the rendered preview"
     ),
     click.option("--fps", type=float, help="frames per second; default: the take's own"),
-    click.option("--frames", "chosen", metavar="A:B", help="only these frames, B left out, counted at --fps"),
-    click.option("--turned", is_flag=True, help="write the head turned as TAKE has it; default: in its own frame"),
+    click.option("--frames", "chosen", metavar="A:B", help="frames A to B - 1 only, counted at --fps"),
+    click.option("--turned", is_flag=True, help="turn the head as TAKE does; default: keep its own frame"),
 )
 DYNAMIC = click.option(
-    "--dynamic", is_flag=True, help="with inertia: flesh lags, and swings as TAKE turns the head; not lips, bone"
+    "--dynamic", is_flag=True, help="add inertia: loose flesh lags, and swings when TAKE turns the head"
 )
 
 

@@ -1,4 +1,4 @@
-"""softdeca train and evaluate: a network from a corpus, and methods compared on its test faces."""
+"""softdeca train and evaluate: train a network on a corpus, and compare methods on its test faces."""
 
 import json
 from dataclasses import replace
@@ -20,32 +20,34 @@ from .written_file import FOLDER
     "--network",
     type=click.Choice(["modal", "paper"]),
     default="modal",
-    help="modal: what is shipped; paper: SoftDECA's hypernetwork of deformation gradients, to compare with",
+    help="modal: the shipped form; paper: SoftDECA's hypernetwork of deformation gradients",
 )
-@click.option("--steps", type=counted(TRAINING_STEPS), help="instead of the network's own number")
-@click.option("--seconds", type=click.FloatRange(0.0, min_open=True), help="stop after these; default: no limit")
-@click.option("--device", default="cpu", help="as torch names it: cpu, cuda")
+@click.option("--steps", type=counted(TRAINING_STEPS), help="training steps; default: the network's own number")
+@click.option(
+    "--seconds", type=click.FloatRange(0.0, min_open=True), help="stop after this time [s]; default: no limit"
+)
+@click.option("--device", default="cpu", help="torch device: cpu, cuda")
 @click.option(
     "--precision",
     type=click.Choice(["float32", "bfloat16"]),
     default="float32",
-    help="of products of matrices; GPUs do bfloat16 faster",
+    help="precision of matrix products; GPUs are faster in bfloat16",
 )
 @click.option(
-    "--neutrals", type=click.Path(path_type=Path), help="another corpus, of settled neutral faces: preset neutral"
+    "--neutrals", type=click.Path(path_type=Path), help="second corpus of settled neutral faces (preset neutral)"
 )
 @click.option(
     "--start",
     type=click.Path(path_type=Path),
-    help="weights to go on from: their neutral faces are kept, what w does is learned on",
+    help="weights to start from; their part for neutral faces is kept",
 )
 @click.option(
     "--share",
     type=click.FloatRange(0.0, 1.0, min_open=True),
     default=1.0,
-    help="of the people: the first ones alone, for the curve of errors over the corpus' size",
+    help="share of the people to learn from, the first ones; for `evaluate --curve`",
 )
-@click.option("--partial", is_flag=True, help="learn from the people that are there, of a corpus not yet complete")
+@click.option("--partial", is_flag=True, help="accept an incomplete corpus")
 def train(
     corpus: Path,
     out: Path,
@@ -59,7 +61,7 @@ def train(
     share: float,
     partial: bool,
 ) -> int:
-    """Train a surrogate on CORPUS, a folder of `softdeca corpus generate`; a training that was stopped goes on.
+    """Train a surrogate on CORPUS, from `softdeca corpus generate`. An interrupted training resumes.
 
     Writes OUT/modal.safetensors or OUT/paper.safetensors, which `Surrogate.load` and `--surrogate` read, and
     the learning curve as OUT/curve.json and curve.png. Several processes, a device each, share a training of the modal

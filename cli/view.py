@@ -1,4 +1,4 @@
-"""softdeca view: a head on a page of its own, in 3D, with 52 sliders."""
+"""softdeca view: write a page with a head in 3D and 52 sliders."""
 
 from pathlib import Path
 
@@ -20,17 +20,19 @@ WORDS = "Turn it with the mouse or a finger; {}. The layers beneath move as the 
 
 @click.command()
 @click.argument("head_file", metavar="[HEAD]", type=AFile, required=False)
-@click.option("--identities", "space_name", help="whose head ('anny' or 'ict:FILE'); with HEAD: whose expressions")
-@click.option("--seed", type=counted(SEED), help="of a random identity; default: the mean")
-@click.option("--parameters", "parameter_file", type=AFile, help="TOML of named parameters p; default: all defaults")
-@click.option("--out", default="out/view.html", type=HTML, help="the page")
+@click.option(
+    "--identities", "space_name", help="identity space of the head (anny or ict:FILE); with HEAD: of the expressions"
+)
+@click.option("--seed", type=counted(SEED), help="random seed of the identity; default: mean face")
+@click.option("--parameters", "parameter_file", type=AFile, help="TOML file of parameters p; default: all defaults")
+@click.option("--out", default="out/view.html", type=HTML, help="file of the page")
 def view(
     head_file: Path | None, space_name: str | None, seed: int | None, parameter_file: Path | None, out: Path
 ) -> int:
-    """Write a page that shows HEAD, by `head fit`, or one of --identities, with a slider for each expression.
+    """Write a page that shows HEAD, or one of --identities, in 3D, with a slider for each expression.
 
-    By blendshapes, by the simulator to first order, and by the surrogate where the head has the triangles of its
-    people. It opens in any browser with WebGL, from the file, and asks no network for anything.
+    It moves by blendshapes, by the simulator's derivatives, and by the surrogate if the head has the triangles of its
+    people. The file opens in any browser with WebGL and needs no network.
     """
     from ..animation.animate import bind_head
     from ..animation.page import Rig, render_face_page

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from softdeca.animation import page
 from softdeca.animation.eyes_and_teeth import find_eyes_and_teeth
-from softdeca.animation.page import Layer, Pose, Rig, render_face_page
+from softdeca.animation.page import Layer, Pose, Rig, render_face_page, render_page
 from softdeca.lhm import InputError, expressions, identities
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
@@ -55,7 +54,7 @@ def file(tmp_path_factory, bound):
     below = np.zeros_like(deltas)
     below[expressions.index("jawOpen"), :, 1] = -5.0
     inner = 0.5 * skin.vertices
-    text = page(
+    text = render_page(
         "a face </script> & more",
         "words",
         skin.triangles,
@@ -146,7 +145,7 @@ def test_the_page_of_a_simulated_head(sphere_head):
 def test_what_cannot_be_shown_is_named():
     skin = SPACE.skin(CODE)
     with pytest.raises(InputError, match="no rig"):
-        page("a", "b", skin.triangles, [])
+        render_page("a", "b", skin.triangles, [])
     rig = Rig("blendshapes", skin.vertices, SPACE.expressions)
     with pytest.raises(InputError, match=r"\(5, 3\)"):
-        page("a", "b", skin.triangles, [rig], poses=[Pose("p", np.zeros(52), {"PD": np.zeros((5, 3))})])
+        render_page("a", "b", skin.triangles, [rig], poses=[Pose("p", np.zeros(52), {"PD": np.zeros((5, 3))})])
