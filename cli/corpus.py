@@ -27,10 +27,11 @@ FEW = 10
 
 @dataclass(frozen=True)
 class Generation:
-    """The options of `softdeca corpus generate`; None and "" leave a choice to the folder's own corpus or the plan."""
+    """The options of `softdeca corpus generate`; None leaves a choice to the folder's own corpus or the plan."""
 
-    preset: str = field(
-        default="", metadata={"help": "tiny (default), study, fresh, small, neutral or paper, in place of a file"}
+    preset: str | None = field(
+        default=None,
+        metadata={"type": str, "help": "tiny (default), study, fresh, small, neutral or paper, in place of a file"},
     )
     takes: Path | None = field(
         default=None, metadata={"type": AFolder, "help": "folder of recorded takes (LiveLink CSV, JSON, weights.csv)"}
@@ -38,11 +39,12 @@ class Generation:
     people: int | None = field(
         default=None, metadata={"type": counted(PEOPLE), "help": "how many, in place of the plan's"}
     )
-    identities: str = field(
-        default="",
+    identities: str | None = field(
+        default=None,
         metadata={
+            "type": str,
             "help": "whom: 'anny' (default), 'ict:FILE', 'flame:FILE', 'folder:DIR', or 'external:ict:FILE' (ICT's in "
-            "anny's triangles, with shapes of their own)"
+            "anny's triangles, with shapes of their own)",
         },
     )
     level: int | None = field(
@@ -70,23 +72,28 @@ class Generation:
         from ..surrogate.corpus.manifest import MANIFEST, read_manifest
         from ..surrogate.corpus.plan import CorpusPlan, read_plan
 
-        if file is not None and self.preset:
+        if file is not None and self.preset is not None:
             context = click.get_current_context()
             raise click.UsageError("a plan's file and --preset both say which plan; give one", context)
         kept = dict(read_manifest(self.out).made_with) if (self.out / MANIFEST).exists() else {}
-        asked = {"identities": self.identities or None, "level": self.level}
+        asked = {"identities": self.identities, "level": self.level}
         for name, value in asked.items():
             if value is not None and kept.get(name, value) != value:
                 raise InputError(
                     f"{self.out}: holds a corpus of another {name} ({kept[name]}, expected {value}); use another folder"
                 )
         made_with = {
-            name: asked[name] or kept.get(name, usual) for name, usual in (("identities", "anny"), ("level", 2))
+            name: kept.get(name, usual) if asked[name] is None else asked[name]
+            for name, usual in (("identities", "anny"), ("level", 2))
         }
-        if file is None and not self.preset and (self.out / MANIFEST).exists():
+        if file is None and self.preset is None and (self.out / MANIFEST).exists():
             plan, _ = read_kept_plan(self.out)
         else:
-            plan = CorpusPlan.of({"preset": self.preset or "tiny"}) if file is None else read_plan(file)
+            plan = (
+                CorpusPlan.of({"preset": "tiny" if self.preset is None else self.preset})
+                if file is None
+                else read_plan(file)
+            )
         plan = plan if self.takes is None else replace(plan, takes=str(self.takes))
         return plan if self.people is None else replace(plan, identities=self.people), made_with
 

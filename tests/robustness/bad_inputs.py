@@ -249,7 +249,7 @@ def functions() -> Iterator[Function]:
     choices = {"bones": "rigid", "layers": (1, 1), "without": (), "region": "lips", "contact": (), "attached": ()}
     yield Function("facial_scene", facial_scene, face | choices | {"rule": "clamp"})
     faces = facial_scene(**face)
-    yield Function("apply_law", reference.apply_law, {"scene": faces})
+    yield Function("apply_law", reference.apply_law, {"scene": faces, "law": "neo-Hookean"})
     settling = {"head": HEAD, "parameters": Parameters(), "law": "PD", "solver": "projective", "tolerance": 1e-3}
     yield Function("settle", reference.settle, settling)
     jaw = {"head": HEAD, "parameters": Parameters(), "angle": 5.0, "hinge": np.zeros(3)}
