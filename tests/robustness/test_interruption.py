@@ -32,14 +32,14 @@ import sys
 from softdeca.surrogate.corpus.folder import Corpus
 from softdeca.surrogate.corpus.people import OfSpace
 from softdeca.surrogate.corpus.plan import CorpusPlan
-from softdeca.surrogate.schedule import schedule
+from softdeca.surrogate.schedule import make_schedule
 from softdeca.surrogate.sphere import Spheres
 if __name__ == "__main__":
     space = Spheres(2)
     plan = CorpusPlan(
         identities=60, groups=1, frames=4, sequences=0, responses=0.0, conversations=4, random=4, seconds=4.0
     )
-    on = schedule(2, sys.argv[2] if len(sys.argv) > 2 else None)
+    on = make_schedule(2, sys.argv[2] if len(sys.argv) > 2 else None)
     Corpus(sys.argv[1], plan, OfSpace(space, space.mean, space.fit)).generate(
         on=on, on_progress=lambda what, share: print(what, file=sys.stderr, flush=True)
     )
