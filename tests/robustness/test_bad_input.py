@@ -154,11 +154,11 @@ def test_a_place_where_nothing_can_be_written_is_refused_before_the_work(command
 
 
 def test_takes_that_are_none_and_corpora_that_are_none_are_told_before_the_work(command, tmp_path):
-    takes = command("corpus", "plan", "--takes", tmp_path)
+    takes = command("corpus", "generate", "--dry-run", "--takes", tmp_path, "--out", tmp_path / "out")
     assert takes.status == 1 and "no take in it" in takes.errors[0]
-    corpus = command("corpus", "plan", "--out", tmp_path / "none")
+    corpus = command("corpus", "status", tmp_path / "none")
     assert corpus.status == 1 and "no corpus.json" in corpus.errors[0]
-    cluster = command("corpus", "generate", "--scheduler", "nowhere")
+    cluster = command("corpus", "generate", "--out", tmp_path / "out", "--scheduler", "nowhere")
     assert cluster.status == 1 and "'nowhere': expected an address, as tcp://host:8786" in cluster.errors[0]
 
 
