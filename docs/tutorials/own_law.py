@@ -83,14 +83,19 @@ assert face.converged
 # The same file gives all three studies their rows:
 
 # %%
-for study in (Verification(), Hard(), WorkPrecision(slow=True)):
+for command, study in (
+    ("verification", Verification()),
+    ("verification --cases hard", Hard()),
+    ("work-precision", WorkPrecision(slow=True)),
+):
     tasks = [task for task in study.tasks() if "Gent" in str(task)]
     print(
-        f"softdeca bench --add gent.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}"
+        f"softdeca bench --add gent.py {command:<25} {len(tasks):>3} rows, such as: {tasks[0]}"
     )
     assert tasks
 
 # %% [markdown]
-# A law of the package itself is such a file in `reference/materials/`, with a line in the `__init__.py` there.
+# A law of the package itself is such a file in `reference/materials/`, named in the `__init__.py` there. It has no
+# `add_law`, so its problems stand in `reference/problems/`: see [](../architecture.md).
 # `neo_hookean.py` has more forms of its energy: `mixed_density` and `isochoric`, by which mixed elements take it, and
 # `by_stretches`, a tangent by hand for FEniCSx. A law of one's own may have them too.

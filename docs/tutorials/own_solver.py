@@ -99,9 +99,13 @@ figure.tight_layout()
 # The same file gives all three studies their rows:
 
 # %%
-for study in (Verification(), Hard(), WorkPrecision()):
+for command, study in (
+    ("verification", Verification()),
+    ("verification --cases hard", Hard()),
+    ("work-precision", WorkPrecision()),
+):
     tasks = [task for task in study.tasks() if NAME in str(task)]
     print(
-        f"softdeca bench --add quasi_newton.py {study.name:<15} {len(tasks):>3} rows, such as: {tasks[0]}"
+        f"softdeca bench --add quasi_newton.py {command:<25} {len(tasks):>3} rows, such as: {tasks[0]}"
     )
     assert tasks
