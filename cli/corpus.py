@@ -43,8 +43,8 @@ class Generation:
         default=None,
         metadata={
             "type": str,
-            "help": "whom: 'anny' (default), 'ict:FILE', 'flame:FILE', 'folder:DIR', or 'external:ict:FILE' (ICT's in "
-            "anny's triangles, with shapes of their own)",
+            "help": "people: 'anny' (default), 'ict:FILE', 'flame:FILE', 'folder:DIR', 'external:ict:FILE' (ICT's in "
+            "anny's triangles, with shapes of their own), or 'spheres:N' (of fineness N, for trials)",
         },
     )
     level: int | None = field(

@@ -86,9 +86,11 @@ def commands() -> tuple[str, ...]:
 
 
 def study_of(name: str) -> type[Study]:
-    """The class of a study."""
+    """The class of a study. InputError for a name that there is not."""
     if name in _added:
         return _added[name]
+    if name not in STUDIES:
+        raise InputError(f"study {name!r}: not here; `softdeca bench --add FILE` brings one of your own")
     module, _, kind = STUDIES[name].partition(":")
     found: type[Study] = getattr(import_module(f".{module}", __package__), kind)
     return found

@@ -120,6 +120,9 @@ class ModalLesson:
         is_held = np.isin(faces.groups[:, 0], self.held)
         has_frames = np.array([len(rows) >= config.frames for rows in faces.frames_of])
         self.training, self.validation = np.flatnonzero(~is_held & has_frames), np.flatnonzero(is_held & has_frames)
+        if not len(self.training) or not len(self.validation):
+            most = max(map(len, faces.frames_of), default=0)
+            raise InputError(f"training: a step draws {config.frames} frames of a face, and faces have at most {most}")
         self.inputs = Inputs.from_faces(faces) if start is None else Inputs.from_weights(start)
         self.features = self.inputs.features
         self.seen = seen_ranges(faces, self.training, self.features)
