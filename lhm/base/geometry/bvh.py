@@ -124,12 +124,21 @@ def _common(a, b):
 
 @njit(cache=True)
 def _boxes(corners):
+    """Return the boxes (m, 6), lower ends first, of triangles or tets with corners (m, 3 or 4, 3)."""
     boxes = np.empty((len(corners), 6))
     for t in range(len(corners)):
         for c in range(3):
-            x, y, z = corners[t, 0, c], corners[t, 1, c], corners[t, 2, c]
-            boxes[t, c], boxes[t, 3 + c] = min(x, y, z), max(x, y, z)
+            low = high = corners[t, 0, c]
+            for k in range(1, corners.shape[1]):
+                low, high = min(low, corners[t, k, c]), max(high, corners[t, k, c])
+            boxes[t, c], boxes[t, 3 + c] = low, high
     return boxes
+
+
+def _lay_out(corners, layout):
+    """Return the nodes of a tree over such corners: a new one, or a given layout with its boxes fitted again."""
+    low, high = np.hsplit(_boxes(corners), 2)
+    return _build(low, high) if layout is None else (*layout, _refit(low, high, *layout))
 
 
 @njit(cache=True)
@@ -177,9 +186,7 @@ class TriangleTree:
 
     def __post_init__(self):
         object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.triangles]))
-        low, high = np.hsplit(_boxes(self.corners), 2)
-        nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
-        object.__setattr__(self, "_nodes", nodes)
+        object.__setattr__(self, "_nodes", _lay_out(self.corners, self.layout))
 
     def moved(self, vertices: Floats) -> TriangleTree:
         """Return the tree of the same triangles over other vertices (n, 3) [mm]: quicker, good for small motions."""
@@ -221,16 +228,6 @@ class TriangleTree:
     def _pairs(self, query, query_ids, same, most) -> Ints:
         pairs = _crossings(query, query_ids, same, most, self.corners, self.triangles, *self._nodes)
         return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-@njit(cache=True)
-def _tet_boxes(corners):
-    low, high = np.empty((len(corners), 3)), np.empty((len(corners), 3))
-    for t in range(len(corners)):
-        for c in range(3):
-            w, x, y, z = corners[t, 0, c], corners[t, 1, c], corners[t, 2, c], corners[t, 3, c]
-            low[t, c], high[t, c] = min(w, x, y, z), max(w, x, y, z)
-    return low, high
 
 
 @njit(cache=True)
@@ -291,9 +288,7 @@ class TetTree:
 
     def __post_init__(self):
         object.__setattr__(self, "corners", np.ascontiguousarray(self.vertices[self.tets]))
-        low, high = _tet_boxes(self.corners)
-        nodes = _build(low, high) if self.layout is None else (*self.layout, _refit(low, high, *self.layout))
-        object.__setattr__(self, "_nodes", nodes)
+        object.__setattr__(self, "_nodes", _lay_out(self.corners, self.layout))
 
     def moved(self, vertices: Floats) -> TetTree:
         """Return the tree of the same tets over other vertices (n, 3) [mm]: quicker, good for small motions."""
