@@ -35,7 +35,7 @@ def expression_deltas(head: LayeredHead, name: str, space_name: str | None = Non
     if not np.array_equal(head.skin.triangles, space.triangles):
         more = "" if head.rig is not None else "; fit it anew, and it keeps expressions of its own"
         raise InputError(f"{name}: its skin has not the triangles of {space.name!r}{more}")
-    return space.expressions
+    return space.shapes_on(head.skin)
 
 
 def pose_head(head: LayeredHead, deltas: Floats, weights: Floats) -> tuple[Floats, Surface]:

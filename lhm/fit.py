@@ -16,7 +16,6 @@ from .base.errors import InputError
 from .base.geometry.warp import TriharmonicWarp, farthest_points, rigid_motion
 from .base.mesh import Floats, Ints, Surface
 from .base.progress import OnProgress, silent
-from .expressions.transfer import transfer_expressions
 from .head import CRANIUM, FREE, MANDIBLE, LayeredHead
 from .identities.space import LinearSpace
 from .registration import Registration, register, register_by_mapping
@@ -24,6 +23,7 @@ from .registration.landmarks import Pairs
 from .regressor.depths import DepthRegressor
 from .rig import Rig
 from .template import Template
+from .transfer import transfer_expressions
 from .wraps import inner
 from .wraps.skull import SkullFit
 
@@ -96,7 +96,7 @@ def fit_head(
     )
     if same and mapping is None:
         _check_place(template.skin.vertices, skin.vertices)
-        rig = None if template.space is None else add_own_expressions(rig_from_space(template.space), own)
+        rig = None if template.space is None else add_own_expressions(rig_from_space(template.space, skin), own)
         return replace(_fitted(template, skin, regressor), rig=rig)
     if mapping is None:
         laid = register(template.skin, template.parts, skin, landmarks=landmarks, progress=progress)
@@ -126,9 +126,9 @@ def fit_registered(
     )
 
 
-def rig_from_space(space: LinearSpace) -> Rig:
-    """Take the expressions of a space's own topology."""
-    return Rig(space.expressions.astype(np.float32), space.name, space.missing)
+def rig_from_space(space: LinearSpace, skin: Surface) -> Rig:
+    """Take a space's expressions of a skin of its own topology."""
+    return Rig(space.shapes_on(skin).astype(np.float32), space.name, space.missing)
 
 
 def transfer_rig(space: LinearSpace, laid: Registration) -> Rig:

@@ -165,7 +165,7 @@ class SurrogateOnCorpus(Study):
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
         tested, corpus, ready = self._tested(), Path(self.corpus).name, list(READY)
         counts, swings = read_manifest(tested.corpus).counts, tested.network.weights.looseness is not None
-        tested.network.weights.check_mesh(read_template(tested.corpus).mean)
+        tested.network.weights.check_mesh(read_template(tested.corpus))
         asked: dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]] = {}
         asked[corpus] = [*ready, *(learning() if self.rivals else ())], lambda name: self._static(tested, name)
         if counts.sequences and swings:

@@ -2,12 +2,12 @@
 
 from ..arkit import ARKIT, check_weights, index, parse_weights, weights_of
 from ..rig import blend
+from ..transfer import transfer_expressions
 from .made_up import combinations, conversation, conversation_take, head_motion, sample_weights, speech
 from .readers import read_take
 from .recordings import Recording, recordings, starts
 from .rigging import PersonalRig, personalise
 from .takes import Take, resample, rotations
-from .transfer import transfer_expressions
 
 __all__ = [
     "ARKIT",

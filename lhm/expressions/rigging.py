@@ -24,7 +24,7 @@ from ..base.checks import check_arguments
 from ..base.errors import InputError, MeshError
 from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
 from ..base.mesh import Floats, Ints, Surface
-from .transfer import HELD, Anchors, check_deltas
+from ..transfer import HELD, Anchors, check_deltas
 
 ROUNDS = 10
 SHAPE_TRUST = (0.5, 0.1)

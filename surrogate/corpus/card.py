@@ -146,7 +146,7 @@ settling and simulation.
 
 ## Files
 
-`corpus.json`: plan and splits. `template.npz`: mean skin, triangles, shapes. `person-NNNNN.h5`: one person each, arrays
+`corpus.json`: plan and splits. `template.npz`: mean skin and triangles. `person-NNNNN.h5`: one person each, arrays
 in seven tables, uncompressed; T - S in float16 (rounds by less than 0.008 mm below 16 mm). `person-NNNNN.json`: the
 processor seconds that it took, which differ between runs.
 

@@ -81,7 +81,7 @@ class External:
         scans = neutral.vertices + np.stack([self.weights @ motion for motion in shapes])
         generic = transfer_expressions(self.mean, self.own.expressions, neutral)
         rig = personalise(neutral, generic, scans, expressed)
-        return Person(nearest_code(self.own, neutral), neutral, rig.deltas, personal=True)
+        return Person(nearest_code(self.own, neutral), neutral, rig.deltas)
 
     def head(self, person: Person) -> LayeredHead:
         """Fit the head of a person."""

@@ -22,10 +22,10 @@ from ...reference.face.sequence import Velocities
 from ..schedule import Schedule, run_items
 from ..surface_hash import surface_hash
 from .intact import check_person, read_intact
-from .manifest import MANIFEST, CorpusTemplate, Manifest, read_manifest, read_template, write_template
+from .manifest import MANIFEST, Manifest, read_manifest, read_template, write_template
 from .mixture import NAMES
 from .people import People
-from .plan import IDENTITY, CorpusPlan
+from .plan import CorpusPlan
 from .sequences import load_velocities
 from .shard import ACCEPTED, FORMAT, Shard, read_arrays_of, read_label, read_seconds, write_shard
 from .simulate import GENERATOR, simulate_person
@@ -195,8 +195,7 @@ class Corpus:
             "takes": str(Path(self.plan.takes).resolve()) if self.plan.takes else "",
             "made_with": self._made_with,
         }
-        person = self.people.person(self.plan.rng(IDENTITY, 0))
-        write_template(self.folder, CorpusTemplate(self.people.mean, None if person.personal else person.shapes))
+        write_template(self.folder, self.people.mean)
         write_whole(self.folder / MANIFEST, json.dumps(content, indent=1).encode())
 
 
@@ -250,7 +249,7 @@ def verify_folder(folder: str | PathLike[str], *, on_progress: OnProgress = sile
 
     InputError names the first that is missing, damaged, or of another corpus or person; see `intact`.
     """
-    manifest, n = read_manifest(folder), len(read_template(folder).mean.vertices)
+    manifest, n = read_manifest(folder), len(read_template(folder).vertices)
     people = manifest.counts.identities
     for identity in range(people):
         read_intact(shard_path(manifest.folder, identity), manifest.owner, manifest.counts, identity, n)

@@ -63,15 +63,12 @@ def _key(path: Path, owner: str, identity: int, vertices: int) -> Key | None:
 
 def _check_arrays(shard: Shard, vertices: int) -> None:
     """Check each column's shape, range and indices; numbers of rows that are not accepted are not used."""
-    if np.ndim(shard.persons.shapes) and len(shard.persons.shapes) > 1:
-        raise InputError(f"persons/shapes: {len(shard.persons.shapes)} of one person")
     for table, kind in TABLES.items():
         arrays = vars(getattr(shard, table))
         rows = 1 if table == "persons" else _rows(arrays)
         for name, column in columns_of(kind).items():
-            count = _rows({name: arrays[name]}) if (table, name) == ("persons", "shapes") else rows
             axes = (vertices if length == VERTICES else length for length in column.shape)
-            shape(f"{table}/{name}", arrays[name], (count, *axes))
+            shape(f"{table}/{name}", arrays[name], (rows, *axes))
             if column.dtype.kind == "S":
                 array_of_kind(f"{table}/{name}", arrays[name], "S", "texts")
         accepted = arrays["status"] == ACCEPTED.encode() if "status" in arrays else slice(None)

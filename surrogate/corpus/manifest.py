@@ -12,7 +12,7 @@ from ...lhm.base.checks import finite, text
 from ...lhm.base.errors import InputError, SoftdecaError, quote
 from ...lhm.base.files.npz import read_arrays, write_arrays
 from ...lhm.base.files.text import read_json
-from ...lhm.base.mesh import Floats, Surface
+from ...lhm.base.mesh import Surface
 from .plan import CorpusPlan
 
 MANIFEST = "corpus.json"
@@ -86,31 +86,18 @@ def _check(folder: Path, said: Any) -> Manifest:
     return Manifest(folder, said, counts, made_with)
 
 
-@dataclass(frozen=True, eq=False)
-class CorpusTemplate:
-    """The mean neutral skin [mm]; shapes (52, n, 3) [mm], None where each person has personal ones."""
-
-    mean: Surface
-    shapes: Floats | None
+def write_template(folder: str | PathLike[str], mean: Surface) -> None:
+    """Write the mean neutral skin [mm] to a corpus' folder; InputError if it cannot be written."""
+    write_arrays(Path(folder) / TEMPLATE, {"vertices": mean.vertices, "triangles": mean.triangles})
 
 
-def write_template(folder: str | PathLike[str], template: CorpusTemplate) -> None:
-    """Write it to a corpus' folder; InputError if it cannot be written."""
-    arrays = {"vertices": template.mean.vertices, "triangles": template.mean.triangles}
-    write_arrays(Path(folder) / TEMPLATE, arrays | ({} if template.shapes is None else {"shapes": template.shapes}))
-
-
-def read_template(folder: str | PathLike[str]) -> CorpusTemplate:
-    """Read it; InputError names the file if it is missing, damaged, or not in millimetres."""
+def read_template(folder: str | PathLike[str]) -> Surface:
+    """Read the mean neutral skin; InputError names the file if it is missing, damaged, or not in millimetres."""
     path = Path(folder) / TEMPLATE
     arrays = read_arrays(path, of="a corpus' template")
     try:
-        if not {"vertices", "triangles"} <= set(arrays) <= {"vertices", "triangles", "shapes"}:
-            raise InputError(f"expected vertices, triangles and shapes, got {quote(', '.join(arrays))}")
-        vertices = finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST)
-        shapes = arrays.get("shapes")
-        if shapes is not None:
-            shapes = finite("shapes", shapes, (52, len(vertices), 3), most=FARTHEST)
-        return CorpusTemplate(Surface(vertices, arrays["triangles"]), shapes)
+        if set(arrays) != {"vertices", "triangles"}:
+            raise InputError(f"expected vertices and triangles, got {quote(', '.join(arrays))}")
+        return Surface(finite("vertices", arrays["vertices"], (None, 3), most=FARTHEST), arrays["triangles"])
     except SoftdecaError as error:
         raise InputError(f"{path}: not a corpus' template, or damaged ({error})") from None

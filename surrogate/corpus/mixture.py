@@ -57,7 +57,7 @@ STIFF_SKIN = 40.0
 """Skin [mN/mm] from which on it bends, too: it would wrinkle into several minima."""
 EDGE = 4.0
 """Edge [mm] of the wraps at the middle level: bending of w h²/100 keeps wrinkles wider than edges."""
-COMPLETE = 0.5
+COMPLETE = 0.65
 """Share of palsies that are complete: a half loses its expression between 90 and 100 %, where few others are."""
 IN_FIELD = 3
 """Waves of one field."""

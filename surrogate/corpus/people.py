@@ -20,15 +20,11 @@ from ..sphere import Spheres
 
 @dataclass(frozen=True, eq=False)
 class Person:
-    """Identity code (c,), neutral skin [mm], and what each shape adds to it [mm], shape (52, n, 3).
-
-    `personal` says that the shapes are this person's own, and do not follow from the code.
-    """
+    """Identity code (c,), neutral skin [mm], and what each of the person's shapes adds to it [mm], shape (52, n, 3)."""
 
     code: Floats
     skin: Surface
     shapes: Floats
-    personal: bool = False
 
 
 class People(Protocol):

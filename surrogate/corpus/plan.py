@@ -92,15 +92,17 @@ class CorpusPlan:
     responses: float = 1.0
     parameter_responses: float = 0.05
     references: int = 5
-    kinds: Mapping[str, float] = field(default_factory=lambda: {"materials": 0.15, "effects": 0.4, "both": 0.45})
+    kinds: Mapping[str, float] = field(
+        default_factory=lambda: {"materials": 0.34, "single": 0.16, "effects": 0.15, "both": 0.35}
+    )
     varying: float = 0.5
     sources: Mapping[str, float] = field(
-        default_factory=lambda: {"real": 0.2, "speech": 0.25, "conversation": 0.3, "random": 0.25}
+        default_factory=lambda: {"real": 0.15, "speech": 0.2, "conversation": 0.25, "random": 0.2, "hard": 0.2}
     )
     takes: str = ""
     conversations: int = 40
     random: int = 40
-    hard: int = 0
+    hard: int = 40
     seconds: float = 60.0
     run: int = 1024
     tolerance: float = 5e-4
@@ -327,6 +329,7 @@ PRESETS: dict[str, CorpusPlan] = {
         references=1,
         conversations=3,
         random=3,
+        hard=3,
         seconds=4.0,
         run=24,
         parameter_responses=1.0,

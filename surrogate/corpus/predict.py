@@ -89,7 +89,7 @@ def predict_cost(plan: CorpusPlan, vertices: int, rates: Rates) -> Prediction:
     groups = plan.identities * plan.groups
     sequences, statics = plan.identities * plan.sequences, plan.static_frames
     responses, references = round(plan.responses * groups), plan.tested * plan.references
-    size = plan.identities * 2 * field + groups * field + statics * (field + 4 * len(ARKIT) + 700)
+    size = plan.identities * (2 + len(ARKIT)) * field + groups * field + statics * (field + 4 * len(ARKIT) + 700)
     size += sequences * ((LENGTH + 2) * field + 4 * LENGTH * (len(ARKIT) + 16))
     by_parameters = round(plan.parameter_responses * responses)
     size += (

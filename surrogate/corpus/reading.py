@@ -76,8 +76,8 @@ class Table:
             raise InputError(f"corpus: no table {table!r} of split {split!r}; there are {', '.join(SMALL)}")
         self.folder, self.table = Path(folder), table
         self._manifest = read_manifest(folder)
-        self.template = read_template(folder)
-        if not self._manifest.said["template"].startswith(surface_hash(self.template.mean)):
+        self.mean = read_template(folder)
+        if not self._manifest.said["template"].startswith(surface_hash(self.mean)):
             raise InputError(f"corpus {folder}: template.npz is not of the mesh that corpus.json names")
         self.people = self._manifest.people
         people, first = self._manifest.counts.identities, self._manifest.counts.trained
@@ -94,14 +94,12 @@ class Table:
 
     def _person(self, identity: int) -> _Person:
         path = shard_path(self.folder, identity)
-        n = len(self.template.mean.vertices)
+        n = len(self.mean.vertices)
         check_intact(path, self._manifest.owner, self._manifest.counts, identity, n)
         names = {name: f"{self.table}/{name}" for name in SMALL[self.table]}
         large = {name: f"{self.table}/{name}" for name in LARGE[self.table]}
         arrays = read_arrays_of(path, self._manifest.owner, *OF_GROUPS, *names.values())
         places = places_of(path, "persons/skin", "persons/shapes", "groups/settled", *large.values())
-        if self.template.shapes is None and not places["persons/shapes"].shape[0]:
-            raise InputError(f"shard {path}: no shapes, and none in template.npz, which is damaged")
         return _Person(
             path=path,
             code=arrays["persons/code"][0],
@@ -150,7 +148,7 @@ class Table:
     def person(self, identity: int) -> Person:
         """Read a person's code, neutral skin and shapes."""
         code = np.asarray(self._people[int(identity)].code, dtype=np.float64)
-        return Person(code, self.skin(identity), self.shapes(identity), personal=self.template.shapes is None)
+        return Person(code, self.skin(identity), self.shapes(identity))
 
     def settled(self, identity: int, group: int) -> NDArray:
         """Read how far p moves a person's neutral skin [mm], shape (n, 3)."""
@@ -160,12 +158,10 @@ class Table:
     def skin(self, identity: int) -> Surface:
         """Read a person's neutral skin [mm]."""
         person = self._people[int(identity)]
-        return Surface(person.skin.row(person.path, 0).astype(np.float64), self.template.mean.triangles)
+        return Surface(person.skin.row(person.path, 0).astype(np.float64), self.mean.triangles)
 
     def shapes(self, identity: int) -> NDArray:
         """Read what each of the 52 shapes adds to a person's skin [mm], shape (52, n, 3)."""
-        if self.template.shapes is not None:
-            return self.template.shapes
         person = self._people[int(identity)]
         return person.shapes.row(person.path, 0)
 
@@ -206,17 +202,12 @@ class Faces:
     @property
     def mean(self) -> Surface:
         """The mean skin of the space [mm]."""
-        return self._table.template.mean
+        return self._table.mean
 
     @property
     def space(self) -> str:
         """The name of the people's space."""
         return self._table.people
-
-    @property
-    def personal(self) -> bool:
-        """Whether each person has shapes of their own."""
-        return self._table.template.shapes is None
 
     def code(self, index: int) -> Floats:
         """Return the code (c,) of a face's person."""

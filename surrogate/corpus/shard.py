@@ -32,7 +32,7 @@ from .mixture import NAMES, WAVES
 from .plan import LENGTH
 
 ACCEPTED = "accepted"
-FORMAT = 1
+FORMAT = 2
 """Of the file, and of what its arrays mean; raised when either changes."""
 LONGEST = 200
 """Characters of a status."""
@@ -90,7 +90,7 @@ def columns_of(kind: type) -> dict[str, Column]:
 
 @dataclass(frozen=True, eq=False)
 class Persons:
-    """The one person: code (1, c), neutral skin (1, n, 3) [mm], and shapes (0 or 1, 52, n, 3) [mm], if personal."""
+    """The one person: code (1, c), neutral skin (1, n, 3) [mm], and shapes (1, 52, n, 3) [mm]."""
 
     code: Floats = column(np.float64, None, low=-FARTHEST, high=FARTHEST)
     skin: Singles = column(np.float32, VERTICES, 3, large=True, low=-FARTHEST, high=FARTHEST)

@@ -24,7 +24,7 @@ from .sequences import SequenceAnswer, simulate_sequence
 from .shard import ACCEPTED, TABLES, Shard, stack_rows
 from .simulator import Answer, FaceSimulator, settle_neutral
 
-GENERATOR = 8
+GENERATOR = 9
 """Of what is simulated from a plan; raised when answers change, so that shards of two are not mixed."""
 
 
@@ -58,8 +58,8 @@ class _PersonRows:
                 self._head = people.head(self.person)
             except SoftdecaError as error:
                 self._no_head = f"head: {error}"
-        row = {"code": self.person.code, "skin": self.person.skin.vertices}
-        self.rows["persons"].append(row | ({"shapes": self.person.shapes} if self.person.personal else {}))
+        person = self.person
+        self.rows["persons"].append({"code": person.code, "skin": person.skin.vertices, "shapes": person.shapes})
 
     def add_group(self, group: int, parameters: ParameterSet, references_wanted: int) -> None:
         """Simulate all of one parameter set."""

@@ -111,8 +111,6 @@ class HypernetworkLesson:
 
     def __init__(self, faces: Faces, config: HypernetworkTraining):
         self.faces, self.config = faces, config
-        if faces.personal:
-            raise InputError("training: the corpus' people have shapes of their own, which the network does not see")
         people = np.unique(faces.groups[:, 0])
         if len(people) < 2:
             raise InputError(f"training needs frames of at least two people, there are {len(people)}")

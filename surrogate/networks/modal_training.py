@@ -110,8 +110,6 @@ class ModalLesson:
             raise InputError("training: from weights it learns no neutral faces; leave out one of start and neutrals")
         if neutrals is not None and surface_hash(neutrals.mean) != surface_hash(faces.mean):
             raise InputError("training: the neutral faces are of another space or level than the corpus")
-        if faces.personal:
-            raise InputError("training: the corpus' people have shapes of their own, which the network does not see")
         people = np.unique(faces.groups[:, 0])
         if len(people) < 10:
             raise InputError(f"training: {len(people)} people have derivatives; at least 10 are needed")

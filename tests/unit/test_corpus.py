@@ -203,7 +203,7 @@ def test_deleted_truncated_flipped_and_old_shards_are_named_and_made_anew(made):
     run.write_bytes(whole[: len(whole) // 2])
     with h5py.File(made.shard_path(1), "r+") as file:
         file.attrs["format"] = 0
-    with pytest.raises(InputError, match="of format 0, this version makes 1; `softdeca corpus generate` makes it anew"):
+    with pytest.raises(InputError, match="of format 0, this version makes 2; `softdeca corpus generate` makes it anew"):
         made.verify()
     Corpus(made.folder, PLAN, PEOPLE).generate()
     assert checksums(made) == before and run.read_bytes() == whole and not left.exists()

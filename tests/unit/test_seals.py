@@ -156,7 +156,7 @@ def test_the_gate_tells_a_membrane_and_the_rig_names_it(template, sealed, laid):
     assert "jawOpen" in heads["left"].rig.doubtful and "browInnerUp" not in heads["left"].rig.doubtful
     assert not heads["up"].rig.doubtful
     # The template's own head opens its mouth without a tear.
-    own = replace(template.head, rig=rig_from_space(template.space))
+    own = replace(template.head, rig=rig_from_space(template.space, template.skin))
     assert check_head(own).jaw_open_torn < 50 and check_head(own).blink_torn < 50
 
 
@@ -235,7 +235,7 @@ def test_lip_and_lid_gates_do_not_depend_on_the_orientation(template):
 def test_tets_that_an_open_jaw_inverts_are_counted_and_gated(template, monkeypatch):
     from softdeca.reference.face import check
 
-    head = replace(template.head, rig=rig_from_space(template.space))
+    head = replace(template.head, rig=rig_from_space(template.space, template.skin))
     jaw, blink = check.check_posed_head(head)
     assert 0 <= jaw.value < 20 and 0 <= blink.value < 20 and not jaw.missed and not blink.missed
     # A jaw that opens four times as wide tears through the neck.

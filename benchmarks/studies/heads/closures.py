@@ -11,11 +11,11 @@ import numpy as np
 from ....animation import plots
 from ....animation.play import blend_linearly
 from ....animation.takes import read_frames
-from ....lhm import expressions, fit_head, identities, load_template
-from ....lhm.base.mesh import Floats, Ints, Surface
+from ....lhm import fit_head, identities, load_template
+from ....lhm.base.mesh import Floats
 from ....lhm.expressions import Take
+from ....lhm.identities.gaps import Gap, find_gaps
 from ....lhm.template import DEFAULT_LEVEL
-from ....lhm.wraps.landmarks import find_landmarks
 from ....reference import Parameters, settle
 from ....reference import Sequence as Simulation
 from ....reference.face.parameters import read_parameters
@@ -24,45 +24,6 @@ from ...harness.study import Column, Row, Study, Task, Values
 from ..person import check_person
 
 TRUTH, NETWORK = "PD", "network"
-FOLLOWS = 0.5
-"""Of the largest motion among a rim's vertices, from which on one belongs to the part that moves."""
-CORNERS = 0.2
-"""Share of a rim's width at either end that is left out: corners are never apart."""
-
-
-@dataclass(frozen=True, eq=False)
-class Gap:
-    """Pairs of vertices across an opening: upper and lower (k,)."""
-
-    name: str
-    upper: Ints
-    lower: Ints
-
-    def width(self, skin: np.ndarray) -> float:
-        """The mean height [mm] of upper over lower vertices of a skin (n, 3); negative where they cross."""
-        return float((skin[self.upper, 1] - skin[self.lower, 1]).mean())
-
-
-def gaps(skin: Surface, parts: Ints, shapes: Floats) -> list[Gap]:
-    """Both eyes' lids and the lips of a neutral skin whose parts are known; shapes (52, n, 3) [mm]."""
-    marks = find_landmarks(skin, parts)
-    x = skin.vertices[:, 0]
-    middle = 0.5 * (x.min() + x.max())
-    lids = {"left lids": marks.lids[x[marks.lids] > middle], "right lids": marks.lids[x[marks.lids] <= middle]}
-    blink = {"left lids": "eyeBlinkLeft", "right lids": "eyeBlinkRight"}
-    found = [_gap(name, skin, rim, shapes[expressions.index(blink[name])], moves="upper") for name, rim in lids.items()]
-    return [*found, _gap("lips", skin, marks.rim, shapes[expressions.index("jawOpen")], moves="lower")]
-
-
-def _gap(name: str, skin: Surface, rim: Ints, shape: Floats, *, moves: str) -> Gap:
-    x = skin.vertices[rim]
-    margin = CORNERS * float(np.ptp(x[:, 0]))
-    rim = rim[(x[:, 0] > x[:, 0].min() + margin) & (x[:, 0] < x[:, 0].max() - margin)]
-    down = -shape[rim, 1]
-    moving, still = rim[down > FOLLOWS * down.max()], rim[down <= FOLLOWS * down.max()]
-    upper, lower = (moving, still) if moves == "upper" else (still, moving)
-    across = skin.vertices[lower, 0][None] - skin.vertices[upper, 0][:, None]
-    return Gap(name, upper, lower[np.argmin(np.abs(across), axis=1)])
 
 
 @dataclass(frozen=True)
@@ -131,7 +92,7 @@ class Closures(Study):
         space, surrogate = identities.Anny(), Surrogate.load()
         skin, code = space.mean, np.zeros(space.code_size)
         head = fit_head(load_template(space, level=self.level), skin)
-        openings = gaps(skin, space.parts, space.expressions)
+        openings = find_gaps(skin, space.parts, space.expressions)
         step = 1.0 / take.rate
         rigs = {
             NETWORK: surrogate.bind(skin, code, parameters),

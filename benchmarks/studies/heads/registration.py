@@ -18,12 +18,12 @@ from ....lhm.arkit import ARKIT
 from ....lhm.base.errors import InputError
 from ....lhm.base.geometry.rays import visible_sky
 from ....lhm.base.mesh import Floats, Floats32, Surface
-from ....lhm.expressions.transfer import transfer_expressions
 from ....lhm.fit import transfer_rig
 from ....lhm.identities import LinearSpace
 from ....lhm.identities.space import OUTSIDE
 from ....lhm.registration.alignment import Target
 from ....lhm.registration.registration import Registration, find_face, register
+from ....lhm.transfer import transfer_expressions
 from ....lhm.wraps.landmarks import Mask
 from ...harness.study import Column, Row, Study, Task, Values
 

