@@ -254,9 +254,10 @@ def test_a_reader_finds_what_the_shards_hold(made, table):
         np.testing.assert_array_equal(row["code"], made.shard(int(identity)).persons.code[0])
     assert set(found.rows[:, 0]) <= {0, 1}
     assert set(Table(made.folder, table, "test").rows[:, 0]) == {2}
-    skin = PEOPLE.person(PLAN.rng(0, 0)).skin
-    np.testing.assert_allclose(found.skin(0).vertices, skin.vertices, atol=1e-4)
-    np.testing.assert_allclose(found.shapes(0), SPACE.expression_deltas(np.zeros(4)), rtol=0.2)
+    for identity in (0, 1):
+        person = PEOPLE.person(PLAN.rng(0, identity))
+        np.testing.assert_allclose(found.skin(identity).vertices, person.skin.vertices, atol=1e-4)
+        np.testing.assert_allclose(found.shapes(identity), person.shapes, rtol=1e-3, atol=1e-6)
 
 
 def test_rows_of_a_shard_that_is_cut_off_are_an_error(copied):
@@ -306,7 +307,7 @@ def test_a_plan_predicts_what_it_takes(made):
     assert found.core_hours == pytest.approx(sum(status.seconds.values()) / 3600.0, rel=1e-2)
     larger = predict_cost(PLAN, 4463, rates), predict_cost(PRESETS["paper"], 4463, rates)
     assert larger[1].statics + 16 * larger[1].sequences == pytest.approx(500_000, rel=0.001)
-    assert larger[1].bytes < 30e9
+    assert larger[1].bytes < 35e9  # a third of it shapes
 
 
 def test_parameters_of_a_head_are_those_of_the_fields(made):
