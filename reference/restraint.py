@@ -11,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 from ..lhm.base.errors import SceneError
 from ..lhm.base.mesh import Floats, Ints
 from .scene import Scene
-from .terms import Bending, Hyperelastic, RigidBody, Strain, SurfaceStrain, Target, Volume
 
 FREE = 1e-9  # of the largest singular value, below which nothing holds a motion
 WORK = 1e-9  # of a load's norm, below which it does no work on a motion
@@ -44,10 +43,9 @@ def has_free_motion(scene: Scene) -> bool:
 
 def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
     """Yield each part's vertices (v,), rigid motions (v, 3, 6), and combinations (6, r) that nothing holds."""
-    held = scene.dirichlet()[0]
-    held[scene.inertia()[0] > 0] = True
-    for term in scene.of(Target):
-        held[term.vertices[np.broadcast_to(term.stiffness, len(term.vertices)) > 0]] = True
+    held = np.zeros(scene.vertices.shape, dtype=bool)
+    for term in scene.terms:
+        term.hold(scene, held)
     for part in _parts(scene):
         motions = _motions(scene, scene.vertices[part])
         yield part, motions, _null_space(scene, motions[held[part]])
@@ -55,10 +53,7 @@ def _free_motions(scene: Scene) -> Iterator[tuple[Ints, Floats, Floats]]:
 
 def _parts(scene: Scene) -> list[Ints]:
     """Gather the vertices that energies and bodies join to parts; a scene that ranks share counts as one."""
-    solids = [t for t in scene.terms if isinstance(t, (Strain, Volume, Hyperelastic))]
-    groups = [scene.tets[scene.tets_of(term)] for term in solids]
-    groups += [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Bending))]
-    groups += [term.vertices[None] for term in scene.of(RigidBody)]
+    groups = [joined for term in scene.terms if (joined := term.joined(scene)).size]
     if scene.in_parts:
         return [np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(group.ravel() for group in groups)]))]
     if not groups:

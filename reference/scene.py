@@ -11,25 +11,7 @@ import numpy as np
 from ..lhm.base.errors import MeshError, SceneError
 from ..lhm.base.mesh import Floats, Ints, TetMesh
 from .materials import Material
-from .terms import (
-    Bending,
-    Contact,
-    Fixed,
-    Gravity,
-    Hyperelastic,
-    Inertia,
-    Pressure,
-    RigidBody,
-    Strain,
-    StrainRule,
-    SurfaceStrain,
-    Target,
-    Term,
-    Traction,
-    Volume,
-)
-
-ON_TRIANGLES = (SurfaceStrain, Bending, Traction, Pressure, Contact)
+from .terms import Fixed, Inertia, OnTets, OnTriangles, RigidBody, StrainRule, Target, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,56 +41,17 @@ class Scene:
             object.__setattr__(self, "terms", tuple(self.terms))
         except TypeError:
             raise SceneError(f"terms: expected a list of terms, got {type(self.terms).__name__}") from None
-        if not len(self.tets) and not any(isinstance(term, ON_TRIANGLES) for term in self.terms):
+        if not len(self.tets) and not any(isinstance(term, OnTriangles) for term in self.terms):
             raise SceneError("scene: tets: there are none, and no term acts on triangles")
         for position, term in enumerate(self.terms):
-            self._check(position, term)
+            if not isinstance(term, Term):
+                raise SceneError(f"term {position}: {type(term).__name__} is no term; see softdeca.reference.terms")
+            try:
+                term.check(self)
+            except SceneError as error:
+                raise SceneError(f"term {position} ({term.name}): {error}") from None
         held, _ = self.dirichlet()
         self._check_bodies(held.any(axis=1))
-
-    def _check(self, position: int, term: Term):
-        if not isinstance(term, Term):
-            raise SceneError(f"term {position}: {type(term).__name__} is no term; see softdeca.reference.terms")
-        for what, count in (
-            ("vertices", len(self.vertices)),
-            ("tets", len(self.tets)),
-            ("triangles", len(self.vertices)),
-        ):
-            if term.masks.get(what, count) != count:
-                raise SceneError(
-                    f"term {position} ({term.name}): {what} is a mask of {term.masks[what]} for {count} {what}"
-                )
-            ids = getattr(term, what, None)
-            if ids is None or ids.size == 0:
-                continue
-            if ids.min() < 0 or ids.max() >= count:
-                bad = ids.max() if ids.max() >= count else ids.min()
-                kind = "vertex" if what == "triangles" else {"vertices": "vertex", "tets": "tet"}[what]
-                raise SceneError(f"term {position} ({term.name}): {kind} {bad} is outside 0..{count - 1}")
-        for key in ("rest", "positions", "velocities"):
-            points = getattr(term, key, None)
-            if points is not None and not hasattr(term, "vertices") and len(points) != len(self.vertices):
-                raise SceneError(
-                    f"term {position} ({term.name}): {key} has {len(points)} rows for {len(self.vertices)} vertices"
-                )
-        if isinstance(term, (Strain, Volume, Hyperelastic, Gravity, Inertia)) and term.tets is None:
-            for key in ("stiffness", "limit", "target", "growth", "density"):
-                value = getattr(term, key, None)
-                if value is not None and value.ndim == 1 and len(value) != len(self.tets):
-                    raise SceneError(
-                        f"term {position} ({term.name}): {key} has {len(value)} values for {len(self.tets)} tets"
-                    )
-        if isinstance(term, Hyperelastic) and term.fibres is not None and term.fibres.ndim == 2:
-            count = len(self.tets_of(term))
-            if len(term.fibres) != count:
-                raise SceneError(f"term {position} ({term.name}): {len(term.fibres)} fibres for {count} tets")
-        if isinstance(term, ON_TRIANGLES) and term.triangles.size:
-            rest = getattr(term, "rest", None)
-            for points in (self.vertices,) if rest is None else (self.vertices, rest):
-                a, b, c = (points[term.triangles[:, k]] for k in range(3))
-                flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
-                if flat.size:
-                    raise SceneError(f"term {position} ({term.name}): triangle {flat[0]} has no area")
 
     def _check_bodies(self, held: np.ndarray):
         """Raise SceneError for bodies in line, that share a vertex, or that have one held by a Fixed term."""
@@ -135,9 +78,9 @@ class Scene:
         """The terms of one class, in order."""
         return [term for term in self.terms if isinstance(term, kind)]
 
-    def tets_of(self, term) -> Ints:
+    def tets_of(self, term: OnTets) -> Ints:
         """The indices of the tets that a term acts on, shape (k,)."""
-        return np.arange(len(self.tets)) if term.tets is None else term.tets
+        return term.tets_of(self)
 
     def dirichlet(self) -> tuple[np.ndarray, Floats]:
         """Mask (n, 3) of held components, and positions (n, 3) [mm] that are the held values there, rest elsewhere.
@@ -157,18 +100,10 @@ class Scene:
         return held, positions
 
     def loads(self) -> Floats:
-        """Dead nodal forces [mN] of Gravity and Traction, lumped exactly for linear shape functions, shape (n, 3)."""
+        """Dead nodal forces [mN] of all terms, lumped exactly for linear shape functions, shape (n, 3)."""
         forces = np.zeros(self.vertices.shape)
-        for term in self.of(Gravity):
-            tets = self.tets_of(term)
-            weight = np.broadcast_to(term.density, tets.shape) * self.volumes[tets] / 4.0
-            lumped = np.bincount(self.tets[tets].ravel(), np.repeat(weight, 4), minlength=len(forces))
-            forces += lumped[:, None] * term.acceleration
-        for term in self.of(Traction):
-            a, b, c = (self.vertices[term.triangles[:, k]] for k in range(3))
-            area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
-            lumped = np.bincount(term.triangles.ravel(), np.repeat(area / 3.0, 3), minlength=len(forces))
-            forces += lumped[:, None] * term.vector
+        for term in self.terms:
+            term.add_load(self, forces)
         return forces
 
     def inertia(self) -> tuple[Floats, Floats]:
@@ -178,12 +113,7 @@ class Scene:
         """
         stiffness, pulled = np.zeros(len(self.vertices)), np.zeros(self.vertices.shape)
         for term in self.of(Inertia):
-            tets = self.tets_of(term)
-            mass = np.broadcast_to(term.density, tets.shape) * self.volumes[tets] / 4.0
-            spring = np.bincount(self.tets[tets].ravel(), np.repeat(mass, 4), minlength=len(pulled)) / term.time_step**2
-            place = self.vertices if term.positions is None else term.positions
-            if term.velocities is not None:
-                place = place + term.time_step * term.velocities
+            spring, place = term.springs(self)
             stiffness += spring
             pulled += spring[:, None] * place
         some = stiffness > 0
@@ -191,32 +121,17 @@ class Scene:
 
     def force_scale(self) -> float:
         """A force [mN] that unit strain would cause, the scale below which a gradient is rounding."""
-        total, count = self._forces()
+        total, count = self._unit_force()
         return total / max(count, 1)
 
     def rounding(self) -> float:
         """The norm [mN] of a gradient that is rounding, which is independent from vertex to vertex: by their root."""
-        total, count = self._forces()
+        total, count = self._unit_force()
         return 1e-14 * total / max(count, 1) ** 0.5
 
-    def _forces(self) -> tuple[float, int]:
+    def _unit_force(self) -> tuple[float, int]:
         """What unit strain would cause at all vertices together [mN], and their number."""
-        total = 0.0
-        for term in self.terms:
-            if isinstance(term, (Strain, Volume)):
-                total += float(np.sum(term.stiffness * self.volumes[self.tets_of(term)] ** (2 / 3)))
-            elif isinstance(term, Hyperelastic):
-                total += float(np.sum(term.material.stiffness * self.volumes[self.tets_of(term)] ** (2 / 3)))
-            elif isinstance(term, SurfaceStrain):
-                a, b = (self.vertices[term.triangles[:, k]] for k in range(2))
-                total += float(np.sum(term.stiffness * np.linalg.norm(b - a, axis=1)))
-            elif isinstance(term, Bending):
-                a, b = (self.vertices[term.triangles[:, k]] for k in range(2))
-                total += float(np.sum(term.stiffness / np.linalg.norm(b - a, axis=1)))
-            elif isinstance(term, Target):
-                total += float(np.sum(term.stiffness))
-        total += float(self.inertia()[0].sum())
-        return total, len(self.vertices)
+        return sum(term.unit_force(self) for term in self.terms), len(self.vertices)
 
     def together(self, rows: np.ndarray) -> np.ndarray:
         """Rows (k, ...) that processes which have the scene in parts give, one after the other; else these alone."""
@@ -267,13 +182,10 @@ def refuse_unknown(
     *,
     rules: tuple[StrainRule, ...] = ("clamp",),
 ):
-    """Raise SceneError for the first term, law of a Hyperelastic or rule of a Strain that a solver cannot model."""
+    """Raise SceneError for the first term, law of tissue or rule of its strain that a solver cannot model."""
     for term in scene.terms:
         if not isinstance(term, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise SceneError(f"solver {solver!r} cannot model {term.name}; it models {names}")
-        if isinstance(term, Strain) and term.rule not in rules:
-            raise SceneError(f"solver {solver!r} cannot model Strain with rule {term.rule!r}: its energy jumps")
-        if isinstance(term, Hyperelastic) and not isinstance(term.material, laws):
-            names = ", ".join(kind.__name__ for kind in laws)
-            raise SceneError(f"solver {solver!r} cannot model {term.material.name}; it models {names}")
+        if (unmodelled := term.unmodelled(laws, rules)) is not None:
+            raise SceneError(f"solver {solver!r} cannot model {unmodelled}")

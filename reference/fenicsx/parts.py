@@ -71,8 +71,8 @@ class PartScene(Scene):
     part: Part
     in_parts: ClassVar[bool] = True
 
-    def _forces(self) -> tuple[float, int]:
-        mine = super()._forces()[0], self.part.shared.owned
+    def _unit_force(self) -> tuple[float, int]:
+        mine = super()._unit_force()[0], self.part.shared.owned
         total, count = self.together(np.array([mine])).sum(axis=0)
         return float(total), int(count)
 

@@ -1,0 +1,34 @@
+"""The terms a scene is made of: energies, constraints and loads. A term names what it acts on.
+
+Energies are integrals over the rest configuration. Units: mm, kPa (= mN/mm²), kg/mm³; energies µJ = mN·mm.
+A term without `tets` acts on all tets. Stiffnesses and the like are one number, or one per element acted on.
+"""
+
+from .loads import Gravity, Pressure, Traction
+from .solids import Hyperelastic, Solid, Strain, StrainRule, Volume
+from .surfaces import Bending, Contact, SurfaceStrain
+from .term import Amount, Mesh, OnTets, OnTriangles, Term
+from .vertices import Fixed, Inertia, RigidBody, Target
+
+__all__ = [
+    "Amount",
+    "Bending",
+    "Contact",
+    "Fixed",
+    "Gravity",
+    "Hyperelastic",
+    "Inertia",
+    "Mesh",
+    "OnTets",
+    "OnTriangles",
+    "Pressure",
+    "RigidBody",
+    "Solid",
+    "Strain",
+    "StrainRule",
+    "SurfaceStrain",
+    "Target",
+    "Term",
+    "Traction",
+    "Volume",
+]

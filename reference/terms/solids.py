@@ -1,0 +1,136 @@
+"""The energies of tissue, over tets: a hyperelastic law, and SoftDECA's strain and volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, get_args
+
+import numpy as np
+
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Ints
+from ..materials import Guccione, Incompressible, Material
+from .term import Amount, Mesh, OnTets
+
+StrainRule = Literal["clamp", "indicator"]
+
+
+class Solid(OnTets):
+    """Base of energies of tets."""
+
+    def joined(self, mesh: Mesh) -> Ints:
+        """See Term."""
+        return mesh.tets[self.tets_of(mesh)]
+
+    def _force_by(self, stiffness: float | np.ndarray, mesh: Mesh) -> float:
+        """Return the force [mN] of a stiffness [kPa], one or one per tet, on faces of the tets' size."""
+        return float(np.sum(stiffness * mesh.volumes[self.tets_of(mesh)] ** (2 / 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Hyperelastic(Solid):
+    """The energy of a hyperelastic law, integral of growth psi(F growth^(-1/3)) over the tets.
+
+    growth > 0 is the volume ratio at which the tissue is at rest: F growth^(-1/3) is the elastic part of F, and grown
+    tissue is as stiff as it was (Rodriguez, Hoger, McCulloch 1994, "Stress-dependent finite growth in soft elastic
+    tissues"). Raises SceneError for a law without a volumetric part that is not Incompressible.
+    """
+
+    amounts: ClassVar[dict[str, Amount]] = {"growth": Amount(0.0, strict=True)}
+
+    material: Material
+    tets: np.ndarray | None = field(default=None, repr=False)
+    growth: float | np.ndarray = 1.0
+
+    def __post_init__(self):
+        if not isinstance(self.material, Material):
+            raise SceneError(f"Hyperelastic: expected a material, got {type(self.material).__name__}")
+        if not self.material.resists_volume_change:
+            raise SceneError(f"Hyperelastic: {self.material.name} without kappa must be made Incompressible")
+        super().__post_init__()
+
+    def check(self, mesh: Mesh):
+        """See Term; fibres are one for all, or one per tet."""
+        super().check(mesh)
+        count = len(self.tets_of(mesh))
+        if self.fibres is not None and self.fibres.ndim == 2 and len(self.fibres) != count:
+            raise SceneError(f"{len(self.fibres)} fibres for {count} tets")
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """See Term."""
+        return self._force_by(self.material.stiffness, mesh)
+
+    @property
+    def fibres(self) -> np.ndarray | None:
+        """The law's fibre directions, shape (3,) or (m, 3); None if it has none."""
+        law = self.material.law if isinstance(self.material, Incompressible) else self.material
+        return law.fibres if isinstance(law, Guccione) else None
+
+    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
+        """See Term."""
+        if isinstance(self.material, laws):
+            return None
+        return f"{self.material.name}; it models {', '.join(kind.__name__ for kind in laws)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Strain(Solid):
+    """stiffness/2 ‖F - R‖² per rest volume; with limit L > 1, F's distance to stretches within [1/L, L].
+
+    SoftDECA Eq. 10 in its clamped form, rule "clamp". Rule "indicator" is Eq. 10 to the letter: ‖F - R‖² where F's
+    largest stretch is above the limit, else 0. That jumps at the limit, so it may have no minimiser, and local/global
+    steps do not majorise it: on a sphere's shells (limit 1.05) the energy rose in 108 and 118 of 300 plain iterations,
+    by up to 0.7 % of 20 mJ, and L-BFGS stagnated after 240; clamped it never rose. Only projective dynamics models it.
+    stiffness [kPa] (= 2 mu), limit >= 1. growth > 0 is the volume ratio at rest: the stretches that F is compared with
+    are multiplied by growth^(1/3), as if F growth^(-1/3) were. With a Volume of the same target, tissue grows freely
+    without stress; the stiffness stays one per volume before growth. The indicator knows no growth.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ("limit", "growth")
+    may_soften: ClassVar[bool] = True
+    amounts: ClassVar[dict[str, Amount]] = {
+        "stiffness": Amount(0.0),
+        "limit": Amount(1.0),
+        "growth": Amount(0.0, strict=True),
+    }
+
+    stiffness: float | np.ndarray
+    limit: float | np.ndarray = 1.0
+    tets: np.ndarray | None = field(default=None, repr=False)
+    rule: StrainRule = "clamp"
+    growth: float | np.ndarray = 1.0
+
+    def __post_init__(self):
+        if self.rule not in get_args(StrainRule):
+            raise SceneError(f"Strain.rule: expected clamp or indicator, got {self.rule!r}")
+        super().__post_init__()
+        if self.rule == "indicator" and np.any(self.growth != 1.0):
+            raise SceneError("Strain.growth: the indicator knows no growth; take rule clamp")
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """See Term."""
+        return self._force_by(self.stiffness, mesh)
+
+    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
+        """See Term."""
+        return None if self.rule in rules else f"Strain with rule {self.rule!r}: its energy jumps"
+
+
+@dataclass(frozen=True, eq=False)
+class Volume(Solid):
+    """stiffness/2 times the squared distance of F to the matrices of determinant `target`, per rest volume.
+
+    SoftDECA Eq. 10. stiffness [kPa] (= 3 lmbda at small strain); target > 0 is the volume ratio sought.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ("target",)
+    may_soften: ClassVar[bool] = True
+    amounts: ClassVar[dict[str, Amount]] = {"stiffness": Amount(0.0), "target": Amount(0.0, strict=True)}
+
+    stiffness: float | np.ndarray
+    target: float | np.ndarray = 1.0
+    tets: np.ndarray | None = field(default=None, repr=False)
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """See Term."""
+        return self._force_by(self.stiffness, mesh)

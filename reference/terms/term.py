@@ -1,0 +1,240 @@
+"""The base of all terms, the bases of those on tets and on triangles, and checks of their fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from ...lhm.base.errors import MeshError, SceneError
+from ...lhm.base.mesh import Floats, Ints, as_elements, as_points
+from ..materials import Material
+
+
+class Mesh(Protocol):
+    """What a term sees of its scene: rest vertices [mm], (n, 3), tets (m, 4) and their volumes [mm³], (m,)."""
+
+    @property
+    def vertices(self) -> Floats: ...  # noqa: D102
+
+    @property
+    def tets(self) -> Ints: ...  # noqa: D102
+
+    @property
+    def volumes(self) -> Floats: ...  # noqa: D102
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """Base of all terms; `name` is what errors and reports call it.
+
+    A term says what no solver has to know by itself: what it joins, holds and loads, and how stiff it is.
+
+    `varying` are the fields in which scenes may differ that a solver is prepared for at once. `may_soften` says whether
+    the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles.
+    `is_divisible` says whether ranks may share the scene in parts: each element lies in one tet or on its faces.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ()
+    may_soften: ClassVar[bool] = False
+    is_divisible: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        """The term's class name."""
+        return type(self).__name__
+
+    @property
+    def masks(self) -> dict[str, int]:
+        """Of `vertices` and `tets` that were given as a mask the length that it had, by name."""
+        return vars(self).get("_masks", {})
+
+    def check(self, mesh: Mesh):
+        """Raise SceneError for vertices, tets or triangles that a mesh lacks, and values that do not fit it."""
+        n = len(mesh.vertices)
+        kinds = (("vertices", "vertex", n), ("tets", "tet", len(mesh.tets)), ("triangles", "vertex", n))
+        for key, kind, count in kinds:
+            if self.masks.get(key, count) != count:
+                raise SceneError(f"{key} is a mask of {self.masks[key]} for {count} {key}")
+            ids = getattr(self, key, None)
+            if ids is None or ids.size == 0:
+                continue
+            if ids.min() < 0 or ids.max() >= count:
+                bad = ids.max() if ids.max() >= count else ids.min()
+                raise SceneError(f"{kind} {bad} is outside 0..{count - 1}")
+        for key in ("rest", "positions", "velocities"):
+            points = getattr(self, key, None)
+            if points is not None and not hasattr(self, "vertices") and len(points) != n:
+                raise SceneError(f"{key} has {len(points)} rows for {n} vertices")
+
+    def joined(self, mesh: Mesh) -> Ints:
+        """Return the vertices, shape (k, j), that each of its elements joins; none unless it is an energy of them."""
+        return np.empty((0, 1), dtype=np.int64)
+
+    def hold(self, mesh: Mesh, held: np.ndarray):
+        """Mark what cannot move freely in a mask over vertices and components (n, 3)."""
+
+    def add_load(self, mesh: Mesh, forces: Floats):
+        """Add its dead forces [mN], lumped exactly for linear shape functions, to an array (n, 3)."""
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """Return the force [mN] that unit strain would cause, the sum over its elements."""
+        return 0.0
+
+    def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
+        """Say what a solver that knows these laws of tissue and rules of strain cannot model of it, if anything."""
+        return None
+
+    def _set(self, **values):
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    def _set_ids(self, key: str) -> Ints:
+        """Take the indices that `vertices` or `tets` name; the length of a mask is kept for the scene to check."""
+        values = getattr(self, key)
+        ids = as_ids(f"{self.name}.{key}", values)
+        if np.asarray(values).dtype == bool:
+            self._set(_masks={**self.masks, key: len(values)})
+        self._set(**{key: ids})
+        return ids
+
+    def _set_amounts(self, amounts: dict[str, Amount], count: int | None):
+        """Check fields of one number, or of one per element of `count`."""
+        for key, amount in amounts.items():
+            self._set(**{key: amount.check(f"{self.name}.{key}", getattr(self, key), count)})
+
+
+@dataclass(frozen=True)
+class Amount:
+    """The range of a field of numbers: at least (strict: above) `least`."""
+
+    least: float
+    strict: bool = False
+
+    def check(self, name: str, values, count: int | None) -> np.ndarray:
+        """Return a finite number or a read-only array (count,) in the range; SceneError for another."""
+        array = as_numbers(name, values)
+        if array.ndim > 1 or (array.ndim == 1 and count is not None and array.shape != (count,)):
+            raise SceneError(f"{name}: expected one number or shape ({count},), got shape {array.shape}")
+        bad = ~np.isfinite(array) | ((array <= self.least) if self.strict else (array < self.least))
+        if bad.any():
+            where = "" if array.ndim == 0 else f" (number {np.flatnonzero(bad)[0]})"
+            value = array if array.ndim == 0 else array[bad][0]
+            how = "above" if self.strict else "at least"
+            raise SceneError(f"{name}: must be finite and {how} {self.least}, got {value}{where}")
+        array.flags.writeable = False
+        return array
+
+    def check_one(self, name: str, value) -> float:
+        """Return a finite number in the range; SceneError for another."""
+        number = self.check(name, value, None)
+        if number.ndim:
+            raise SceneError(f"{name}: expected one number, got shape {number.shape}")
+        return float(number)
+
+
+class OnTets(Term):
+    """Base of terms on tets, None for all; `amounts` are fields of one number or one per tet."""
+
+    amounts: ClassVar[dict[str, Amount]] = {}
+    tets: Ints | None
+
+    def __post_init__(self):
+        count = None if self.tets is None else len(self._set_ids("tets"))
+        self._set_amounts(self.amounts, count)
+
+    def check(self, mesh: Mesh):
+        """See Term."""
+        super().check(mesh)
+        for key in self.amounts if self.tets is None else ():
+            values = getattr(self, key)
+            if values.ndim == 1 and len(values) != len(mesh.tets):
+                raise SceneError(f"{key} has {len(values)} values for {len(mesh.tets)} tets")
+
+    def tets_of(self, mesh: Mesh) -> Ints:
+        """Return the indices of the tets that it acts on, shape (k,)."""
+        return np.arange(len(mesh.tets)) if self.tets is None else self.tets
+
+    def lump(self, mesh: Mesh, density: float | Floats) -> Floats:
+        """Share an amount per volume, one or one per tet, among vertices, shape (n,)."""
+        tets = self.tets_of(mesh)
+        amount = np.broadcast_to(density, tets.shape) * mesh.volumes[tets] / 4.0
+        return np.bincount(mesh.tets[tets].ravel(), np.repeat(amount, 4), minlength=len(mesh.vertices))
+
+
+class OnTriangles(Term):
+    """Base of terms on triangles (k, 3) of vertices; `amounts` are fields of one number or one per triangle."""
+
+    amounts: ClassVar[dict[str, Amount]] = {}
+    triangles: Ints
+
+    def __post_init__(self):
+        try:
+            triangles = as_elements(f"{self.name}.triangles", self.triangles, 3, np.iinfo(np.int64).max)
+        except MeshError as error:
+            raise SceneError(str(error)) from None
+        self._set(triangles=triangles)
+        self._set_amounts(self.amounts, len(triangles))
+
+    def check(self, mesh: Mesh):
+        """See Term; triangles need an area, in the scene and in the shape sought."""
+        super().check(mesh)
+        rest = getattr(self, "rest", None)
+        for points in (mesh.vertices,) if rest is None else (mesh.vertices, rest):
+            a, b, c = (points[self.triangles[:, k]] for k in range(3))
+            flat = np.flatnonzero(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 0)
+            if flat.size:
+                raise SceneError(f"triangle {flat[0]} has no area")
+
+
+def as_numbers(name: str, values) -> np.ndarray:
+    """Return values as float64; SceneError for what are no numbers."""
+    try:
+        raw = np.asarray(values)
+        if raw.dtype.kind not in "iufO":
+            raise TypeError
+        return np.array(raw, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name}: expected numbers, got {values!r:.60}") from None
+
+
+def as_ids(name: str, values) -> Ints:
+    """Return unique indices, shape (k,), from indices or a mask; SceneError for others."""
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise SceneError(f"{name}: expected indices of shape (k,) or a mask") from None
+    if array.dtype == bool and array.ndim == 1:
+        array = np.flatnonzero(array)
+    if array.size == 0 and array.ndim == 1:
+        array = array.astype(np.int64)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
+        raise SceneError(f"{name}: expected indices of shape (k,), got shape {array.shape} of {array.dtype}")
+    if len(np.unique(array)) != len(array):
+        raise SceneError(f"{name}: an index appears twice")
+    array = array.astype(np.int64)
+    array.flags.writeable = False
+    return array
+
+
+def as_places(name: str, values, count: int | None) -> Floats | None:
+    """Return points, shape (count, 3), None for None; SceneError for others."""
+    if values is None:
+        return None
+    try:
+        points = as_points(name, values)
+    except MeshError as error:
+        raise SceneError(str(error)) from None
+    if count is not None and len(points) != count:
+        raise SceneError(f"{name}: expected {count} rows, got {len(points)}")
+    return points
+
+
+def as_vector(name: str, values) -> Floats:
+    """Return three finite numbers; SceneError for others."""
+    vector = as_numbers(name, values)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise SceneError(f"{name}: expected three finite numbers, got {values!r}")
+    vector.flags.writeable = False
+    return vector

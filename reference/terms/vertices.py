@@ -1,0 +1,140 @@
+"""Springs, constraints and inertia of vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats, Ints
+from .term import Amount, Mesh, OnTets, Term, as_numbers, as_places
+
+
+@dataclass(frozen=True, eq=False)
+class Target(Term):
+    """Springs: stiffness/2 |x_i - positions_i|² for each vertex (SoftDECA Eq. 14).
+
+    vertices (k,), positions (k, 3) [mm], stiffness [mN/mm] per vertex: multiply one per area by the vertex' area.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ("positions",)
+
+    vertices: np.ndarray = field(repr=False)
+    positions: np.ndarray = field(repr=False)
+    stiffness: float | np.ndarray
+
+    def __post_init__(self):
+        count = len(self._set_ids("vertices"))
+        self._set(positions=as_places("Target.positions", self.positions, count))
+        self._set_amounts({"stiffness": Amount(0.0)}, count)
+
+    def hold(self, mesh: Mesh, held: np.ndarray):
+        """See Term."""
+        held[self.vertices[np.broadcast_to(self.stiffness, len(self.vertices)) > 0]] = True
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """See Term."""
+        return float(np.sum(self.stiffness))
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed(Term):
+    """Dirichlet: holds the named components of vertices at positions `values`.
+
+    vertices (k,); values [mm], shape (k, 3), None for where they are; components are out of 0, 1, 2.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ("values",)
+
+    vertices: np.ndarray = field(repr=False)
+    values: np.ndarray | None = field(default=None, repr=False)
+    components: tuple[int, ...] = (0, 1, 2)
+
+    def __post_init__(self):
+        vertices = self._set_ids("vertices")
+        components = (self.components,) if isinstance(self.components, (int, np.integer)) else self.components
+        try:
+            components = tuple("xyz".index(str(c)) if c in ("x", "y", "z") else c for c in components)
+        except (TypeError, ValueError):
+            components = ()
+        if not components or any(c not in (0, 1, 2) for c in components) or len(set(components)) != len(components):
+            raise SceneError(f"Fixed.components: expected some of 0, 1, 2, got {self.components!r}")
+        values = as_places("Fixed.values", self.values, len(vertices))
+        self._set(values=values, components=tuple(sorted(int(c) for c in components)))
+
+    def hold(self, mesh: Mesh, held: np.ndarray):
+        """See Term."""
+        held[np.ix_(self.vertices, self.components)] = True
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody(Term):
+    """Vertices that move together as an exact rigid body, free but for what pulls at them.
+
+    vertices (k,), at least three that are not in line; rest [mm], shape (k, 3), is the body's shape and first place,
+    default where the scene has them: a scaled bone is a body with another rest.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ("rest",)
+    may_soften: ClassVar[bool] = True
+    is_divisible: ClassVar[bool] = False
+
+    vertices: np.ndarray = field(repr=False)
+    rest: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        vertices = self._set_ids("vertices")
+        if len(vertices) < 3:
+            raise SceneError(f"RigidBody.vertices: a body needs at least 3 vertices, got {len(vertices)}")
+        self._set(rest=as_places("RigidBody.rest", self.rest, len(vertices)))
+
+    def joined(self, mesh: Mesh) -> Ints:
+        """See Term."""
+        return self.vertices[None]
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia(OnTets):
+    """One step of implicit Euler: density/2 |x - X₁ - h v₁|² / h² per rest volume (method of Bouaziz et al. 2014).
+
+    density [kg/mm³] of the tets, lumped at vertices; time_step h [s]; positions X₁ [mm] and velocities v₁ [mm/s] before
+    the step, shape (scene's vertices, 3), default at rest. After the step v = (x - X₁) / h.
+    """
+
+    varying: ClassVar[tuple[str, ...]] = ("positions", "velocities")
+    is_divisible: ClassVar[bool] = False
+    amounts: ClassVar[dict[str, Amount]] = {"density": Amount(0.0)}
+
+    density: float | np.ndarray
+    time_step: float
+    positions: np.ndarray | None = field(default=None, repr=False)
+    velocities: np.ndarray | None = field(default=None, repr=False)
+    tets: np.ndarray | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        super().__post_init__()
+        step = as_numbers("Inertia.time_step", self.time_step)
+        if step.shape != () or not (np.isfinite(step) and step > 0):
+            raise SceneError(f"Inertia.time_step: must be finite and above 0 s, got {self.time_step!r}")
+        self._set(
+            time_step=float(step),
+            positions=as_places("Inertia.positions", self.positions, None),
+            velocities=as_places("Inertia.velocities", self.velocities, None),
+        )
+
+    def springs(self, mesh: Mesh) -> tuple[Floats, Floats]:
+        """Return stiffness m/h² [mN/mm], shape (n,), and where each vertex would go by itself [mm], shape (n, 3)."""
+        place = mesh.vertices if self.positions is None else self.positions
+        if self.velocities is not None:
+            place = place + self.time_step * self.velocities
+        return self.lump(mesh, self.density) / self.time_step**2, place
+
+    def hold(self, mesh: Mesh, held: np.ndarray):
+        """See Term."""
+        held[self.springs(mesh)[0] > 0] = True
+
+    def unit_force(self, mesh: Mesh) -> float:
+        """See Term."""
+        return float(self.springs(mesh)[0].sum())
