@@ -13,6 +13,7 @@ where W_pq Y + Y W_pq = - [(W_p W_q + W_q W_p)/2, Y] - {W_p, Y'_q} - {W_q, Y'_p}
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
@@ -21,6 +22,7 @@ from scipy.sparse import csr_matrix
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Bending
+from .part import Part
 from .projections import COMPILED, D0, F00, LANES, ROWS, S0, S1, S2, U00, V00, decompose
 from .sparsity import add_block
 
@@ -97,12 +99,15 @@ def _add_bending(centres, starts, ring, cotangents, edges, sought, laplacians, l
 
 
 @dataclass(frozen=True, eq=False)
-class Rings:
+class Rings(Part):
     """The inner vertices of all Bending terms with their rings of edges; `weights` is k/A [mN/mm].
 
     Vertex v has the edges starts[v] to starts[v + 1]: `ring` is their far end, `edges` as the scene has them, `sought`
     as the rest shape has them [mm], `cotangents` their weights. `laplacians` is B [mm].
+    The rest shape turns along, which the matrix does not bound.
     """
+
+    is_bounded: ClassVar[bool] = False
 
     centres: Ints
     starts: Ints
@@ -129,9 +134,9 @@ class Rings:
         size = np.add.reduceat(np.maximum(cotangents, 0.0) * np.sum(sought**2, axis=1), starts[:-1])
         return cls(centres, starts, ring, cotangents, edges, sought, laplacians, FLOOR * size, weights)
 
-    def add_to(self, u: Floats, gradient: Floats) -> float:
-        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
-        return _add_bending(
+    def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
+        """See Part."""
+        return total + _add_bending(
             self.centres,
             self.starts,
             self.ring,

@@ -167,7 +167,7 @@ def _safe_step(problem: Problem, point: Point, uphill: Floats) -> tuple[Floats, 
 def after_untangling(descend: Descent, problem: Problem, point: Point, watch: Watch) -> tuple[Point, Reason]:
     """A way down after L-BFGS on the untangling energy, where the start needs that.
 
-    A stiff Volume term has local minima among inverted tets; Strain alone was never seen to stay in one.
+    Stiff volumes have local minima among inverted tets; shape alone was never seen to stay in one.
     """
     if problem.untangling is not None:
         other = Untangling(problem, watch)

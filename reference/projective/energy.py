@@ -5,74 +5,83 @@ Stresses and reactions of an answer: P from what each tet alone gives to the gra
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ...lhm.base.mesh import Floats, Ints
+from ...lhm.base.mesh import Floats
 from ..scene import Scene
 from ..solution import Stresses
-from ..terms import Inertia, Target
+from ..terms import Bending, Gravity, Inertia, Strain, SurfaceStrain, Target, Term, Traction, Volume
 from .bending import Rings
-from .sparsity import Part
+from .part import Part
+from .springs import DeadLoads, Springs
 from .tets import TetBlocks, shape_gradients
 from .triangles import Triangles
+
+PARTS: dict[type[Term], type[Part]] = {
+    Gravity: DeadLoads,
+    Traction: DeadLoads,
+    Strain: TetBlocks,
+    Volume: TetBlocks,
+    SurfaceStrain: Triangles,
+    Bending: Rings,
+    Target: Springs,
+    Inertia: Springs,
+}
+"""The class that models each term that has an energy, in the order in which their energies are added up."""
+AnyPart = TypeVar("AnyPart", bound=Part)
 
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """E(u) = Σ w/2 ‖F - p‖² + Σ k/(2 A) |D|² + Σ k/2 |x - s|² - f·u over displacements u = x - X.
+    """E(u) over displacements u = x - X: the sum of its parts. What the scene does not name costs nothing."""
 
-    |D| is of Bending, springs are of Target and of Inertia. What the scene does not name is None, and costs nothing.
-    """
-
-    tets: TetBlocks | None
-    triangles: Triangles | None
-    bending: Rings | None
-    targets: tuple[tuple[Ints, Floats, Floats], ...]
-    loads: Floats
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """The parts that the scene names."""
-        return tuple(part for part in (self.tets, self.triangles, self.bending) if part is not None)
+    parts: tuple[Part, ...]
 
     @classmethod
     def from_scene(cls, scene: Scene, threads: int = 1) -> Energy:
         """Build what depends on mesh and stiffnesses."""
-        return cls(
-            TetBlocks.from_scene(scene, threads), Triangles.from_scene(scene), Rings.from_scene(scene), (), np.zeros(0)
-        ).for_scene(scene)
+        parts = (kind.from_scene(scene) for kind in dict.fromkeys(PARTS.values()))
+        return cls(tuple(part.on_threads(threads) for part in parts if part is not None))
 
     def for_scene(self, scene: Scene) -> Energy:
-        """Take another scene's numbers of the same terms: targets, motion, loads, limits, growth and volumes."""
-        targets = tuple(
-            (term.vertices, term.positions - scene.vertices[term.vertices], np.reshape(term.stiffness, (-1, 1)))
-            for term in scene.of(Target)
-        )
-        if scene.of(Inertia):
-            stiffness, places = scene.inertia()
-            heavy = np.flatnonzero(stiffness)
-            targets += ((heavy, (places - scene.vertices)[heavy], stiffness[heavy, None]),)
-        tets = None if self.tets is None else self.tets.for_scene(scene)
-        triangles = None if self.triangles is None else self.triangles.for_scene(scene)
-        return Energy(tets, triangles, self.bending, targets, scene.loads())
+        """Take another scene's numbers that are `varying`."""
+        return Energy(tuple(part.for_scene(scene) for part in self.parts))
+
+    def rebuilt(self, scene: Scene) -> Energy:
+        """Take all numbers of another scene of the same terms."""
+        parts = (part.rebuilt(scene) for part in self.parts)
+        return Energy(tuple(part for part in parts if part is not None))
+
+    def part(self, kind: type[AnyPart]) -> AnyPart | None:
+        """Return the part of a class, None if there is none."""
+        return next((part for part in self.parts if isinstance(part, kind)), None)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the PD matrix bounds it, so that a plain step never raises it."""
+        return all(part.is_bounded for part in self.parts)
+
+    @property
+    def loads(self) -> Floats:
+        """The dead loads [mN], shape (n, 3)."""
+        loads = self.part(DeadLoads)
+        assert loads is not None
+        return loads.forces
 
     def untangling(self, volume_share: float = 1.0) -> Energy:
-        """Return an energy that leads out of inverted tets: all weight on Strain, bounded by this share's matrix."""
-        return self if self.tets is None else replace(self, tets=self.tets.untangling(volume_share))
+        """Return an energy that leads out of inverted tets: all weight on their shape, bounded by a share's matrix."""
+        parts = (part.untangling(volume_share) if isinstance(part, TetBlocks) else part for part in self.parts)
+        return Energy(tuple(parts))
 
     def evaluate(self, u: Floats) -> tuple[float, Floats]:
         """Return energy [µJ] and gradient [mN], shape (n, 3), at displacement u [mm]; dead loads count as -f·u."""
-        gradient = -self.loads
-        energy = -float(np.vdot(self.loads, u))
+        energy, gradient = 0.0, np.zeros_like(u)
         for part in self.parts:
-            energy += part.add_to(u, gradient)
-        for vertices, displacements, stiffness in self.targets:
-            away = u[vertices] - displacements
-            gradient[vertices] += stiffness * away
-            energy += 0.5 * float(np.sum(stiffness * away**2))
+            energy = part.add_to(u, gradient, energy)
         return energy, gradient
 
     def matrix(self, scene: Scene, *, volume_share: float = 1.0) -> tuple[csr_matrix, np.ndarray]:
@@ -80,13 +89,13 @@ class Energy:
 
         With volume_share 1 it bounds the energy, as plain projective dynamics needs. But the Hessian of Volume resists
         one of nine changes of F, its bound all: with less of Volume's weight the matrix is nearer to the Hessian,
-        and so it is with less of a Strain that leaves stretches up to two or more free.
+        and so it is with less of a strain limit that leaves stretches up to two or more free.
         Entries that happen to be zero are kept, so that scenes of one topology have matrices of one pattern.
         """
         n = len(scene.vertices)
         anchored = np.zeros(n)
-        for vertices, _, stiffness in self.targets:
-            anchored[vertices] += stiffness.ravel()
+        for part in self.parts:
+            part.add_anchors(anchored)
         entries = [(np.arange(n), np.arange(n), anchored)]
         entries += [part.matrix_entries(scene, volume_share) for part in self.parts]
         rows, columns, values = (np.concatenate(parts) for parts in zip(*entries, strict=True))
@@ -101,9 +110,9 @@ def recover(scene: Scene, positions: Floats) -> Stresses:
     _, gradients = shape_gradients(scene, every)
     F = np.eye(3) + np.einsum("mai,maj->mij", u[scene.tets], gradients)
     P = np.zeros((len(every), 3, 3))
-    if energy.tets is not None:
+    if (tets := energy.part(TetBlocks)) is not None:
         # The local step on tets that share no vertex: P = Σ f_a (X_a - X_0)ᵀ / V from the nodes' forces f = V P ∇N.
-        apart = energy.tets.separate()
+        apart = tets.separate()
         forces = np.zeros((4 * len(apart.tets), 3))
         apart.add_to(u[scene.tets[apart.tets]].reshape(-1, 3), forces)
         X = scene.vertices[scene.tets[apart.tets]]

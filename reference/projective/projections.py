@@ -26,7 +26,7 @@ def _rows(first: int, count: int) -> tuple[int, ...]:
 
 
 # What depends on the scene: Dm_inv (row j belongs to edge j), then the weights (with the rest volume) and bounds.
-# Strain acts where the largest stretch is above ACTIVE, which is what the indicator rule sets; else it is below all.
+# Shape counts where the largest stretch is above ACTIVE, which is what the indicator rule sets; else it is below all.
 G00, G01, G02, G10, G11, G12, G20, G21, G22 = _rows(0, 9)
 STRAIN, LOW, HIGH, ACTIVE, VOLUME, TARGET = _rows(9, 6)
 PARAMETERS = 15

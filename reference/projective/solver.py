@@ -17,27 +17,14 @@ from ...lhm.base.mesh import Floats
 from ..clock import Clock, Seconds
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Recorder, Solution, first_positions, volume_ratio
-from ..terms import (
-    Bending,
-    Contact,
-    Fixed,
-    Gravity,
-    Inertia,
-    RigidBody,
-    Strain,
-    StrainRule,
-    SurfaceStrain,
-    Target,
-    Term,
-    Traction,
-    Volume,
-)
+from ..terms import Contact, Fixed, RigidBody, StrainRule, Term
 from .coordinates import Coordinates, Place
 from .descent import Descent, Point, Problem, Watch, after_untangling, anderson, lbfgs, plain
-from .energy import Energy, recover
+from .energy import PARTS, Energy, recover
 from .memory import Memory
 from .system import System
 from .tangent import Pattern, Tangent
+from .tets import TetBlocks
 
 if TYPE_CHECKING:
     from .contact import ContactSolver
@@ -48,19 +35,8 @@ METHODS: dict[str, Descent] = {
     "anderson": partial(after_untangling, anderson),
     "plain": plain,
 }
-TERMS: tuple[type[Term], ...] = (
-    Strain,
-    Volume,
-    SurfaceStrain,
-    Bending,
-    Target,
-    Fixed,
-    RigidBody,
-    Gravity,
-    Traction,
-    Inertia,
-    Contact,
-)
+TERMS: tuple[type[Term], ...] = (*PARTS, Fixed, RigidBody, Contact)
+"""Those with an energy, those that restrict `Coordinates`, and contact, which is solved for afterwards."""
 PREPARED = ((RigidBody, "rest"),)
 """What varies for other solvers, but has gone into this one's matrix."""
 # The share of Volume's weight in the matrix (see `Energy.matrix`). For L-BFGS 0.15 to 0.5 do about as well: on three
@@ -159,7 +135,7 @@ class ProjectivePrepared:
             raise SceneError(f"metric: it has {metric.coordinates.size} unknowns, the scene {coordinates.size}")
         work = _Work(self.system)
         precondition = work.precondition if metric is None else work.by(metric)
-        bounded = energy.bending is None and metric is None
+        bounded = energy.is_bounded and metric is None
         memory = self._memory(warm)
         problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory)
         if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
@@ -262,9 +238,9 @@ def prepare(
 
 def time_local_step(prepared: ProjectivePrepared, *, repeats: int = 20) -> float:
     """Time one energy and gradient of all tets, slightly deformed: median processor time [s] of the local step."""
-    tets = prepared.energy.tets
+    tets = prepared.energy.part(TetBlocks)
     if tets is None:
-        raise SceneError("the scene has no Strain or Volume term to time")
+        raise SceneError("the scene has no energy of tets to time")
     u = 0.01 * prepared.scene.vertices[:, [1, 2, 0]]
     gradient = np.zeros_like(u)
     tets.add_to(u, gradient)

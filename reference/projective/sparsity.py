@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -17,35 +16,8 @@ from scipy.sparse import coo_matrix, csc_matrix
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from .coordinates import Coordinates
+from .part import Part
 from .projections import COMPILED
-
-
-class Part(Protocol):
-    """The elements of one kind of energy, such as `TetBlocks`: all that a solver asks of an energy term."""
-
-    def add_to(self, u: Floats, gradient: Floats) -> float:
-        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
-        ...
-
-    def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
-        """Return rows, columns and values of the part's share of the PD matrix [mN/mm]; see `Energy.matrix`."""
-        ...
-
-    def elements(self, scene: Scene) -> tuple[Ints, ...]:
-        """Return all that says which vertices the elements join."""
-        ...
-
-    def pairs(self, scene: Scene) -> Ints:
-        """Return the pairs of vertices (k, 2) of all elements' blocks of the Hessian, in `add_tangent`'s order."""
-        ...
-
-    def add_tangent(self, slots: Ints, least: float, u: Floats, blocks: Floats):
-        """Add the Hessian [mN/mm] at displacement u [mm], shape (n, 3), to blocks (pairs, 3, 3), in place.
-
-        slots (k,): the block of each of `pairs`, which holds rows of its higher vertex. Where `least` is not negative,
-        no element's eigenvalue is left below that share of its weight.
-        """
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +30,6 @@ class Sparsity:
 
     elements: tuple[Ints, ...]
     pairs: Ints
-    diagonal: Ints
     slots: tuple[Ints, ...]
     indices: Ints
     indptr: Ints
@@ -68,13 +39,13 @@ class Sparsity:
     def from_scene(cls, scene: Scene, parts: Sequence[Part], coordinates: Coordinates) -> Sparsity:
         """Find the pattern of a scene's energy over its unknowns."""
         n = len(scene.vertices)
-        joined = [np.repeat(np.arange(n), 2).reshape(-1, 2), *(part.pairs(scene) for part in parts)]
+        joined = [part.pairs(scene) for part in parts]
         keys = [np.max(ends, axis=1) * n + np.min(ends, axis=1) for ends in joined]
         known = np.unique(np.concatenate(keys))
-        diagonal, *slots = (np.searchsorted(known, key) for key in keys)
+        slots = tuple(np.searchsorted(known, key) for key in keys)
         pairs = np.column_stack([known // n, known % n])
         own = elements_of(scene, parts, coordinates)
-        return cls(own, pairs, diagonal, tuple(slots), *_entries(pairs, n, coordinates))
+        return cls(own, pairs, slots, *_entries(pairs, n, coordinates))
 
     def fits(self, elements: tuple[Ints, ...]) -> bool:
         """Whether this is the pattern of these `elements_of` a scene."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -14,10 +14,9 @@ from ...lhm.base.geometry import cholesky
 from ...lhm.base.geometry.cholesky import LinearSolver, Solve, factorise_definite
 from ...lhm.base.mesh import Floats
 from ..scene import Scene
-from ..terms import Bending, Contact, Strain, SurfaceStrain, Target, Volume
-from .bending import Rings
+from ..terms import Contact, Target
 from .coordinates import Coordinates, Place
-from .energy import Energy
+from .energy import PARTS, Energy
 from .sparsity import Sparsity, elements_of
 
 EXACT = -1.0
@@ -32,15 +31,12 @@ def hessian(
     """Assemble the Hessian [mN/mm], shape (size, size), at a place: exact, or with eigenvalues raised.
 
     With `least` EXACT it is the derivative of `Coordinates.pull` of the gradient. Else each element's share has no
-    eigenvalue below `least` times its Strain weight, Bending's rotations are held, and the sum is positive definite
+    eigenvalue below `least` times its strain weight, bending's rotations are held, and the sum is positive definite
     where the scene is held.
     """
     blocks = np.zeros((len(sparsity.pairs), 3, 3))
     for part, slots in zip(energy.parts, sparsity.slots, strict=True):
         part.add_tangent(slots, least, place.u, blocks)
-    for vertices, _, stiffness in energy.targets:
-        for r in range(3):
-            blocks[sparsity.diagonal[vertices], r, r] += stiffness.ravel()
     gradient = energy.evaluate(place.u)[1] if coordinates.bodies else np.zeros_like(place.u)
     return sparsity.matrix(blocks, _body_rows(sparsity, blocks, coordinates, place, gradient, least=least))
 
@@ -163,13 +159,10 @@ class Tangent:
 
     def _energy_of(self, scene: Scene) -> Energy:
         """Return the energy of another scene: its numbers on the same elements, where the terms are the same."""
-        kinds = (Strain, Volume, SurfaceStrain, Bending)
-        mine, its = ([term for kind in kinds for term in which.of(kind)] for which in (self.scene, scene))
-        same = [type(term) for term in mine] == [type(term) for term in its]
-        if not same or any(isinstance(t, SurfaceStrain) and t.rest is not None for t in its):
-            return Energy.from_scene(scene)
-        energy = self.energy.for_scene(scene)
-        return energy if energy.bending is None else replace(energy, bending=Rings.from_scene(scene))
+        mine, its = (
+            [type(t) for t in which.terms if t.joined(which).size and type(t) in PARTS] for which in (self.scene, scene)
+        )
+        return self.energy.rebuilt(scene) if mine == its else Energy.from_scene(scene)
 
     def _moved(self, step: Floats) -> Floats:
         """Return the displacement [mm], shape (n, 3), that a small step over the unknowns makes."""

@@ -22,6 +22,7 @@ from numba import njit
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import Strain, Volume
+from .part import Part
 from .projections import (
     ACTIVE,
     COMPILED,
@@ -93,7 +94,7 @@ SMALLEST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class TetBlocks:
+class TetBlocks(Part):
     """Parameters and corners in the layout of `projections`, and which rows each Strain and Volume of the scene has."""
 
     corners: np.ndarray
@@ -104,7 +105,7 @@ class TetBlocks:
     threads: int = 1
 
     @classmethod
-    def from_scene(cls, scene: Scene, threads: int = 1) -> TetBlocks | None:
+    def from_scene(cls, scene: Scene) -> TetBlocks | None:
         """Build the blocks of a scene, or None if it has no tet with a stiffness."""
         tets, entries = _pair_up(scene)
         if not len(tets):
@@ -121,7 +122,7 @@ class TetBlocks:
         for corner in range(4):
             _spread(scene.tets[tets, corner], LANES * corner, every, corners)
         none = np.zeros(blocks, dtype=bool)
-        return cls(corners, parameters, none, tuple(rows for _, rows in entries), tets, threads).for_scene(scene)
+        return cls(corners, parameters, none, tuple(rows for _, rows in entries), tets).for_scene(scene)
 
     def for_scene(self, scene: Scene) -> TetBlocks:
         """Return the same blocks with the numbers, one or one per tet, of another scene of the same terms."""
@@ -139,6 +140,14 @@ class TetBlocks:
                 _spread(term.target, TARGET, rows, parameters)
         has_volume = (parameters[:, VOLUME // LANES] > 0).any(axis=1)
         return replace(self, parameters=parameters, has_volume=has_volume)
+
+    def rebuilt(self, scene: Scene) -> TetBlocks:
+        """See Part."""
+        return self.for_scene(scene)
+
+    def on_threads(self, threads: int) -> TetBlocks:
+        """See Part."""
+        return replace(self, threads=threads)
 
     def separate(self) -> TetBlocks:
         """Return the same rows over vertices of their own: 4 r to 4 r + 3 are the corners of row r."""
@@ -162,25 +171,25 @@ class TetBlocks:
         parameters[:, ACTIVE // LANES] = ALWAYS
         return replace(self, parameters=parameters, has_volume=np.zeros_like(self.has_volume))
 
-    def add_to(self, u: Floats, gradient: Floats) -> float:
-        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ].
+    def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
+        """See Part.
 
         Threads share the blocks evenly and add up in order: the same bits each time for the same number of threads.
         """
         blocks = self.parameters.reshape(len(self.parameters), -1), self.corners.reshape(len(self.corners), -1)
         if self.threads == 1:
-            return add_tets(*blocks, self.has_volume, u, gradient)
+            return total + add_tets(*blocks, self.has_volume, u, gradient)
 
         def share(first: int, last: int) -> tuple[float, Floats]:
             own = np.zeros_like(gradient)
             return add_tets(*(part[first:last] for part in blocks), self.has_volume[first:last], u, own), own
 
         bounds = np.linspace(0, len(self.parameters), self.threads + 1).astype(int)
-        total = 0.0
+        mine = 0.0
         for energy, own in _workers(self.threads).map(share, bounds[:-1], bounds[1:]):
-            total += energy
+            mine += energy
             gradient += own
-        return total
+        return total + mine
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
         """Return rows, columns and values of Σ w V G Gᵀ, the tets' part of the PD matrix [mN/mm]: see `Part`."""

@@ -16,6 +16,7 @@ from numba import njit
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
 from ..terms import SurfaceStrain
+from .part import Part
 from .projections import COMPILED
 from .sparsity import add_block
 
@@ -78,7 +79,7 @@ def _inverse(edges: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Triangles:
+class Triangles(Part):
     """The triangles of a scene's SurfaceStrain terms; `weights` is stiffness times rest area, `scale` √growth.
 
     `edges` are the scene's, to which the displacement adds; `inverse` is that of the shape sought.
@@ -113,9 +114,14 @@ class Triangles:
         )
         return replace(self, weights=self.areas * stiffness, scale=np.sqrt(growth))
 
-    def add_to(self, u: Floats, gradient: Floats) -> float:
-        """Add the gradient [mN] at displacement u [mm], both (n, 3), in place; return the energy [µJ]."""
-        return _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
+    def rebuilt(self, scene: Scene) -> Triangles | None:
+        """See Part."""
+        same_shape = all(term.rest is None for term in scene.of(SurfaceStrain))
+        return self.for_scene(scene) if same_shape else Triangles.from_scene(scene)
+
+    def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
+        """See Part."""
+        return total + _add_triangles(self.corners, self.inverse, self.weights, self.scale, u, self.edges, gradient)
 
     def matrix_entries(self, scene: Scene, volume_share: float) -> tuple[Ints, Ints, Floats]:
         """Return rows, columns and values of Σ w A G Gᵀ, the triangles' share of the PD matrix [mN/mm]."""

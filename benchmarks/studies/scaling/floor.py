@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 
 from ....lhm.base.mesh import Floats
 from ....reference.projective import ProjectivePrepared
+from ....reference.projective.tets import TetBlocks
 
 TRIAD_NUMBERS = 8_000_000
 """Per array: 64 MB, beyond the caches of a core."""
@@ -60,7 +61,7 @@ def _identity(n: int):
 
 def tet_bytes(prepared: ProjectivePrepared) -> int:
     """Bytes of parameters and corners of all tets, which the local step reads."""
-    tets = prepared.energy.tets
+    tets = prepared.energy.part(TetBlocks)
     return 0 if tets is None else tets.parameters.nbytes + tets.corners.nbytes
 
 
