@@ -218,27 +218,36 @@ def lbfgs(problem: Problem, point: Point, watch: Observer) -> tuple[Point, Reaso
     """
     memory = Memory(len(point.gradient)) if problem.memory is None else problem.memory
     while (reason := watch.see(point)) is None:
-        taken = _line_search(problem, point, memory) if memory else None
-        if taken is None:
-            memory.clear()
-            taken = _safe_step(problem, point, problem.precondition(point.gradient, point))
-        step, ahead = taken
-        memory.add(step, ahead.gradient - point.gradient)
-        point = ahead
+        point = lbfgs_step(problem, point, memory)
     return point, reason
 
 
-def _line_search(problem: Problem, point: Point, memory: Memory) -> tuple[Floats, Point] | None:
-    """A step along the memory's direction, halved until Armijo's condition holds, and its end; None if not soon.
+def lbfgs_step(problem: Problem, point: Point, memory: Memory) -> Point:
+    """Take one iteration of `lbfgs`, and add its pair to the memory."""
+    taken = None
+    if memory:
+        direction = memory.direction(point.gradient, lambda vector: problem.precondition(vector, point))
+        taken = search_line(problem, point, direction)
+    if taken is None:
+        memory.clear()
+        taken = _safe_step(problem, point, problem.precondition(point.gradient, point))
+    step, ahead = taken
+    memory.add(step, ahead.gradient - point.gradient)
+    return ahead
+
+
+def search_line(
+    problem: Problem, point: Point, direction: Floats, halvings: int = MAX_HALVINGS
+) -> tuple[Floats, Point] | None:
+    """Return a step along a direction, halved until Armijo's condition holds, and its end; None if not soon.
 
     Where rounding hides the decrease, the slope is asked instead (Hager and Zhang 2005, Eq. 4.1).
     """
-    direction = memory.direction(point.gradient, lambda vector: problem.precondition(vector, point))
     slope = float(np.dot(point.gradient, direction))
     if not slope < 0.0:
         return None
     size = 1.0
-    for _ in range(MAX_HALVINGS):
+    for _ in range(halvings):
         step = direction if size == 1.0 else size * direction
         ahead = problem.after(point, step)
         if ahead.energy <= point.energy + ARMIJO * size * slope:

@@ -1,0 +1,142 @@
+"""Frames of a settled face on the way from first order to the answer, and how far there is still to go.
+
+Two metrics lead there. The PD matrix bounds the energy, so its L-BFGS settles what is local, even where tets fold. The
+factored Hessian at rest carries what is smooth over the whole face in one step, and says how far the answer is:
+K⁻¹ ∇E. After two local iterations this is right within a quarter on most frames; at the first order it is not, for
+there a few folded tets have large forces that mean little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...lhm.base.errors import SceneError
+from ...lhm.base.mesh import Floats
+from ..projective.descent import Point, Problem, lbfgs_step, search_line
+from ..projective.energy import Energy
+from ..projective.memory import Memory
+from .derivatives import FaceDerivatives, spring_norm
+from .facial import PD_ENERGY
+from .palsy import Springs
+
+STEP_HALVINGS = 2
+"""Halvings of a step by the Hessian at rest before it is given up: elsewhere it may bound nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceFrames:
+    """A settled face to first order, ready to correct frames.
+
+    deltas (k, skin vertices, 3) [mm]: what each shape adds to the skin. first_order (k, n, 3) [mm]: how the scene's
+    vertices move with each; goals (k, targets, 3) [mm]: how the targets do.
+    """
+
+    linear: FaceDerivatives
+    deltas: Floats
+    first_order: Floats
+    goals: Floats
+
+    @classmethod
+    def from_face(cls, linear: FaceDerivatives, deltas: Floats) -> FaceFrames:
+        """Differentiate by shapes. SceneError for a face of another law, or with choices of its scenes."""
+        face = linear.face
+        if face.choices or face.law != PD_ENERGY:
+            raise SceneError("a face is corrected by PD's energy, and without choices of its scenes")
+        springs = Springs.from_head(face.head, face.parameters)
+        deltas = np.asarray(deltas, dtype=np.float64)
+        goals = springs.move(np.stack([face.head.wrap_from_skin @ delta for delta in deltas]))
+        return cls(linear, deltas, linear.tangent.vertices_by_targets(goals), goals)
+
+    def expression(self, weights: Floats) -> Floats:
+        """Blend the head's skin without p [mm], shape (skin vertices, 3), of weights (k,)."""
+        return self.linear.face.head.skin.vertices + _combine(weights, self.deltas)
+
+    def predict(self, weights: Floats) -> Floats:
+        """Predict the scene's vertices [mm], shape (n, 3), to first order."""
+        return self.linear.answer.positions + _combine(weights, self.first_order)
+
+    def begin(self, weights: Floats, start: Floats | None = None) -> Correction:
+        """Begin a frame of weights (k,) at `start` [mm], shape (n, 3), by default the first order."""
+        scene, system = self.linear.prepared.scene, self.linear.prepared.system
+        (vertices, goals, stiffness), *others = self.linear.prepared.energy.targets
+        moved = vertices, goals + _combine(weights, self.goals), stiffness
+        energy = replace(self.linear.prepared.energy, targets=(moved, *others))
+        start = self.predict(weights) if start is None else start
+        return Correction(self, np.asarray(weights), energy, system.coordinates.start(start - scene.vertices))
+
+
+class Correction:
+    """One frame on its way: `point` is where it is; `solves` counts those with either matrix.
+
+    `size` [mN] is the gradient norm of the targets' springs each 1 mm long.
+    """
+
+    def __init__(self, frames: FaceFrames, weights: Floats, energy: Energy, place):
+        self.frames, self.weights, self._energy = frames, weights, energy
+        linear = frames.linear
+        self.size = spring_norm(linear.prepared.scene)
+        self._coordinates = linear.prepared.system.coordinates
+        self._memory = Memory(self._coordinates.size)
+        self._problem = Problem(self._at, self._coordinates.move, self._solve_matrix, bounded=False)
+        self._step: tuple[Point, Floats] | None = None
+        self.solves = 0
+        self.point = self._at(place)
+
+    @property
+    def positions(self) -> Floats:
+        """The scene's vertices [mm], shape (n, 3)."""
+        positions: Floats = self.frames.linear.prepared.scene.vertices + self.point.u
+        return positions
+
+    @property
+    def residual(self) -> float:
+        """The gradient norm relative to `size`."""
+        return self.point.norm / self.size
+
+    def smooth(self, iterations: int) -> None:
+        """Run L-BFGS with the PD matrix."""
+        for _ in range(iterations):
+            self.point = lbfgs_step(self._problem, self.point, self._memory)
+
+    def step(self) -> Floats:
+        """Return the step [mm] over the unknowns to the minimum that gradient and Hessian at rest tell of."""
+        if self._step is None or self._step[0] is not self.point:
+            self.solves += 1
+            self._step = self.point, -self.frames.linear.tangent.solve(self.point.gradient)
+        return self._step[1]
+
+    def take_step(self) -> bool:
+        """Go along `step` as far as the energy falls enough; False, and nothing moves, where it does not soon."""
+        taken = search_line(self._problem, self.point, self.step(), STEP_HALVINGS)
+        if taken is None:
+            return False
+        step, ahead = taken
+        self._memory.add(step, ahead.gradient - self.point.gradient)
+        self.point = ahead
+        return True
+
+    def move_wrap(self, step: Floats) -> Floats:
+        """Displace the skin wrap [mm], shape (wrap vertices, 3), by a step over the unknowns."""
+        ahead = self._coordinates.move(self.point.place, step)
+        return (ahead.u - self.point.u)[: len(self.frames.linear.face.head.bone)]
+
+    def skin(self) -> Floats:
+        """Return the skin [mm], shape (skin vertices, 3)."""
+        return self.frames.linear.face.skin_after(self.frames.expression(self.weights), self.positions)
+
+    def _at(self, place) -> Point:
+        energy, gradient = self._energy.evaluate(place.u)
+        return Point(place, energy, self._coordinates.pull(gradient, place))
+
+    def _solve_matrix(self, vector: Floats, point: Point) -> Floats:
+        self.solves += 1
+        return self.frames.linear.prepared.system.solve(vector, point.place.rotations)
+
+
+def _combine(weights: Floats, shapes: Floats) -> Floats:
+    """Sum shapes (k, n, 3) by weights (k,), those of zero left out."""
+    used = np.flatnonzero(weights)
+    combined: Floats = np.tensordot(np.asarray(weights, dtype=np.float64)[used], shapes[used], axes=1)
+    return combined

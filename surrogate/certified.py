@@ -1,0 +1,201 @@
+"""One dial: frames of a face by the cheapest method whose own error is within an accuracy, and that error, always told.
+
+    face = CertifiedFace.from_head(head, expressions, Parameters(gravity=2.0), surrogate=Surrogate.load())
+    frame = face.frame(weights, accuracy=0.05)
+    frame.skin, frame.error, frame.certain, frame.method
+
+The error is to the converged simulator: the mean distance [mm] over the skin vertices that the ruler counts, those that
+physics moves by more than 0.05 mm beyond blendshapes and bones (`ruler`); over all of them where it moves none so far.
+It is estimated from forces: a frame's tets are placed, and the Hessian at rest says how far their forces would move
+them (see `reference.face.correction`). No frame of a corpus is needed, so heads, rigs and parameters that no network
+has seen are told as well.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..lhm.base.checks import check_arguments, number
+from ..lhm.base.errors import InputError
+from ..lhm.base.mesh import Floats, Floats32, Surface
+from ..lhm.head import LayeredHead
+from ..lhm.identities import Anny
+from ..reference import Parameters
+from ..reference.face.correction import Correction, FaceFrames
+from ..reference.face.derivatives import differentiate_head
+from ..reference.face.settle import carry_skin
+from .codes import nearest_code
+from .local import on_wraps
+from .rig import FaceModes, check_shapes, check_weights
+from .ruler import MOVES
+from .runtime import BoundSurrogate, Surrogate
+
+Method = Literal["derivatives", "network", "corrected", "converged"]
+"""In the order of their price. "derivatives" are the simulator's, "network" is these and the network's remainder."""
+ACCURACY = 0.05
+"""[mm] of a frame by default: the scale of the head mesh's own discretisation error."""
+FINEST = 1e-6
+"""[mm] Accuracy below which rounding is asked for."""
+SMOOTHING = (2, 2, 2, 4, 4, 8, 8, 16, 16)
+"""Local iterations of each round, after which the error is estimated anew."""
+CONVERGED = 1e-6
+"""Gradient norm, relative to that of the targets' springs each 1 mm long, from which a frame counts as converged."""
+MOST_ITERATIONS = 1500
+"""Local iterations of a frame."""
+RIDGE = 1e-6
+"""[mm²] Of the code that is fitted to a skin for the network."""
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedFrame:
+    """A frame and its error.
+
+    skin (n, 3) [mm]. error [mm]: the estimated mean distance to the converged simulator; see the module. certain: False
+    where the estimate may be far off. seconds: what it took. weights (52,) and positions (tets' vertices, 3) [mm] are
+    where the next frame of a take begins.
+    """
+
+    skin: Floats32
+    error: float
+    certain: bool
+    method: Method
+    seconds: float
+    weights: Floats
+    positions: Floats
+
+
+class CertifiedFace:
+    """One head, its expressions and p, bound to the simulator in some seconds; see the module.
+
+    `rig` makes the same face's frames without an estimate, at the price of blendshapes.
+    """
+
+    def __init__(self, frames: FaceFrames, rig: BoundSurrogate, carried: Floats):
+        self.rig, self._frames, self._carried = rig, frames, carried
+        self.frame(np.full(len(frames.deltas), 0.1), FINEST, seconds=0.0)  # compiles
+
+    @classmethod
+    @check_arguments
+    def from_head(
+        cls,
+        head: LayeredHead,
+        expressions: Floats,
+        parameters: Parameters | None = None,
+        *,
+        surrogate: Surrogate | None = None,
+    ) -> CertifiedFace:
+        """Settle a head under p and differentiate it.
+
+        expressions: what the 52 weights add to its skin [mm], shape (52, n, 3); parameters: local values are one per
+        face of the skin. The surrogate adds what is not linear where it knows the head's triangles and these
+        parameters; elsewhere it is left out. Raises InputError for other shapes and for a face that does not settle,
+        and what the simulator raises.
+        """
+        chosen = Parameters() if parameters is None else parameters
+        shapes = check_shapes(expressions, len(head.skin.vertices))
+        on_head = on_wraps(chosen, head)
+        linear = differentiate_head(head, on_head)
+        frames = FaceFrames.from_face(linear, shapes)
+        offset = (linear.offset + linear.face.displacement).astype(np.float32)
+        responses = (linear.skin_by_shapes(frames.deltas, frames.first_order) - frames.deltas).astype(np.float32)
+        rig = None if surrogate is None else _bind(surrogate, head, shapes, chosen)
+        if rig is None:
+            rig = BoundSurrogate(head.skin, FaceModes.linear(offset, responses), shapes)
+        else:
+            rig = rig.with_derivatives(offset, responses)
+        return cls(frames, rig, carry_skin(head, on_head))
+
+    @property
+    def skin(self) -> Surface:
+        """The head's neutral skin without p [mm]."""
+        return self.rig.skin
+
+    @property
+    def has_network(self) -> bool:
+        """Whether a network adds what is not linear."""
+        return len(self.rig.modes.modes) > 0
+
+    def frame(
+        self,
+        weights,
+        accuracy: float = ACCURACY,
+        *,
+        seconds: float | None = None,
+        after: CertifiedFrame | None = None,
+    ) -> CertifiedFrame:
+        """Return a frame of 52 ARKit weights whose error [mm] is at most `accuracy`, by the cheapest method.
+
+        seconds: no further correction begins after so long; the error may then be larger than asked. after: the frame
+        before in a take, of this face, whose correction this one begins with; frames without it depend on their weights
+        alone. Weights outside [0, 1] are clipped with a warning. Raises InputError for weights and numbers out of range.
+        """
+        accuracy = number("accuracy", accuracy, least=FINEST, unit="mm")
+        begin = time.perf_counter()
+        known = check_weights(weights).astype(np.float64)
+        correction = self._frames.begin(known, self._start(known, after))
+        frame = None
+        stepping = True
+        for rounds in SMOOTHING:
+            correction.smooth(rounds)
+            frame = self._tell(correction, begin)
+            spent = seconds is not None and frame.seconds >= seconds
+            if spent or (frame.error <= accuracy and frame.certain):
+                return frame
+            stepping = stepping and correction.take_step()
+        while correction.residual > CONVERGED and correction.solves < MOST_ITERATIONS:
+            correction.smooth(16)
+        return self._tell(correction, begin)
+
+    def _start(self, weights: Floats, after: CertifiedFrame | None) -> Floats | None:
+        """Return the first order, and on it the correction of the frame before."""
+        if after is None:
+            return None
+        start = self._frames.predict(weights)
+        if after.positions.shape != start.shape:
+            raise InputError(f"after: a frame of another face, of {len(after.positions)} vertices, not {len(start)}")
+        return start + (after.positions - self._frames.predict(after.weights))
+
+    def _tell(self, correction: Correction, begin: float) -> CertifiedFrame:
+        """Estimate the error of where a correction is, and of the network's frame."""
+        head = self._frames.linear.face.head
+        skin, expression = correction.skin(), self._frames.expression(correction.weights)
+        left = head.skin_from_wrap @ correction.move_wrap(correction.step())
+        answer = skin + left
+        moves = np.linalg.norm(answer - expression - self._carried, axis=1) > MOVES
+        counted = moves if moves.any() else np.ones_like(moves)
+        error = float(np.linalg.norm(left[counted], axis=1).mean())
+        done = correction.residual <= CONVERGED
+        method: Method = "converged" if done else "corrected"
+        if self.has_network and not done:
+            guess = self.rig.frame(correction.weights.astype(np.float32))
+            other = float(np.linalg.norm((guess - answer)[counted], axis=1).mean())
+            if other < error:
+                skin, error, method = guess, other, "network"
+        certain = self._frames.linear.is_exact
+        return CertifiedFrame(
+            skin.astype(np.float32),
+            error,
+            certain,
+            method,
+            time.perf_counter() - begin,
+            correction.weights,
+            correction.positions,
+        )
+
+
+def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters: Parameters) -> BoundSurrogate | None:
+    """Bind a network that knows the head's triangles and the parameters; None where there is none."""
+    weights = surrogate.weights
+    if weights.kind != "modal" or surrogate.space != "anny":
+        return None
+    if not np.array_equal(head.skin.triangles, weights.mean.triangles):
+        return None
+    code = nearest_code(Anny(), head.skin, ridge=RIDGE)
+    try:
+        return surrogate.bind(head.skin, code, parameters, expressions=shapes)  # type: ignore[return-value]
+    except InputError:  # parameters beyond what it has seen
+        return None
