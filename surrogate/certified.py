@@ -131,7 +131,7 @@ class CertifiedFace:
 
         seconds: no further correction begins after so long; the error may then be larger than asked. after: the frame
         before in a take, of this face, whose correction this one begins with; frames without it depend on their weights
-        alone. Weights outside [0, 1] are clipped with a warning. Raises InputError for weights and numbers out of range.
+        alone. Weights outside [0, 1] are clipped with a warning. InputError for weights and numbers out of range.
         """
         accuracy = number("accuracy", accuracy, least=FINEST, unit="mm")
         begin = time.perf_counter()
