@@ -8,7 +8,7 @@ there a few folded tets have large forces that mean little.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from ...lhm.base.mesh import Floats
 from ..projective.descent import Point, Problem, lbfgs_step, search_line
 from ..projective.energy import Energy
 from ..projective.memory import Memory
+from ..projective.springs import Springs
+from . import palsy
 from .derivatives import FaceDerivatives, spring_norm
 from .facial import PD_ENERGY
-from .palsy import Springs
 
 STEP_HALVINGS = 2
 """Halvings of a step by the Hessian at rest before it is given up: elsewhere it may bound nothing."""
@@ -44,7 +45,7 @@ class FaceFrames:
         face = linear.face
         if face.choices or face.law != PD_ENERGY:
             raise SceneError("a face is corrected by PD's energy, and without choices of its scenes")
-        springs = Springs.from_head(face.head, face.parameters)
+        springs = palsy.Springs.from_head(face.head, face.parameters)
         deltas = np.asarray(deltas, dtype=np.float64)
         goals = springs.move(np.stack([face.head.wrap_from_skin @ delta for delta in deltas]))
         return cls(linear, deltas, linear.tangent.vertices_by_targets(goals), goals)
@@ -60,9 +61,9 @@ class FaceFrames:
     def begin(self, weights: Floats, start: Floats | None = None) -> Correction:
         """Begin a frame of weights (k,) at `start` [mm], shape (n, 3), by default the first order."""
         scene, system = self.linear.prepared.scene, self.linear.prepared.system
-        (vertices, goals, stiffness), *others = self.linear.prepared.energy.targets
-        moved = vertices, goals + _combine(weights, self.goals), stiffness
-        energy = replace(self.linear.prepared.energy, targets=(moved, *others))
+        moved = _combine(weights, self.goals)
+        parts = self.linear.prepared.energy.parts
+        energy = Energy(tuple(part.shift(moved) if isinstance(part, Springs) else part for part in parts))
         start = self.predict(weights) if start is None else start
         return Correction(self, np.asarray(weights), energy, system.coordinates.start(start - scene.vertices))
 

@@ -38,6 +38,11 @@ class Springs(Part):
         """See Part."""
         return Springs.from_scene(scene)
 
+    def shift(self, moved: Floats) -> Springs:
+        """Move the first term's places by `moved` [mm], shape (k, 3)."""
+        (vertices, displacements, stiffness), *others = self.drawn
+        return Springs(((vertices, displacements + moved, stiffness), *others))
+
     def add_to(self, u: Floats, gradient: Floats, total: float = 0.0) -> float:
         """See Part."""
         for vertices, displacements, stiffness in self.drawn:
