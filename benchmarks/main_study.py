@@ -17,16 +17,16 @@ from ..surrogate.corpus.folder import Corpus
 from ..surrogate.corpus.people import OfSpace
 from ..surrogate.corpus.plan import PRESETS
 from ..surrogate.schedule import count_processors, make_schedule
-from .harness import Asked, Results, Study, run_together
-from .harness.processes import cpu_seconds
-from .harness.report import Made, write
+from .harness import Results, RunRequest, Study, run_together
+from .harness.processes import read_cpu_seconds
+from .harness.report import ReportPart, write_report
 from .harness.runner import Only
+from .studies.agreement.effects import Effects
+from .studies.agreement.material import Material
 from .studies.agreement.study import Agreement
-from .studies.effects.study import Effects
-from .studies.material import Material
 from .studies.scaling.throughput import ITERATION, Throughput
-from .studies.split import Split
-from .studies.surrogate import SurrogateOnCorpus
+from .studies.surrogate.split import Split
+from .studies.surrogate.study import SurrogateOnCorpus
 from .studies.verification import Hard, Verification
 from .studies.work_precision.study import FACE, WorkPrecision
 
@@ -35,7 +35,7 @@ PLAN = PRESETS["study"]
 """Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
 
 
-def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Asked]:
+def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[RunRequest]:
     """The studies, each with its folder of `out`, in the order in which they are run: what is timed comes last.
 
     Where no network knows the people of `agreement`, those of the surrogate are left out; `corpus` is what it is
@@ -62,7 +62,7 @@ def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[Asked]:
         (Throughput(identities=whose), ITERATION),
         (WorkPrecision(identities=whose, expressions=("jawOpen",)), timed),
     ]
-    return [Asked(study, out / study.name, match) for study, match in found]
+    return [RunRequest(study, out / study.name, match) for study, match in found]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
     is complete. Raises InputError for a space or an expression that cannot be read, before anything is run.
     """
     agreement.tasks()
-    begin, processor = time.perf_counter(), cpu_seconds()
+    begin, processor = time.perf_counter(), read_cpu_seconds()
     with lock_folder(out, "study"):
         template = load_template(identities.from_text(agreement.identities), progress=progress)
         corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
@@ -101,12 +101,12 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
                 if isinstance(results, SoftdecaError):
                     failed.append((each.study.name, str(results)))
                 else:
-                    made.append(Made(each.study, results, each.out))
+                    made.append(ReportPart(each.study, results, each.out))
         spent = (
-            f"This run took {cpu_seconds() - processor:.0f} s of processor time in "
+            f"This run took {read_cpu_seconds() - processor:.0f} s of processor time in "
             f"{time.perf_counter() - begin:.0f} s, rows of earlier runs not counted."
         )
-        written = write(made, out, TITLE, failed, spent)
+        written = write_report(made, out, TITLE, failed, spent)
     return Done([each.results for each in made], failed, written, spent)
 
 

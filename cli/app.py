@@ -6,7 +6,18 @@ import click
 
 from ..lhm.base.errors import InputError, SoftdecaError
 from ..reference import ranks
-from . import animate, bench, corpus, head, simulate, study, train, view
+from . import (  # noqa: F401  # they give `head` more commands
+    animate,
+    bench,
+    corpus,
+    head_files,
+    simulate,
+    study,
+    train,
+    train_regressor,
+    view,
+)
+from .head import head
 from .streams import silence_streams
 from .terminal import INTERRUPTED, end_at_ctrl_c
 
@@ -31,7 +42,7 @@ def app(context: click.Context) -> None:
 app.add_command(study.study)
 app.add_command(train.train)
 app.add_command(train.evaluate)
-app.add_command(head.head)
+app.add_command(head)
 app.add_command(simulate.simulate)
 app.add_command(animate.animate)
 app.add_command(view.view)

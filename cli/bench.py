@@ -1,15 +1,35 @@
-"""softdeca bench: one study by name."""
+"""softdeca bench: studies by name, their list, two results side by side, and one report of many."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from .study_command import Studies, changes, listed, report
+from ..benchmarks.studies import COMMANDS, list_commands, list_studies, load_study
+from ..lhm.base.errors import InputError
+from .options import FILE, argument, as_command, option
+from .study_command import command_of_cases, command_of_study
+from .written_file import FOLDER
 
-AFile = click.Path(path_type=Path)
+
+class Studies(click.Group):
+    """A group with a command for each study or subject, made when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Name subjects, studies and the other commands."""
+        return sorted({*list_commands(), *super().list_commands(ctx)})
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Give the command of a subject, of a study, or another."""
+        if name in COMMANDS:
+            return command_of_cases(name)
+        return command_of_study(load_study(name)) if name in list_commands() else super().get_command(ctx, name)
 
 
-def _add(context: click.Context, parameter: click.Parameter, files: tuple[Path, ...]) -> None:
+def add_files(context: click.Context, parameter: click.Parameter, files: tuple[Path, ...]) -> None:
+    """Load files of laws, solvers and studies."""
     from ..reference.added import add_file
 
     for path in files:
@@ -19,9 +39,9 @@ def _add(context: click.Context, parameter: click.Parameter, files: tuple[Path, 
 @click.group(cls=Studies, no_args_is_help=False)
 @click.option(
     "--add",
-    type=AFile,
+    type=FILE,
     multiple=True,
-    callback=_add,
+    callback=add_files,
     is_eager=True,
     expose_value=False,
     help="a Python file of laws, solvers or studies of your own; repeat for several",
@@ -30,6 +50,75 @@ def bench() -> None:
     """Single studies by name."""
 
 
-bench.add_command(listed)
-bench.add_command(changes)
-bench.add_command(report)
+@as_command(bench, "list")
+@dataclass(frozen=True)
+class ListStudies:
+    """List the studies with their questions; those of one subject are its --cases."""
+
+    def run(self) -> int:
+        """Print them."""
+        for name in list_commands():
+            question, cases = COMMANDS.get(name, ("", {"": name}))
+            if question:
+                click.echo(f"{name:<16} {question}")
+            for case, study in cases.items():
+                kind = load_study(study)
+                click.echo(f"{f'  {case}' if question else name:<16} {kind.heading or kind.question}")
+        return 0
+
+
+@as_command(bench, "compare")
+@dataclass(frozen=True)
+class CompareResults:
+    """Compare two results of one study: costs and answers that changed by more than noise, and what one has not done.
+
+    BEFORE and AFTER are folders of a study, or their results.json. Exit status 1 if a cost rose, a task is not done any
+    more, or a statement not reached.
+    """
+
+    before: Path = argument("BEFORE", type=FILE)
+    after: Path = argument("AFTER", type=FILE)
+
+    def run(self) -> int:
+        """Read both and print what changed."""
+        from ..benchmarks.harness.results import compare_results, read_results
+
+        name = read_results(self.before)["study"]
+        if name not in list_studies():
+            raise InputError(f"{self.before}: of a study {name!r}, which there is not")
+        comparison = compare_results(self.before, self.after, load_study(name))
+        changes = [change for change in comparison.changes if change.is_beyond_noise]
+        for change in changes:
+            click.echo(f"{change.share:+8.1%}  {change.task}, {change.what}: {change.before:.4g} -> {change.after:.4g}")
+        for line in [*comparison.broken, *comparison.other]:
+            click.echo(line)
+        for what, cost in (("answers", False), ("costs", True)):
+            count = sum(change.cost is cost for change in comparison.changes)
+            changed = sum(change.cost is cost for change in changes)
+            click.echo(f"{count - changed} of {count} {what} are the same within noise")
+        return 1 if comparison.broken or any(change.cost and change.share > 0 for change in changes) else 0
+
+
+@as_command(bench, "report")
+@dataclass(frozen=True)
+class WriteReport:
+    """Write one report of many studies: OUT/index.html, report.md, report.json and tables.tex (booktabs).
+
+    RESULTS are folders of studies, or their results.json; by default all folders in `out` that hold one.
+    """
+
+    results: tuple[Path, ...] = argument("[RESULTS]...", (), type=FILE)
+    title: str = option("the fast simulator, finite elements and the network", "of the page")
+    out: Path = option("out/report", "folder of the report", type=FOLDER)
+
+    def run(self) -> int:
+        """Read the results and write the report."""
+        from ..benchmarks.harness.report import read_part, write_report
+
+        known = (Path("out") / name / "results.json" for name in list_studies())
+        paths = self.results or tuple(path for path in known if path.is_file())
+        if not paths:
+            raise InputError("report: no results in out/; run a study first, as `softdeca bench verification`")
+        for path in write_report([read_part(each, load_study) for each in paths], self.out, self.title):
+            click.echo(f"wrote {path}")
+        return 0

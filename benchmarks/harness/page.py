@@ -18,18 +18,25 @@ from ...lhm.base.provenance import is_dirty
 from .study import Results, Row, Study, Table
 
 QUALITY = 92
-"""Of pictures in pages."""
+"""Quality of pictures in pages, of 100."""
 CHANGED = "Caution: the code that measured this is in no commit, so its figures cannot be made again."
+SPECIAL = {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
+    "°": r"\textdegree{}", "²": r"\textsuperscript{2}", "³": r"\textsuperscript{3}", "σ": r"$\sigma$", "ν": r"$\nu$",
+    "ζ": r"$\zeta$", "√": r"$\surd$", "−": "$-$", "→": r"$\to$", "Σ": r"$\Sigma$", "≤": r"$\leq$",
+    **{sign: "\\" + sign for sign in "&%$#_{}"},
+}  # fmt: skip
+"""Signs that LaTeX writes otherwise."""
 
 
-def page(study: Study, results: Results, folder: Path) -> str:
-    """Self-contained HTML; pictures of rows are those in the folder of the results."""
-    content = shown(study, results, folder)
-    return rendered("study.html", {"title": content["heading"]}, study=content)
+def render_study(study: Study, results: Results, folder: Path) -> str:
+    """Render a self-contained page; pictures of rows are those in the folder of the results."""
+    content = collect_content(study, results, folder)
+    return render_template("study.html", title=content["heading"], study=content)
 
 
-def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
-    """What a page shows of a study."""
+def collect_content(study: Study, results: Results, folder: Path) -> dict[str, Any]:
+    """Collect what a page shows of a study."""
     done = [row for row in results.rows if row.done]
     return {
         "name": study.name,
@@ -37,54 +44,54 @@ def shown(study: Study, results: Results, folder: Path) -> dict[str, Any]:
         "question": study.question,
         "words": f"{results.words} {CHANGED}".strip() if any(map(is_dirty, results.commits)) else results.words,
         "gates": [(gate["what"], gate["value"], gate["bound"], gate["passed"]) for gate in results.gates],
-        "figures": figures(lambda: study.pictures(done)) if done else {},
-        "pictures": {caption: panels_of(png) for row in done for caption, png in drawn(row, folder, ".png")},
-        "pages": {caption: page.decode() for row in done for caption, page in drawn(row, folder, ".html")},
+        "figures": draw_twice(lambda: study.pictures(done)) if done else {},
+        "pictures": {caption: encode_panels(png) for row in done for caption, png in read_files(row, folder, ".png")},
+        "pages": {caption: page.decode() for row in done for caption, page in read_files(row, folder, ".html")},
         "tables": study.tables(done) if done else [],
-        "rows": rows_table(study, done),
+        "rows": tabulate_rows(study, done),
         "failed": [(row.case, row.method, row.status, row.reason) for row in results.rows if not row.done],
         "options": list(results.options.items()),
-        "machine": [*machine_rows(results.machine), ("commits of the rows", ", ".join(results.commits))],
+        "machine": [*tabulate_machine(results.machine), ("commits of the rows", ", ".join(results.commits))],
     }
 
 
-def figures(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, str]]:
-    """Figures by caption, drawn for a wide screen and for a phone."""
+def draw_twice(draw: Callable[[], Mapping[str, str]]) -> dict[str, tuple[str, str]]:
+    """Draw figures for a wide screen and for a phone, by caption."""
     wide = draw()
     with narrow_figures():
         return {caption: (wide[caption], svg) for caption, svg in draw().items()}
 
 
-def rows_table(study: Study, done: Sequence[Row]) -> Table:
-    """A line for each that a row gives; columns that none fills are left out."""
+def tabulate_rows(study: Study, done: Sequence[Row]) -> Table:
+    """Tabulate the lines of all rows; columns that none fills are left out."""
     costs = {"all of it [s]": "seconds", "processor time [s]": "cpu", "peak memory [MB]": "memory_mb"}
     costs = {title: key for title, key in costs.items() if any(getattr(row, key) is not None for row in done)}
     lines = [(row, values) for row in done for values in study.lines(row.values)]
     columns = [c for c in study.columns if any(values.get(c.key) is not None for _, values in lines)]
     rows = [
-        [row.case, row.method, *(one(values.get(column.key)) for column in columns),
+        [row.case, row.method, *(summarise_cell(values.get(column.key)) for column in columns),
          *(getattr(row, key) for key in costs.values())]
         for row, values in lines
     ]  # fmt: skip
     return Table("All rows", ["case", "method", *(column.title for column in columns), *costs], rows, study.note)
 
 
-def one(value: Any) -> Any:
-    """A value as a cell: repeated ones by their median."""
+def summarise_cell(value: Any) -> Any:
+    """Give a value as a cell: repeated ones by their median."""
     if isinstance(value, (list, tuple)):
         return float(np.median(value)) if value and not isinstance(value[0], str) else ", ".join(map(str, value))
     return value
 
 
-def drawn(row: Row, folder: Path, kind: str) -> Iterator[tuple[str, bytes]]:
-    """The pictures or the pages of a row by caption."""
+def read_files(row: Row, folder: Path, kind: str) -> Iterator[tuple[str, bytes]]:
+    """Read the pictures or the pages of a row, by caption."""
     for key, name in row.values.items():
         if isinstance(name, str) and name.endswith(kind) and (folder / name).is_file():
             yield f"{row.case}, {row.method}: {key}", (folder / name).read_bytes()
 
 
-def panels_of(png: bytes) -> list[str]:
-    """The panels of a picture, each in base64 for a page, where their number is written in it; else the whole.
+def encode_panels(png: bytes) -> list[str]:
+    """Encode the panels of a picture in base64, where their number is written in it; else the whole.
 
     As WebP they have a fourth of the PNG's bytes, and no difference is seen. The file stays.
     """
@@ -103,29 +110,29 @@ def panels_of(png: bytes) -> list[str]:
     return encoded
 
 
-def rendered(template: str, results: Mapping, **more) -> str:
-    """A page from a template of these folders, which sees the results and `more`; an unknown name is an error."""
+def render_template(template: str, **content: Any) -> str:
+    """Render a page from a template of this folder; an unknown name is an error."""
+
+    def cell(value: Any) -> str | Markup:
+        if isinstance(value, bool):
+            return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
+        return format_cell(value)
+
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.filters["cell"] = _cell
-    return environment.get_template(template).render(**results, **more)
+    environment.filters["cell"] = cell
+    return environment.get_template(template).render(**content)
 
 
-def machine_rows(machine: Mapping) -> list[Sequence]:
-    """What `machine.describe` says, as rows of a table."""
+def tabulate_machine(machine: Mapping) -> list[Sequence]:
+    """Give what `describe_machine` says as rows of a table."""
     rows: list[Sequence] = [(name, value) for name, value in machine.items() if name != "versions"]
     return rows + [(f"{name} version", value) for name, value in machine["versions"].items()]
 
 
-def _cell(value) -> str | Markup:
-    if isinstance(value, bool):
-        return Markup("<span class=yes>yes</span>" if value else "<span class=no>NO</span>")
-    return text(value)
-
-
-def text(value: Any) -> str:
-    """A cell as plain text: three digits, en dash for nothing."""
+def format_cell(value: Any) -> str:
+    """Format a cell as plain text: three digits, en dash for nothing."""
     if isinstance(value, bool):
         return "yes" if value else "NO"
     if value is None:
@@ -135,46 +142,36 @@ def text(value: Any) -> str:
     return str(value)
 
 
-_SPECIAL = {
-    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
-    "°": r"\textdegree{}", "²": r"\textsuperscript{2}", "³": r"\textsuperscript{3}", "σ": r"$\sigma$", "ν": r"$\nu$",
-    "ζ": r"$\zeta$", "√": r"$\surd$", "−": "$-$", "→": r"$\to$", "Σ": r"$\Sigma$", "≤": r"$\leq$",
-    **{sign: "\\" + sign for sign in "&%$#_{}"},
-}  # fmt: skip
-
-
-def markdown(table: Table) -> str:
-    """As GitHub shows it, its caption above and its note beneath."""
-    rows = [[text(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in (table.head, *table.rows)]
+def to_markdown(table: Table) -> str:
+    """Write a table as GitHub shows it, its caption above and its note beneath."""
+    rows = [
+        [format_cell(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in (table.head, *table.rows)
+    ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     lines.insert(1, "|" + "---|" * len(table.head))
     note = f"\n{table.note}\n" if table.note else ""
     return f"**{table.caption}**\n\n" + "\n".join(lines) + "\n" + note
 
 
-def latex(table: Table, label: str) -> str:
-    """A table for the package booktabs, the first column left, the others right; `label` is for references."""
-    rows = [" & ".join(_escaped(text(cell)) for cell in row) + r" \\" for row in table.rows]
+def to_latex(table: Table, label: str) -> str:
+    """Write a table for the package booktabs, the first column left, the others right; `label` is for references."""
+
+    def escape(plain: str) -> str:
+        return "".join(SPECIAL.get(sign, sign) for sign in plain)
+
+    name = re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
     return "\n".join(
         [
             r"\begin{table}",
-            rf"\caption{{{_escaped(table.caption)}}}\label{{tab:{_label(label)}}}",
+            rf"\caption{{{escape(table.caption)}}}\label{{tab:{name}}}",
             rf"\begin{{tabular}}{{l{'r' * (len(table.head) - 1)}}}",
             r"\toprule",
-            " & ".join(_escaped(title) for title in table.head) + r" \\",
+            " & ".join(escape(title) for title in table.head) + r" \\",
             r"\midrule",
-            *rows,
+            *(" & ".join(escape(format_cell(cell)) for cell in row) + r" \\" for row in table.rows),
             r"\bottomrule",
             r"\end{tabular}",
             r"\end{table}",
             "",
         ]
     )
-
-
-def _escaped(plain: str) -> str:
-    return "".join(_SPECIAL.get(sign, sign) for sign in plain)
-
-
-def _label(words: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", words.lower()).strip("-")

@@ -8,13 +8,12 @@ import resource
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
@@ -24,31 +23,17 @@ from ...reference.added import NotModelledError, add_file, added_files
 from ...surrogate.schedule import without_interrupts
 from .study import Study, Task, Values
 
-Result = TypeVar("Result")
-
 MEGABYTE = 1e6
 
 
-def apart(work: Callable[..., Result], *arguments) -> Result:
-    """What `work`, a function of a module, returns in a spawned process; arguments and result travel by pickle.
-
-    Raises what `work` raises, and SoftdecaError if the process dies, as for want of memory.
-    """
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        try:
-            return pool.submit(work, *arguments).result()
-        except BrokenProcessPool:
-            raise SoftdecaError(f"{work.__module__}.{work.__qualname__}: its process died") from None
-
-
-def cpu_seconds() -> float:
+def read_cpu_seconds() -> float:
     """Processor time [s] of this process, and of those it has started that have ended."""
     own, ended = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime + ended.ru_utime + ended.ru_stime
 
 
 def peak_megabytes() -> float:
-    """The most memory [MB] that this process has held since its start, or since `forget_peak`."""
+    """The most memory [MB] that this process has held since its start, or since `reset_peak`."""
     # Not ru_maxrss alone: through exec it keeps what the parent held.
     found = _status("VmHWM")
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MEGABYTE if found is None else found
@@ -60,7 +45,7 @@ def held_megabytes() -> float:
     return peak_megabytes() if found is None else found
 
 
-def forget_peak() -> None:
+def reset_peak() -> None:
     """Let `peak_megabytes` start anew from what is held now, where the system can (Linux)."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
@@ -90,7 +75,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Measured:
+class Outcome:
     """How a task ended: "done" with values, "skipped" or "failed" with a reason; its costs.
 
     `seconds` of wall time; `cpu` [s], of its process and of those that it started, None where it was killed; peak
@@ -106,8 +91,8 @@ class Measured:
     memory_mb: float | None = None
 
 
-def measured(jobs: Sequence[Job], lanes: int) -> Iterator[Measured]:
-    """Each job as it is done, by as many processes side by side; they end with the iterator.
+def measure_jobs(jobs: Sequence[Job], lanes: int) -> Iterator[Outcome]:
+    """Measure each job, by as many processes side by side; they end with the iterator.
 
     A process goes on with the case that it is at, of which it may have kept something. Under mpirun, whose ranks
     share each solve of FEniCSx, every rank does all.
@@ -126,7 +111,7 @@ def measured(jobs: Sequence[Job], lanes: int) -> Iterator[Measured]:
         while waiting or running:
             while waiting and idle:
                 lane = idle.pop()
-                job = lane.next_of(waiting, {other.job.case for other in running.values() if other.job})
+                job = lane.choose(waiting, {other.job.case for other in running.values() if other.job})
                 waiting.remove(job)
                 running[lane.submit(job)] = lane
             done, _ = wait(running, timeout=0.5, return_when=FIRST_COMPLETED)
@@ -161,7 +146,7 @@ class _Lane:
         with without_interrupts():  # the process begins with its first task
             return self._pool.submit(_measure, job)
 
-    def next_of(self, waiting: Sequence[Job], elsewhere: Set[tuple[str, str]]) -> Job:
+    def choose(self, waiting: Sequence[Job], elsewhere: Set[tuple[str, str]]) -> Job:
         """The first of its own case, else of one that is not done elsewhere, else of all."""
         own = (job for job in waiting if self.job and job.case == self.job.case)
         new = (job for job in waiting if job.case not in elsewhere)
@@ -171,20 +156,20 @@ class _Lane:
     def overdue(self) -> bool:
         return self.job is not None and time.monotonic() - self._begin > self.job.study.limit
 
-    def result(self, future: Future) -> Measured:
+    def result(self, future: Future) -> Outcome:
         assert self.job is not None
         seconds, limit = time.monotonic() - self._begin, self.job.study.limit
         if not future.done():
             self.end()
-            return Measured(self.job, "failed", f"ended after {limit:g} s", seconds=seconds)
+            return Outcome(self.job, "failed", f"ended after {limit:g} s", seconds=seconds)
         try:
-            found: Measured = replace(future.result(), job=self.job)
+            outcome: Outcome = replace(future.result(), job=self.job)
         except BrokenProcessPool:
             self.end()
-            return Measured(self.job, "failed", "its process died", seconds=seconds)
+            return Outcome(self.job, "failed", "its process died", seconds=seconds)
         if self.job.study.alone:
             self.end()
-        return found
+        return outcome
 
     def end(self) -> None:
         """Kill the process: what it has done is written already."""
@@ -197,37 +182,33 @@ class _Lane:
 
 
 def _begin(files: Sequence[Path]) -> None:
-    _ended_by_the_first_alone()
+    # Ctrl-C reaches every process of a terminal; the first one decides, and takes the others with it however it ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    first = multiprocessing.parent_process()
+    assert first is not None
+
+    def end_with_the_first() -> None:
+        first.join()
+        os._exit(1)
+
+    threading.Thread(target=end_with_the_first, daemon=True).start()
     for path in files:
         add_file(path)
 
 
-def _ended_by_the_first_alone() -> None:
-    # Ctrl-C reaches every process of a terminal; the first one decides, and takes the others with it however it ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    threading.Thread(target=_end_with_the_first, daemon=True).start()
-
-
-def _end_with_the_first() -> None:
-    first = multiprocessing.parent_process()
-    assert first is not None
-    first.join()
-    os._exit(1)
-
-
-def _measure(job: Job) -> Measured:
-    forget_peak()
-    begin, spent = time.perf_counter(), cpu_seconds()
+def _measure(job: Job) -> Outcome:
+    reset_peak()
+    begin, spent = time.perf_counter(), read_cpu_seconds()
     try:
         with threadpool_limits(1):
             values = job.study.measure(job.task)
     except (MissingDependencyError, NotModelledError) as error:
-        return Measured(job, "skipped", str(error))
+        return Outcome(job, "skipped", str(error))
     except (Exception, SystemExit) as error:  # a SystemExit of a study that a file adds would end the command
         reason = str(error) if isinstance(error, SoftdecaError) else f"{type(error).__name__}: {error}"
-        seconds, cpu = time.perf_counter() - begin, cpu_seconds() - spent
-        return Measured(job, "failed", " ".join(reason.split()), seconds=seconds, cpu=cpu)
-    seconds, cpu = time.perf_counter() - begin, cpu_seconds() - spent
+        seconds, cpu = time.perf_counter() - begin, read_cpu_seconds() - spent
+        return Outcome(job, "failed", " ".join(reason.split()), seconds=seconds, cpu=cpu)
+    seconds, cpu = time.perf_counter() - begin, read_cpu_seconds() - spent
     memory = peak_megabytes() if job.study.alone else None
-    return Measured(job, "done", values=values, seconds=seconds, cpu=cpu, memory_mb=memory)
+    return Outcome(job, "done", values=values, seconds=seconds, cpu=cpu, memory_mb=memory)

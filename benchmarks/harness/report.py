@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ from ...animation.plots import narrow_figures
 from ...lhm.base.errors import InputError, escape, quote
 from ...lhm.base.files.atomic import write_whole
 from ...lhm.base.provenance import is_dirty
+from ..studies import describe_command
 from . import first_screen
-from .page import drawn, latex, machine_rows, markdown, panels_of, rendered, rows_table
-from .page import shown as shown_study
-from .results import of_this_version, read_results
+from .page import collect_content, encode_panels, read_files, render_template, tabulate_machine, to_latex, to_markdown
+from .results import read_results, refuse_other_versions
 from .study import Results, Row, Study, Table
 
 QUESTIONS: Mapping[str, tuple[str, ...]] = {
@@ -41,7 +41,7 @@ PROVENANCE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class ReportPart:
     """A study with its results, and the folder that holds the pictures of its rows."""
 
     study: Study
@@ -49,17 +49,27 @@ class Made:
     folder: Path
 
 
-def read(path: Path, kind_of: Callable[[str], type[Study]]) -> Made:
-    """The study of a results file of `run`, or of the folder with one.
+def read_part(path: Path, load_study: Callable[[str], type[Study]]) -> ReportPart:
+    """Read a study's results file, or that of a folder. Options that the study has no more are left out.
 
     Raises InputError for what is no such file, and for results that this version's study would not have.
     """
     file = path / "results.json" if path.is_dir() else path
-    said = read_results(file)
+    content = read_results(file)
     try:
-        rows = tuple(Row(**row) for row in said["rows"])
-        results = Results(**(said | {"rows": rows, "gates": tuple(said["gates"])}))
-        study = _study(kind_of(results.study), results.options)
+        rows = tuple(Row(**row) for row in content["rows"])
+        results = Results(**(content | {"rows": rows, "gates": tuple(content["gates"])}))
+        kind = load_study(results.study)
+        options: dict[str, Any] = {}
+        for field in fields(kind):  # type: ignore[arg-type]  # every study is a dataclass
+            if field.name in results.options:
+                value = results.options[field.name]
+                value = tuple(value) if isinstance(value, list) else value
+                good = (int, float) if isinstance(field.default, float) else type(field.default)
+                if field.default is not MISSING and not isinstance(value, good):
+                    raise InputError(f"options {field.name}: got {quote(value)}, expected as {quote(field.default)}")
+                options[field.name] = value
+        study = kind(**options)
         if not isinstance(results.machine, dict) or not isinstance(results.words, str):
             raise InputError("machine and words: expected an object and a text")
         if not {"commit", "load"} <= set(results.machine):
@@ -67,141 +77,109 @@ def read(path: Path, kind_of: Callable[[str], type[Study]]) -> Made:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         reason = escape(" ".join(str(error).split()))[:120]
         raise InputError(f"{file}: no results of a study ({type(error).__name__}: {reason})") from None
-    return Made(study, results, file.parent)
+    return ReportPart(study, results, file.parent)
 
 
-def _study(kind: type[Study], said: Mapping[str, Any]) -> Study:
-    """Make the study of these options, each of the kind of its default; those that it has no more are left out."""
-    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]  # every study is a dataclass
-    options = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in said.items() if name in known
-    }
-    for name, value in options.items():
-        default = known[name].default
-        good = (int, float) if isinstance(default, float) else type(default)
-        if default is not MISSING and not isinstance(value, good):
-            raise InputError(f"options {name}: got {quote(value)}, expected as {quote(default)}")
-    return kind(**options)
-
-
-def write(
-    studies: Sequence[Made], out: Path, title: str, failed: Sequence[tuple[str, str]] = (), spent: str = ""
+def write_report(
+    parts: Sequence[ReportPart], out: Path, title: str, failed: Sequence[tuple[str, str]] = (), spent: str = ""
 ) -> list[Path]:
-    """The report's files: index.html, report.md, report.json, and tables.tex.
+    """Write the report's files: index.html, report.md, report.json, and tables.tex.
 
     `failed`: studies that were not run, and why; `spent`: a sentence on the cost of this run. Raises InputError where
     there is no study, two of one name, or results that another version has made.
     """
-    named = {made.results.study: made for made in studies}
-    if not studies or len(named) < len(studies):
+    named = {part.results.study: part for part in parts}
+    if not parts or len(named) < len(parts):
         raise InputError("report: results of one study or more are needed, and of each study once")
-    groups = _grouped(named)
+    groups = {question: [name for name in names if name in named] for question, names in QUESTIONS.items()}
+    groups[OTHER] = [name for name in named if not any(name in names for names in QUESTIONS.values())]
+    groups = {question: names for question, names in groups.items() if names}
     ordered = {name: named[name] for names in groups.values() for name in names}
     sections = {}
-    for name, made in ordered.items():
-        with of_this_version(f"report, {name}"):
-            sections[name] = shown_study(made.study, made.results, made.folder)
-    with of_this_version("report"):
-        files = _files(ordered, groups, sections, title, failed, spent)
-    for name, written in files.items():
-        write_whole(out / name, written.encode())
+    for name, part in ordered.items():
+        with refuse_other_versions(f"report, {name}"):
+            sections[name] = collect_content(part.study, part.results, part.folder)
+            sections[name]["command"] = describe_command(name)
+    with refuse_other_versions("report"):
+        content: dict[str, Any] = {
+            "title": title,
+            "first": _collect_first_screen(ordered),
+            "missed": [
+                (sections[name]["heading"], gate["what"], gate["value"], gate["bound"])
+                for name, part in ordered.items()
+                for gate in part.results.gates
+                if not gate["passed"]
+            ],
+            "failed": failed,
+            "sections": sections,
+            "groups": groups,
+            "cost": " ".join(text for text in (_describe_cost(ordered), spent) if text),
+            "provenance": [
+                (sections[name]["heading"], ", ".join(each.commits), not any(map(is_dirty, each.commits)),
+                 each.machine["load"], each.cpu, sum(row.seconds for row in each.rows))
+                for name, each in ((name, part.results) for name, part in ordered.items())
+            ],
+        }  # fmt: skip
+        machine = tabulate_machine(next(iter(ordered.values())).results.machine)
+        tables = {name: [*section["tables"], section["rows"]] for name, section in sections.items()}
+        files = {
+            "index.html": render_template("report_of_studies.html", machine=machine, columns=PROVENANCE, **content),
+            "report.md": _write_markdown(content),
+            "report.json": json.dumps({name: part.results.json() for name, part in ordered.items()}, indent=1),
+            "tables.tex": "\n".join(
+                to_latex(table, f"{name} {table.caption}")
+                for name, of in tables.items()
+                for table in (of if any(row.done for row in ordered[name].results.rows) else ())
+            ),
+        }
+    for name, text in files.items():
+        write_whole(out / name, text.encode())
     return [out / name for name in files]
 
 
-def _files(
-    ordered: Mapping[str, Made], groups: Mapping[str, Sequence[str]], sections: Mapping[str, dict[str, Any]],
-    title: str, failed: Sequence[tuple[str, str]], spent: str,
-) -> dict[str, str]:  # fmt: skip
-    """The texts of the report's files by name."""
-    missed = [
-        (sections[name]["heading"], gate["what"], gate["value"], gate["bound"])
-        for name, made in ordered.items()
-        for gate in made.results.gates
-        if not gate["passed"]
-    ]
-    provenance = _provenance(ordered, sections)
-    cost = " ".join(text for text in (_cost(ordered), spent) if text)
-    content = {"first": _first_screen(ordered), "missed": missed, "failed": failed, "sections": sections,
-               "groups": groups, "cost": cost, "provenance": provenance}  # fmt: skip
-    machine = machine_rows(next(iter(ordered.values())).results.machine)
-    return {
-        "index.html": rendered(
-            "report_of_studies.html", {"title": title}, machine=machine, columns=PROVENANCE, **content
-        ),
-        "report.md": _as_markdown(title, content),
-        "report.json": json.dumps({name: made.results.json() for name, made in ordered.items()}, indent=1),
-        "tables.tex": "\n".join(
-            latex(table, f"{name} {table.caption}") for name, made in ordered.items() for table in _tables(made)
-        ),
-    }
-
-
-def _grouped(named: Mapping[str, Made]) -> dict[str, list[str]]:
-    """The names of the studies that are there, by the question that they answer."""
-    groups = {question: [name for name in names if name in named] for question, names in QUESTIONS.items()}
-    asked = {name for names in QUESTIONS.values() for name in names}
-    groups[OTHER] = [name for name in named if name not in asked]
-    return {question: names for question, names in groups.items() if names}
-
-
-def _first_screen(named: Mapping[str, Made]) -> dict[str, Any]:
+def _collect_first_screen(ordered: Mapping[str, ReportPart]) -> dict[str, Any]:
     """The question, five sentences, one figure for a wide and a narrow screen, and one picture by caption."""
-    rows = first_screen.values_of(made.results for made in named.values())
-    wide = first_screen.figure(rows)
+    rows = {part.results.study: [row for row in part.results.rows if row.done] for part in ordered.values()}
+    wide = first_screen.draw_figure(rows)
     with narrow_figures():
-        slim = first_screen.figure(rows)
-    pictures = (picture for name in PICTURED if name in named for picture in _pictures(named[name]))
+        slim = first_screen.draw_figure(rows)
+    pictures = (
+        (caption, png)
+        for name in PICTURED
+        if name in ordered
+        for row in rows[name]
+        if row.case != "the head"  # which is cut open
+        for caption, png in read_files(row, ordered[name].folder, ".png")
+    )
+    caption, png = next(pictures, ("", b""))
     return {
         "asked": first_screen.ASKED,
-        "sentences": first_screen.sentences(rows),
+        "sentences": first_screen.write_sentences(rows),
         "figures": {first_screen.CAPTION: (wide, slim)} if wide else {},
-        "pictures": dict([picture] if (picture := next(pictures, None)) else []),
+        "pictures": {caption: encode_panels(png)} if png else {},
     }
 
 
-def _pictures(made: Made) -> Iterator[tuple[str, list[str]]]:
-    """The pictures of faces of a study, its head cut open left out."""
-    for row in made.results.rows:
-        for caption, png in drawn(row, made.folder, ".png") if row.done else ():
-            if row.case != "the head":
-                yield caption, panels_of(png)
-
-
-def _provenance(named: Mapping[str, Made], sections: Mapping[str, dict[str, Any]]) -> list[tuple]:
-    """A line per study: commits, whether their trees were clean, load at the start, processor seconds."""
-    return [
-        (sections[name]["heading"], ", ".join(each.commits), not any(map(is_dirty, each.commits)),
-         each.machine["load"], each.cpu, sum(row.seconds for row in each.rows))
-        for name, each in ((name, made.results) for name, made in named.items())
-    ]  # fmt: skip
-
-
-def _cost(named: Mapping[str, Made]) -> str:
-    """The processor time of all rows that measured it, in a sentence."""
-    rows = [row for made in named.values() for row in made.results.rows]
+def _describe_cost(ordered: Mapping[str, ReportPart]) -> str:
+    """Tell the processor time of all rows that measured it."""
+    rows = [row for part in ordered.values() for row in part.results.rows]
     measured = [row.cpu for row in rows if row.cpu is not None]
     if not measured:
         return ""
     return f"{len(measured)} of {len(rows)} rows took {sum(measured):.0f} s of processor time together."
 
 
-def _tables(made: Made) -> list[Table]:
-    done = [row for row in made.results.rows if row.done]
-    return [*made.study.tables(done), rows_table(made.study, done)] if done else []
-
-
-def _as_markdown(title: str, content: Mapping[str, Any]) -> str:
+def _write_markdown(content: Mapping[str, Any]) -> str:
     first, sections = content["first"], content["sections"]
-    parts = [f"# {title}", first["asked"], *(f"- {sentence}" for sentence in first["sentences"])]
+    parts = [f"# {content['title']}", first["asked"], *(f"- {sentence}" for sentence in first["sentences"])]
     parts += [f"The study {name} could not be run: {why}" for name, why in content["failed"]]
     for question, names in content["groups"].items():
         parts.append(f"## {question}")
         for section in (sections[name] for name in names):
-            parts += [f"### {section['heading']}", section["words"]]
-            parts.append(markdown(Table("Statements", ["statement", "measured", "bound", "reached"], section["gates"])))
+            tables = [Table("Statements", ["statement", "measured", "bound", "reached"], section["gates"])]
             if section["failed"]:
-                unmeasured = Table("What could not be measured", ["case", "method", "", "why"], section["failed"])
-                parts.append(markdown(unmeasured))
-            parts += [markdown(table) for table in (*section["tables"], section["rows"])]
-    parts += [markdown(Table("Where it was measured", PROVENANCE, content["provenance"])), content["cost"]]
+                tables.append(Table("What could not be measured", ["case", "method", "", "why"], section["failed"]))
+            tables += [*section["tables"], section["rows"]]
+            parts += [f"### {section['heading']}", section["words"], *map(to_markdown, tables)]
+    parts += [to_markdown(Table("Where it was measured", PROVENANCE, content["provenance"])), content["cost"]]
     return "\n\n".join(part for part in parts if part) + "\n"

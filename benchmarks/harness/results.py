@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,27 +40,27 @@ _GATE: dict[str, tuple[type, ...]] = {
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """Return what a results file says, or the folder with one: study, rows and gates of the right kinds.
+    """Read a results file, or that of a folder: study, rows and gates of the right kinds.
 
     Raises InputError that names the file, and the row or gate.
     """
     file = path / "results.json" if path.is_dir() else path
     try:
-        said = parse_json(read_bytes(file, RESULT_BYTES))
-        if not isinstance(said, dict) or not isinstance(said.get("study"), str):
+        content = parse_json(read_bytes(file, RESULT_BYTES))
+        if not isinstance(content, dict) or not isinstance(content.get("study"), str):
             raise InputError("expected an object with the name of its study")
-        _check_list("row", said.get("rows"), _KINDS, 4)
-        _check_list("gate", said.setdefault("gates", []), _GATE, 2)
-        for number, row in enumerate(said["rows"]):
+        _check_list("row", content.get("rows"), _KINDS, 4)
+        _check_list("gate", content.setdefault("gates", []), _GATE, 2)
+        for number, row in enumerate(content["rows"]):
             if row["status"] not in STATUSES:
                 raise InputError(f"row {number}, status: {quote(row['status'])}, expected one of {', '.join(STATUSES)}")
     except InputError as error:
         raise InputError(f"{file}: no results of a study ({error})") from None
-    return said
+    return content
 
 
 @contextmanager
-def of_this_version(where: str) -> Iterator[None]:
+def refuse_other_versions(where: str) -> Iterator[None]:
     """Turn what a study's own code raises of values that are not its own into an InputError that names `where`."""
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -89,7 +89,7 @@ def _check_list(name: str, items: Any, kinds: dict[str, tuple[type, ...]], neede
 
 
 LEAST = 0.02
-"""Share below which no change is told, however quiet the machine."""
+"""Share below which no change counts, however quiet the machine."""
 ROUNDING = 1e-3
 """Of the largest value of an answer's column over all tasks: errors far below that differ by rounding alone."""
 
@@ -111,7 +111,7 @@ class Change:
         return self.after / self.before - 1.0 if self.before else float("inf") if self.after else 0.0
 
     @property
-    def told(self) -> bool:
+    def is_beyond_noise(self) -> bool:
         """Whether it is more than noise."""
         return abs(self.after - self.before) > self.noise
 
@@ -125,58 +125,48 @@ class Comparison:
     other: list[str]
 
 
-def read(path: Path) -> Mapping[str, Any]:
-    """Return study, rows by name and gates by name of a results file, or of the folder with one; see `read_results`."""
-    said = read_results(path)
-    rows = {f"{row['case']}, {row['method']}": row for row in said["rows"]}
-    gates = {gate["what"]: gate["passed"] for gate in said["gates"]}
-    return {"study": said["study"], "rows": rows, "gates": gates}
-
-
-def study_in(path: Path) -> str:
-    """The name of the study that a results file is of; InputError as of `read`."""
-    name: str = read(path)["study"]
-    return name
-
-
-def compared(before: Path, after: Path, kind: type[Study]) -> Comparison:
-    """Costs and answers of the tasks that both have done, and what only one has done, said or reached.
+def compare_results(before: Path, after: Path, kind: type[Study]) -> Comparison:
+    """Compare costs and answers of the tasks that both have done, and name what only one has done, content or reached.
 
     A cost that is a list of repeated values counts by its median, and its noise is three times their median distance
     from that. Answers may differ by rounding. Raises InputError for what are no results of one study.
     """
-    old, new = read(before), read(after)
+    old, new = read_results(before), read_results(after)
     if old["study"] != new["study"]:
         raise InputError(f"{before} is of {old['study']!r}, {after} of {new['study']!r}: they cannot be compared")
-    with of_this_version(f"{before} and {after}"):
-        return _compared(old, new, kind)
-
-
-def _compared(old: Mapping[str, Any], new: Mapping[str, Any], kind: type[Study]) -> Comparison:
-    found = Comparison([], [], [])
+    old_rows, new_rows = ({f"{row['case']}, {row['method']}": row for row in each["rows"]} for each in (old, new))
+    comparison = Comparison([], [], [])
     pairs: list[tuple[str, Column, Any, Any]] = []
-    for task in [*old["rows"], *(task for task in new["rows"] if task not in old["rows"])]:
-        was, now = old["rows"].get(task), new["rows"].get(task)
-        states = tuple("missing" if row is None else row["status"] for row in (was, now))
-        if states == ("done", "done"):
-            for a, b in zip(kind.lines(was["values"]), kind.lines(now["values"]), strict=False):
-                pairs += [(task, column, a.get(column.key), b.get(column.key)) for column in kind.columns]
-        elif states[0] != states[1]:
-            words = found.broken if states[0] == "done" else found.other
-            words.append(f"{task}: {states[0]} before, {states[1]} after")
-    for what, passed in old["gates"].items():
-        if new["gates"].get(what, passed) != passed:
-            words = found.broken if passed else found.other
-            words.append(f"{what}: {'reached before, not after' if passed else 'not reached before, but after'}")
-    numbers = [pair for pair in pairs if _is_number(pair[2]) and _is_number(pair[3])]
-    scale: dict[str, float] = {}
-    for _, column, a, b in numbers:
-        scale[column.title] = np.nanmax(np.abs([scale.get(column.title, 0.0), _middle(a)[0], _middle(b)[0]]))
-    found.changes.extend(_change(task, column, a, b, scale[column.title]) for task, column, a, b in numbers)
-    for task, column, a, b in pairs:
-        if isinstance(a, str) and isinstance(b, str) and a != b:
-            found.other.append(f"{task}, {column.title}: {a} before, {b} after")
-    return found
+    with refuse_other_versions(f"{before} and {after}"):
+        for task in dict.fromkeys((*old_rows, *new_rows)):
+            states = tuple(rows[task]["status"] if task in rows else "missing" for rows in (old_rows, new_rows))
+            if states == ("done", "done"):
+                lines = (kind.lines(rows[task]["values"]) for rows in (old_rows, new_rows))
+                for a, b in zip(*lines, strict=False):
+                    pairs += [(task, column, a.get(column.key), b.get(column.key)) for column in kind.columns]
+            elif states[0] != states[1]:
+                words = comparison.broken if states[0] == "done" else comparison.other
+                words.append(f"{task}: {states[0]} before, {states[1]} after")
+        reached = {gate["what"]: gate["passed"] for gate in new["gates"]}
+        for what, passed in {gate["what"]: gate["passed"] for gate in old["gates"]}.items():
+            if reached.get(what, passed) != passed:
+                words = comparison.broken if passed else comparison.other
+                words.append(f"{what}: {'reached before, not after' if passed else 'not reached before, but after'}")
+        numbers = [pair for pair in pairs if _is_number(pair[2]) and _is_number(pair[3])]
+        scale: dict[str, float] = {}
+        for _, column, a, b in numbers:
+            scale[column.title] = np.nanmax(
+                np.abs([scale.get(column.title, 0.0), _find_middle(a)[0], _find_middle(b)[0]])
+            )
+        for task, column, a, b in numbers:
+            (middle, noise), (middle_after, noise_after) = _find_middle(a), _find_middle(b)
+            rounding = 0.0 if column.cost else ROUNDING * scale[column.title]
+            noise = max(LEAST * abs(middle), 3.0 * max(noise, noise_after), rounding)
+            comparison.changes.append(Change(task, column.title, middle, middle_after, noise, column.cost))
+        for task, column, a, b in pairs:
+            if isinstance(a, str) and isinstance(b, str) and a != b:
+                comparison.other.append(f"{task}, {column.title}: {a} before, {b} after")
+    return comparison
 
 
 def _is_number(value: Any) -> bool:
@@ -185,14 +175,7 @@ def _is_number(value: Any) -> bool:
     return bool(several) and all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in several)
 
 
-def _change(task: str, column: Column, before: Any, after: Any, scale: float) -> Change:
-    (a, a_noise), (b, b_noise) = _middle(before), _middle(after)
-    rounding = 0.0 if column.cost else ROUNDING * scale
-    noise = max(LEAST * abs(a), 3.0 * max(a_noise, b_noise), rounding)
-    return Change(task, column.title, a, b, noise, column.cost)
-
-
-def _middle(value: float | Sequence[float]) -> tuple[float, float]:
+def _find_middle(value: float | Sequence[float]) -> tuple[float, float]:
     """The median, and the median distance from it."""
     values = np.atleast_1d(np.asarray(value, dtype=np.float64))
     middle = float(np.median(values))

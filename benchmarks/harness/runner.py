@@ -20,8 +20,8 @@ from ...lhm.base.progress import OnProgress, silent
 from ...reference import ranks
 from ...reference.added import added_files
 from ...surrogate.schedule import count_processors
-from .page import page
-from .processes import Job, Measured, measured
+from .page import render_study
+from .processes import Job, Outcome, measure_jobs
 from .study import Results, Row, Study, Task, Values, at_most
 
 Only = Literal["missing", "failed", "all"]
@@ -29,7 +29,7 @@ PNG = b"\x89PNG"
 
 
 @dataclass(frozen=True)
-class Asked:
+class RunRequest:
     """A study to run, its folder, and the part of names that its tasks must have."""
 
     study: Study
@@ -53,120 +53,116 @@ def run(
     all processors, and one where seconds are compared. Raises InputError where nothing matches and where the folder is
     in use.
     """
-    (found,) = run_together([Asked(study, out, match)], only=only, workers=workers, progress=progress)
-    if isinstance(found, SoftdecaError):
-        raise found
-    return found
+    (results,) = run_together([RunRequest(study, out, match)], only=only, workers=workers, progress=progress)
+    if isinstance(results, SoftdecaError):
+        raise results
+    return results
 
 
 def run_together(
-    asked: Sequence[Asked], *, only: Only = "missing", workers: int | None = None, progress: OnProgress = silent
+    requests: Sequence[RunRequest],
+    *,
+    only: Only = "missing",
+    workers: int | None = None,
+    progress: OnProgress = silent,
 ) -> list[Results | SoftdecaError]:
-    """As `run` for several studies, which share their processes, so that none waits for the end of one before the next.
+    """Run several studies, as `run`; they share their processes, so that none waits for the end of one before the next.
 
     In place of results, why a study could not be run. Where seconds of one are compared, all run one after another.
     """
-    found: list[Results | SoftdecaError | None] = [None] * len(asked)
+    ends: list[Results | SoftdecaError | None] = [None] * len(requests)
     runs: dict[int, _Run] = {}
     with ExitStack() as folders:
-        for number, each in enumerate(asked):
+        for number, request in enumerate(requests):
             try:
-                runs[number] = _Run(each, only, folders)
+                runs[number] = _Run(request, only, folders)
             except SoftdecaError as error:
-                found[number] = error
+                ends[number] = error
         jobs = {Job(run.study, task): number for number, run in runs.items() for task in run.left}
         lanes = 1 if any(run.study.timed for run in runs.values()) else workers or count_processors()
         count = sum(len(run.tasks) for run in runs.values())
         if runs:
-            named = ", ".join(run.study.name for run in runs.values())
-            progress(f"{named}: {count - len(jobs)} of {count}", 1.0 - len(jobs) / count)
-        for done, one in enumerate(measured(list(jobs), lanes), 1):
-            run = runs[jobs[one.job]]
-            run.rows.add(one)
-            ended = "" if one.status == "done" else f", {one.status}"
-            progress(f"{run.study.name}: {one.job.task}{ended}", 1.0 - (len(jobs) - done) / count)
+            names = ", ".join(run.study.name for run in runs.values())
+            progress(f"{names}: {count - len(jobs)} of {count}", 1.0 - len(jobs) / count)
+        for done, outcome in enumerate(measure_jobs(list(jobs), lanes), 1):
+            run = runs[jobs[outcome.job]]
+            run.add(outcome)
+            ended = "" if outcome.status == "done" else f", {outcome.status}"
+            progress(f"{run.study.name}: {outcome.job.task}{ended}", 1.0 - (len(jobs) - done) / count)
         for number, run in runs.items():
-            found[number] = run.written()
-    return [each for each in found if each is not None]
+            ends[number] = run.write()
+    return [each for each in ends if each is not None]
 
 
 class _Run:
-    """One study of those that run together, its folder held."""
+    """One study of those that run together: its folder, which is locked, its tasks, and its rows by task.
 
-    def __init__(self, asked: Asked, only: Only, folders: ExitStack):
-        self.study, self._out = asked.study, asked.out
-        self.tasks = [task for task in self.study.tasks() if asked.match.lower() in str(task).lower()]
+    Rows on disk that were written with other options, versions or files are ignored.
+    """
+
+    def __init__(self, request: RunRequest, only: Only, folders: ExitStack):
+        self.study, self._out = request.study, request.out
+        self.tasks = [task for task in self.study.tasks() if request.match.lower() in str(task).lower()]
         if not self.tasks:
-            raise InputError(f"{self.study.name}: no case and method matches {asked.match!r}")
+            raise InputError(f"{self.study.name}: no case and method matches {request.match!r}")
         folders.enter_context(lock_folder(self._out, f"run of {self.study.name}"))
-        self._with_what = provenance.describe_machine()
-        self.rows = _Rows(self._out / "rows.jsonl", _digest(self.study))
-        self.rows.found = ranks.first(self.rows.found)  # folders of ranks differ, and with them digests
+        self._machine = provenance.describe_machine()
+        self._store, self._digest = RowStore(self._out, file="rows.jsonl"), _digest(self.study, self._machine)
+        names = {field.name for field in fields(Row)}
+        rows = {
+            Task(record["case"], record["method"]): Row(**record)
+            for record in self._store.rows()
+            if record.get("of") == self._digest and record.keys() == names
+        }
+        self._rows: dict[Task, Row] = ranks.first(rows)  # folders of ranks differ, and with them digests
         again = {"missing": (), "failed": ("failed", "skipped"), "all": ("failed", "skipped", "done")}[only]
-        known = self.rows.found
-        self.left = [task for task in self.tasks if (row := known.get(task)) is None or row.status in again]
+        self.left = [task for task in self.tasks if task not in self._rows or self._rows[task].status in again]
 
-    def written(self) -> Results:
-        """The results of all rows, with their file and page."""
-        results = _results(self.study, [self.rows.found[task] for task in self.tasks], self._with_what)
+    def add(self, outcome: Outcome) -> None:
+        """Keep what a task gave; pictures and pages become files, whose names stand in the row."""
+        task, values = outcome.job.task, dict(outcome.values)
+        for key, value in outcome.values.items():
+            if isinstance(value, bytes):
+                kind = ".png" if value.startswith(PNG) else ".html"
+                name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{task}, {key}")[:120].strip("-") + kind
+                write_whole(self._out / name, value)
+                values[key] = name
+        values, wrong = _as_json(values)
+        status, reason = outcome.status, outcome.reason
+        if wrong:
+            status, reason = "failed", f"not finite: {', '.join(wrong)}"
+        cpu = None if outcome.cpu is None else round(outcome.cpu, 4)
+        row = Row(
+            task.case, task.method, status, reason, values, round(outcome.seconds, 4), outcome.memory_mb,
+            provenance.read_load(), self._digest, provenance.read_commit(), cpu,
+        )  # fmt: skip
+        self._rows[task] = row
+        self._store.add(asdict(row))
+
+    def write(self) -> Results:
+        """Write the results of all rows, and their page."""
+        study, rows = self.study, [self._rows[task] for task in self.tasks]
+        done = [row for row in rows if row.done]
+        missing = sum(row.status == "failed" for row in rows) if done else len(rows)
+        failed = at_most("cases that could not be measured", missing, 0)
+        gates = (failed, *(study.gates(done) if done else ()))
+        options = json.loads(json.dumps(asdict(study), default=str))  # type: ignore[call-overload]  # a dataclass
+        words = study.words(done) if done else "Nothing could be measured."
+        results = Results(study.name, study.question, options, self._machine, tuple(rows), gates, words)
         write_whole(self._out / "results.json", json.dumps(results.json(), indent=1, allow_nan=False).encode())
-        write_whole(self._out / "index.html", page(self.study, results, self._out).encode())
+        write_whole(self._out / "index.html", render_study(study, results, self._out).encode())
         return results
 
 
-def _results(study: Study, rows: Sequence[Row], with_what: Mapping[str, Any]) -> Results:
-    done = [row for row in rows if row.done]
-    missing = sum(row.status == "failed" for row in rows) if done else len(rows)
-    failed = at_most("cases that could not be measured", missing, 0)
-    gates = (failed, *(study.gates(done) if done else ()))
-    options = json.loads(json.dumps(asdict(study), default=str))  # type: ignore[call-overload]  # all are dataclasses
-    words = study.words(done) if done else "Nothing could be measured."
-    return Results(study.name, study.question, options, with_what, tuple(rows), gates, words)
-
-
-class _Rows:
-    """The rows of a file, of which those of other options or code are not looked at, and one more at a time."""
-
-    def __init__(self, path: Path, of: str):
-        self._records, self._of = RowStore(path.parent, file=path.name), of
-        self.found: dict[Task, Row] = {}
-        names = {field.name for field in fields(Row)}
-        for record in self._records.rows():
-            if record.get("of") == of and record.keys() == names:
-                self.found[Task(record["case"], record["method"])] = Row(**record)
-
-    def add(self, one: Measured) -> None:
-        task = one.job.task
-        values, wrong = _said(self._drawn(one))
-        status, reason = ("failed", f"not finite: {', '.join(wrong)}") if wrong else (one.status, one.reason)
-        row = Row(
-            task.case, task.method, status, reason, values, round(one.seconds, 4), one.memory_mb,
-            provenance.read_load(), self._of, provenance.read_commit(), None if one.cpu is None else round(one.cpu, 4),
-        )  # fmt: skip
-        self.found[task] = row
-        self._records.add(asdict(row))
-
-    def _drawn(self, one: Measured) -> Values:
-        """The values, with the names of files that now hold their pictures and pages."""
-        found = dict(one.values)
-        for key, value in one.values.items():
-            if isinstance(value, bytes):
-                kind = ".png" if value.startswith(PNG) else ".html"
-                name = re.sub(r"[^A-Za-z0-9.+*-]+", "-", f"{one.job.task}, {key}")[:120].strip("-") + kind
-                write_whole(self._records.folder / name, value)
-                found[key] = name
-        return found
-
-
-def _said(values: Values) -> tuple[dict[str, Any], list[str]]:
-    """Values as JSON can say them, None for what is not finite, and the names of those."""
+def _as_json(values: Values) -> tuple[dict[str, Any], list[str]]:
+    """Values as JSON has them, None for what is not finite, and the names of those."""
     wrong: list[str] = []
 
-    def said(value: Any, name: str) -> Any:
+    def convert(value: Any, name: str) -> Any:
         if isinstance(value, Mapping):
-            return {key: said(item, f"{name}{key}") for key, item in value.items()}
+            return {key: convert(item, f"{name}{key}") for key, item in value.items()}
         if isinstance(value, (list, tuple)):
-            return [said(item, name) for item in value]
+            return [convert(item, name) for item in value]
         if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
             value = value.item()
         if isinstance(value, float) and not math.isfinite(value):
@@ -174,21 +170,18 @@ def _said(values: Values) -> tuple[dict[str, Any], list[str]]:
             return None
         return value
 
-    return said(values, ""), sorted(set(wrong))
+    return convert(values, ""), sorted(set(wrong))
 
 
-def _files(study: Study) -> list[Path]:
-    """Those that its options name, as FILE or ict:FILE."""
-    values = [getattr(study, field.name) for field in fields(study)]  # type: ignore[arg-type]  # all are dataclasses
+def _digest(study: Study, machine: Mapping[str, Any]) -> str:
+    """Name what is measured, so that rows of two meanings never mix: options, version, package versions, files.
+
+    Files are those that options name, as FILE or ict:FILE.
+    """
+    digest = hashlib.sha256(json.dumps([repr(study), study.version, machine["versions"]]).encode())
+    values = [getattr(study, field.name) for field in fields(study)]  # type: ignore[arg-type]  # a dataclass
     texts = [text for value in values for text in (value if isinstance(value, tuple) else (value,))]
     paths = [Path(text.rpartition(":")[2]) for text in texts if isinstance(text, str) and text]
-    return [path for path in paths if path.is_file()]
-
-
-def _digest(study: Study) -> str:
-    """Name what is measured, so that rows of two meanings never mix: options, version, package versions, files."""
-    about = [repr(study), study.version, provenance.describe_machine()["versions"]]
-    digest = hashlib.sha256(json.dumps(about).encode())
-    for path in (*_files(study), *added_files()):
+    for path in (*filter(Path.is_file, paths), *added_files()):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 from ...lhm.base import provenance
+from ...lhm.check import Direction, is_within
 
 Values = Mapping[str, Any]
-"""What was measured of a task, as JSON can say it: numbers, texts, lists of them; and as bytes PNG pictures and HTML
-pages, whose key is their caption, and which become the names of files. A NaN makes the row a failure."""
+"""The values of a task, as JSON has them: numbers, texts, lists of them. PNG pictures and HTML pages are bytes under
+their caption; they become files, whose names stand in their place. A NaN makes the row a failure."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that is computed of the rows: its caption, titles with units, cells, and what one has to know of it."""
+    """A table that is computed from the rows: caption, titles with units, cells, and a note beneath."""
 
     caption: str
     head: Sequence[str]
@@ -89,7 +90,7 @@ class Results:
 
     @property
     def commits(self) -> list[str]:
-        """Of the last run, and of runs before it whose rows were kept."""
+        """The commits of the last run, and of runs before it whose rows were kept."""
         return provenance.list_commits(self.machine, [{"commit": row.commit} for row in self.rows])
 
     @property
@@ -99,7 +100,7 @@ class Results:
         return sum(measured) if measured else None
 
     def json(self) -> dict[str, Any]:
-        """For a results file."""
+        """The content of a results file."""
         return asdict(self)
 
 
@@ -117,7 +118,7 @@ class Study(ABC):
     question: ClassVar[str]
     columns: ClassVar[tuple[Column, ...]]
     note: ClassVar[str] = ""
-    """What one has to know of the rows: how they are measured."""
+    """How the rows are measured."""
     timed: ClassVar[bool] = False
     alone: ClassVar[bool] = False
     limit: ClassVar[float] = 3600.0
@@ -126,49 +127,50 @@ class Study(ABC):
 
     @abstractmethod
     def tasks(self) -> Sequence[Task]:
-        """What there is to do. Raises InputError for options out of range."""
+        """List the tasks. Raises InputError for options out of range."""
 
     @abstractmethod
     def measure(self, task: Task) -> Values:
-        """Do one task. What it raises becomes the row's reason; MissingDependencyError and NotModelledError skip it."""
+        """Do one task. An error becomes the row's reason; MissingDependencyError and NotModelledError skip it."""
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
-        """What the report shows of a task: one line, or those of its `rows` where it answers several questions."""
+        """Give the report's lines of a task: one, or those of its `rows` where it answers several questions."""
         lines: Sequence[Values] = values.get("rows", [values])
         return lines
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
-        """What has to hold, by `at_most`, `at_least` or `above`, beside that no row failed."""
+        """Make the statements that must hold by `at_most`, `at_least` and `above`; one more says that no row failed."""
         return []
 
     def words(self, rows: Sequence[Row]) -> str:
-        """The conclusion in prose, its numbers from the rows."""
+        """Write the conclusion, its numbers from the rows."""
         return ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
-        """What follows from the rows together."""
+        """Make the tables that follow from the rows together."""
         return []
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
-        """Figures as SVG text by caption."""
+        """Draw figures as SVG text, by caption."""
         return {}
 
 
 def at_most(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:
-    """One statement; None, what was not measured, does not pass."""
-    return _gate(what, value, f"at most {bound:g}", value is not None and value <= bound, answer)
+    """Make a gate, a statement with a value and a bound; None, what was not measured, does not pass."""
+    return _make_gate(what, value, "at most", bound, answer)
 
 
 def at_least(what: str, value: float | None, bound: float, *, answer: bool = True) -> dict:
-    """The same from below."""
-    return _gate(what, value, f"at least {bound:g}", value is not None and value >= bound, answer)
+    """Make a gate with a bound from below."""
+    return _make_gate(what, value, "at least", bound, answer)
 
 
 def above(what: str, value: float, bound: float) -> dict:
-    """The same from below, the bound left out."""
-    return _gate(what, value, f"above {bound:g}", value > bound, True)
+    """Make a gate with a bound from below that is left out."""
+    return _make_gate(what, value, "above", bound, True)
 
 
-def _gate(what: str, value: float | None, bound: str, passed: bool, answer: bool) -> dict:
-    return {"what": what, "value": value, "bound": bound, "passed": bool(passed), "answer": answer}
+def _make_gate(what: str, value: float | None, direction: Direction, bound: float, answer: bool) -> dict:
+    passed = value is not None and is_within(value, direction, bound)
+    return {"what": what, "value": value, "bound": f"{direction} {bound:g}", "passed": bool(passed), "answer": answer}

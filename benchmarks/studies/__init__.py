@@ -15,20 +15,20 @@ STUDIES = {
     "verification": "verification:Verification",
     "hard": "verification:Hard",
     "mixed": "scaling.mixed:Mixed",
-    "split": "split:Split",
-    "surrogate": "surrogate:SurrogateOnCorpus",
+    "split": "surrogate.split:Split",
+    "surrogate": "surrogate.study:SurrogateOnCorpus",
     "work-precision": "work_precision.study:WorkPrecision",
     "throughput": "scaling.throughput:Throughput",
     "scaling": "scaling.iterations:Scaling",
-    "minimal": "minimal:Minimal",
+    "minimal": "scaling.minimal:Minimal",
     "unknowns": "scaling.unknowns:Unknowns",
     "convergence": "mesh.convergence:Convergence",
     "locking": "mesh.locking:Locking",
-    "effects": "effects.study:Effects",
-    "dynamics": "dynamics.study:Dynamics",
+    "effects": "agreement.effects:Effects",
+    "dynamics": "agreement.dynamics:Dynamics",
     "ranks": "scaling.ranks:Ranks",
     "parts": "scaling.parts:Parts",
-    "material": "material:Material",
+    "material": "agreement.material:Material",
     "shapes": "heads.shapes:Shapes",
     "heads": "heads.fit:Heads",
     "registration": "heads.registration:Registrations",
@@ -36,17 +36,25 @@ STUDIES = {
     "closures": "heads.closures:Closures",
 }
 """Module and class, so that none is loaded before it is asked for."""
-SUBJECTS: dict[str, tuple[str, dict[str, str]]] = {
+COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
+    "agreement": (
+        "How far apart are solvers, laws, network and rules: faces, effects, motion, and a cube of tissue?",
+        {"faces": "agreement", "effects": "effects", "motion": "dynamics", "cube": "material"},
+    ),
     "verification": (
         "Does every solver meet closed forms, published values and hard cases?",
         {"values": "verification", "hard": "hard"},
+    ),
+    "surrogate": (
+        "How far is the network from the simulator on people it has not seen, and where does its error come from?",
+        {"people": "surrogate", "split": "split"},
     ),
     "heads": (
         "Does every person get a valid head, and how near is it to what is known?",
         {"fit": "heads", "shapes": "shapes", "registration": "registration", "depth": "depth", "closures": "closures"},
     ),
     "scaling": (
-        "What do time and memory cost by size, processes and incompressibility?",
+        "What do time and memory cost by size, processes, incompressibility and pieces of the scene?",
         {
             "size": "scaling",
             "unknowns": "unknowns",
@@ -54,12 +62,10 @@ SUBJECTS: dict[str, tuple[str, dict[str, str]]] = {
             "parts": "parts",
             "throughput": "throughput",
             "mixed": "mixed",
+            "pieces": "minimal",
         },
     ),
-    "mesh": (
-        "How large are the errors of the mesh?",
-        {"convergence": "convergence", "locking": "locking"},
-    ),
+    "mesh": ("How large are the errors of the mesh?", {"convergence": "convergence", "locking": "locking"}),
 }
 """Commands of several studies, with their question, and the study of each case; the first case is the default."""
 
@@ -68,25 +74,34 @@ _added: dict[str, type[Study]] = {}
 
 def add_study(kind: type[Study]) -> type[Study]:
     """Let `softdeca bench` have a study of a file of one's own; a decorator. InputError for a name that is taken."""
-    if kind.name in names():
+    if kind.name in list_studies():
         raise InputError(f"study {kind.name!r} is there already")
     _added[kind.name] = kind
     return kind
 
 
-def names() -> tuple[str, ...]:
-    """The names of all studies, with those that files have added."""
+def list_studies() -> tuple[str, ...]:
+    """Name all studies, with those that files have added."""
     return (*STUDIES, *_added)
 
 
-def commands() -> tuple[str, ...]:
-    """The names of the commands: subjects, and studies that are no case of one."""
-    cases = {name for _, of in SUBJECTS.values() for name in of.values()}
-    return (*SUBJECTS, *(name for name in names() if name not in cases))
+def list_commands() -> tuple[str, ...]:
+    """Name the commands: subjects, and studies that are no case of one."""
+    cases = {name for _, of in COMMANDS.values() for name in of.values()}
+    return (*COMMANDS, *(name for name in list_studies() if name not in cases))
 
 
-def study_of(name: str) -> type[Study]:
-    """The class of a study. InputError for a name that there is not."""
+def describe_command(study: str) -> str:
+    """Give the words that run a study, as `softdeca bench verification --cases hard`."""
+    for subject, (_, cases) in COMMANDS.items():
+        for number, (case, name) in enumerate(cases.items()):
+            if name == study:
+                return f"softdeca bench {subject}" + (f" --cases {case}" if number else "")
+    return f"softdeca bench {study}"
+
+
+def load_study(name: str) -> type[Study]:
+    """Give the class of a study. InputError for a name that there is not."""
     if name in _added:
         return _added[name]
     if name not in STUDIES:

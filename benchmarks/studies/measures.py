@@ -14,7 +14,7 @@ from ...lhm.base.mesh import Floats
 from ...reference import Scene, Solution, prepare, ranks, terms
 from ...reference.projective import ProjectivePrepared
 from ...reference.solve import Prepared
-from ..harness.processes import forget_peak, held_megabytes, peak_megabytes
+from ..harness.processes import held_megabytes, peak_megabytes, reset_peak
 from ..harness.study import Column, Values
 
 
@@ -217,7 +217,7 @@ def megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> floa
     To be called in a process of its own, before other scenes: what is freed is used again unseen.
     """
     load_kernels(**how)
-    forget_peak()
+    reset_peak()
     before = held_megabytes()
     prepare(make(), **how).solve(max_iterations=iterations)
     return peak_megabytes() - before

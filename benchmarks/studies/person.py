@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from ...lhm import expressions, fit_head, identities, load_template
 from ...lhm.base.errors import InputError
 from ...lhm.base.mesh import Floats
+from ...lhm.base.option import option
 from ...lhm.head import LayeredHead
 from ...lhm.identities.space import LinearSpace
 from ...lhm.template import DEFAULT_LEVEL, LEVELS
@@ -55,9 +56,9 @@ class Person:
 class OfPerson(Study):
     """A study of one head; a subclass may say whose."""
 
-    identities: str = field(default="anny", metadata={"help": "'anny' (the default head), ict:FILE or flame:FILE"})
-    seed: int = field(default=0, metadata={"help": "of the identity"})
-    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
+    identities: str = option("anny", "'anny' (the default head), ict:FILE or flame:FILE")
+    seed: int = option(0, "of the identity")
+    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
 
     def person(self, level: int | None = None, seed: int | None = None) -> Person:
         """The head of the study's seed and level, or of others; made once per process."""

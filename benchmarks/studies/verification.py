@@ -6,7 +6,7 @@ import importlib.util
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 
 from ...lhm.base.errors import MissingDependencyError, SceneError, SoftdecaError
 from ...lhm.base.mesh import Floats, Ints
+from ...lhm.base.option import option
 from ...reference import Parameters, Scene, apply_law, facial_scene, materials, problems, solve, terms
 from ..harness.study import Column, Row, Study, Table, Task, Values, at_most
 from .measures import farthest
@@ -44,8 +45,8 @@ class Verification(Study):
         Column("iterations", "iterations", cost=True),
     )
 
-    solvers: tuple[str, ...] = field(default=(), metadata={"help": "only these; repeat for several  [all]"})
-    fine: bool = field(default=False, metadata={"help": "also finer meshes, orders and locking by FEniCSx: 15 minutes"})
+    solvers: tuple[str, ...] = option((), "only these; repeat for several  [all]")
+    fine: bool = option(False, "also finer meshes, orders and locking by FEniCSx: 15 minutes")
 
     def tasks(self) -> Sequence[Task]:
         """Each problem by each solver."""
@@ -130,10 +131,8 @@ class Hard(Study):
         Column("iterations", "iterations", cost=True),
     )
 
-    solvers: tuple[str, ...] = field(default=(), metadata={"help": "only these; repeat for several  [all]"})
-    laws: bool = field(
-        default=False, metadata={"help": "also every law on every element of FEniCSx: a quarter of an hour"}
-    )
+    solvers: tuple[str, ...] = option((), "only these; repeat for several  [all]")
+    laws: bool = option(False, "also every law on every element of FEniCSx: a quarter of an hour")
 
     def tasks(self) -> Sequence[Task]:
         """Each case by each solver, and element, that it is for."""

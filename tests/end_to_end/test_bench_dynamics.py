@@ -6,8 +6,8 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.dynamics.release import Release, swing
-from softdeca.benchmarks.studies.dynamics.study import OWN_MASS, RELEASED, SHAKEN, Dynamics, let_go, own_mass, shake
+from softdeca.benchmarks.studies.agreement.dynamics import OWN_MASS, RELEASED, SHAKEN, Dynamics, let_go, own_mass, shake
+from softdeca.benchmarks.studies.agreement.release import Release, swing
 from softdeca.lhm import InputError
 
 

@@ -8,7 +8,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies import study_of
+from softdeca.benchmarks.studies import load_study
 from softdeca.lhm.head_file import load_head, save_head
 
 
@@ -103,7 +103,9 @@ def test_the_version_is_that_of_the_package(command):
 def test_the_list_of_studies_has_whole_questions(command):
     """Click's own summary ends at the first full stop, as that of "Eq." """
     words = " ".join(command("bench", "--help").out.split())
-    assert study_of("dynamics").question in words and study_of("agreement").question in words
+    assert load_study("work-precision").question in words
+    words = " ".join(command("bench", "list").out.split())
+    assert load_study("dynamics").heading in words and load_study("agreement").heading in words
 
 
 @pytest.mark.parametrize(

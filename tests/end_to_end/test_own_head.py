@@ -1,6 +1,7 @@
 """A head of one's own from file to animation by two commands: found, repaired, fitted, animated."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,14 +117,14 @@ def test_what_is_no_head_writes_nothing(command, tmp_path, data):
 
 
 def test_landmarks_are_named_and_found(command, file, person, tmp_path):
-    picture = tmp_path / "names.png"
-    ended = command("head", "landmarks", "--names", "--picture", picture)
-    assert ended.status == 0 and "nose tip" in ended.out.splitlines() and picture.stat().st_size > 20_000
-    ended = command("head", "landmarks")
-    assert ended.status != 0 and "either --names or --skin" in ended.errors[-1]
     found, picture = tmp_path / "found.json", tmp_path / "found.png"
-    ended = command("head", "landmarks", "--skin", file, "--out", found, "--picture", picture)
-    assert ended.status == 0 and picture.is_file()
+    ended = command("head", "fit", "--find-landmarks", found)
+    assert ended.status == 0 and "nose tip" in json.loads(found.read_text()) and picture.stat().st_size > 20_000
+    ended = command("head", "fit", "--find-landmarks", found, "--seed", 1)
+    assert ended.status != 0 and "leave out --seed" in ended.errors[-1]
+    picture.unlink()
+    ended = command("head", "fit", "--skin", file, "--find-landmarks", found)
+    assert ended.status == 0 and picture.is_file() and not Path("out/head.npz").exists()
     points = json.loads(found.read_text())
     template = load_template()
     for name, vertex in landmark_ids(template.skin, template.parts).items():

@@ -77,17 +77,17 @@ ELSEWHERE = {
         "test_own_head.py::test_it_is_shown_and_simulated_without_a_word_more"
     ),
     "softdeca bench agreement": "test_agreement.py::test_the_study_of_a_sphere",
-    "softdeca bench effects": "test_effects.py::test_palsy_is_measured",
+    "softdeca bench agreement --cases effects": "test_effects.py::test_palsy_is_measured",
     "softdeca bench work-precision": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling --cases throughput": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
-    "softdeca bench minimal": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
+    "softdeca bench scaling --cases pieces": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench verification --cases hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
     "softdeca bench verification --cases hard --laws": (
         "test_laws_recovery.py::test_a_collapsed_or_inverted_block_of_the_stable_law_comes_back"
     ),
     "softdeca bench mesh": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
-    "softdeca bench dynamics": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
+    "softdeca bench agreement --cases motion": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
     "softdeca bench heads --cases closures --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
     "softdeca bench heads --count 1000": "test_bench_heads.py::test_each_head_is_that_of_its_seed",
     "softdeca bench heads --count 2 --head own.npz": "test_bench_heads.py::test_the_gallery_shows_a_head_as_it_moves",
@@ -100,12 +100,12 @@ ELSEWHERE = {
     ),
     "softdeca bench verification --fine": "test_command.py::test_verification_prints_json_that_parses_and_passes",
     "softdeca bench scaling --cases unknowns": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
-    "softdeca bench split": "test_split.py::test_the_parts_of_an_error_and_their_check",
+    "softdeca bench surrogate --cases split": "test_split.py::test_the_parts_of_an_error_and_their_check",
     "softdeca bench report": "test_report.py::test_a_report_of_studies_says_what_they_found",
     "softdeca bench surrogate --corpus corpus": (
         "test_train_command.py::test_what_is_simulated_is_learned_from_and_tested_on"
     ),
-    "softdeca bench material": "test_studies.py::test_the_law_that_pd_stands_for",
+    "softdeca bench agreement --cases cube": "test_studies.py::test_the_law_that_pd_stands_for",
     "softdeca bench compare before after": "test_harness.py::test_the_command_makes_its_options_of_the_studys_fields",
     "softdeca bench mesh --cases locking": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling --cases mixed": "test_bench_mixed.py::test_a_sphere_keeps_its_volume",

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softdeca.animation.pictures import Panel, draw_strip
-from softdeca.benchmarks.harness.report import read, write
-from softdeca.benchmarks.studies import study_of
+from softdeca.benchmarks.harness.report import read_part, write_report
+from softdeca.benchmarks.studies import load_study
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.base.mesh import Surface
 
@@ -58,8 +58,8 @@ def page(tmp_path_factory):
             (out / "ball.png").write_bytes(draw_strip(panels, size=200))
             next(row for row in found["rows"] if row["method"] == "side by side")["values"] = {"balls": "ball.png"}
         (out / file.name).write_text(json.dumps(found))
-    made = [read(file, study_of) for file in sorted(out.glob("*.json"))]
-    return write(made, out / "report", "the fast simulator, finite elements and the network")[0]
+    made = [read_part(file, load_study) for file in sorted(out.glob("*.json"))]
+    return write_report(made, out / "report", "the fast simulator, finite elements and the network")[0]
 
 
 @pytest.mark.parametrize("width", [1400, 390])

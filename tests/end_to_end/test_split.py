@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.studies.split import FINE, PARTS, RIVALS, SHARES, Split, _ratios
+from softdeca.benchmarks.studies.surrogate.split import FINE, PARTS, RIVALS, SHARES, Split, _ratios
 from softdeca.lhm import InputError
 
 EFFECT, TEXT = "softer, 2 g", "mouthPucker"

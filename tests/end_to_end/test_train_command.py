@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.surrogate_gates import NETWORK
-from softdeca.benchmarks.surrogates import READY
+from softdeca.benchmarks.studies.surrogate.gates import NETWORK
+from softdeca.benchmarks.studies.surrogate.methods import READY
 from softdeca.lhm.base.provenance import list_missing
 from softdeca.surrogate import Surrogate
 from softdeca.surrogate.corpus.folder import Corpus

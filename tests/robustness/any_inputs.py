@@ -23,7 +23,7 @@ from hypothesis.extra import numpy as hnp
 
 from softdeca.animation.takes import take_from_text
 from softdeca.cli.app import app
-from softdeca.cli.head import _counts
+from softdeca.cli.head_files import parse_layers
 from softdeca.lhm import expressions, identities
 from softdeca.lhm.base.errors import SoftdecaError
 
@@ -101,7 +101,8 @@ def any_values(data) -> None:
 @given(st.data())
 def any_texts(data) -> None:
     """What commands read from their words: expressions, takes, identities, counts."""
-    reads: list[Callable[[str], object]] = [expressions.parse_weights, identities.from_text, _counts, take_from_text]
+    reads: list[Callable[[str], object]] = [expressions.parse_weights, identities.from_text, parse_layers]
+    reads.append(take_from_text)
     read = data.draw(st.sampled_from(reads))
     part = st.sampled_from(
         ["jawOpen", "cheekPuff", "*", "+", ":", ",", "anny", "ict", "conversation", "speech", "nan", "1"]

@@ -20,9 +20,9 @@ from file_mutants import Format, of_json, of_npz, one_array_changed, renumbered
 from matplotlib import pyplot
 from safetensors.numpy import load, save
 
-from softdeca.benchmarks.harness.report import read, write
-from softdeca.benchmarks.harness.results import compared
-from softdeca.benchmarks.studies import study_of
+from softdeca.benchmarks.harness.report import read_part, write_report
+from softdeca.benchmarks.harness.results import compare_results
+from softdeca.benchmarks.studies import load_study
 from softdeca.lhm import expressions
 from softdeca.lhm.expressions import ARKIT, resample
 from softdeca.reference.face.parameters import Parameters, read_parameters
@@ -202,14 +202,14 @@ def read_weights(path: Path) -> list[np.ndarray]:
 
 
 def read_results(path: Path) -> list[np.ndarray]:
-    kind = study_of("mixed")
+    kind = load_study("mixed")
     out = path.parent / "report"
     try:
-        write([read(path, study_of)], out, "a title")
+        write_report([read_part(path, load_study)], out, "a title")
         shutil.rmtree(out)
     finally:
         pyplot.close("all")  # figures of a study that failed on its values
-    return [np.array([change.told for change in compared(path, path, kind).changes], dtype=float)]
+    return [np.array([change.told for change in compare_results(path, path, kind).changes], dtype=float)]
 
 
 def formats(folder: Path) -> list[Format]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.effects.cases import named_effects, run_effect
+from softdeca.benchmarks.studies.agreement.effect_cases import named_effects, run_effect
 from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
 from softdeca.lhm.check import check_layers
 from softdeca.reference import Parameters, facial_scene, solve

@@ -8,11 +8,11 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.effects import fan as fan_module
-from softdeca.benchmarks.studies.effects.cases import EFFECTS, Effect, named_effects, run_effect, with_effect
-from softdeca.benchmarks.studies.effects.fan import SUSPECTS, fan
-from softdeca.benchmarks.studies.effects.laws import BLENDED, CARRIED, LAW, PD, compare_laws, rule_skins
-from softdeca.benchmarks.studies.effects.study import STARTS, Effects
+from softdeca.benchmarks.studies.agreement import fan as fan_module
+from softdeca.benchmarks.studies.agreement.effect_cases import EFFECTS, Effect, named_effects, run_effect, with_effect
+from softdeca.benchmarks.studies.agreement.effect_laws import BLENDED, CARRIED, LAW, PD, compare_laws, rule_skins
+from softdeca.benchmarks.studies.agreement.effects import STARTS, Effects
+from softdeca.benchmarks.studies.agreement.fan import SUSPECTS, fan
 from softdeca.lhm.base.errors import InputError
 from softdeca.lhm.flesh import FADE, cheek_share, flesh_share, mean_on_triangles
 from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, terms

@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from softdeca.benchmarks import beyond as unseen
-from softdeca.benchmarks.breakeven import compute_breakeven
+from softdeca.benchmarks.studies.surrogate import beyond as unseen
+from softdeca.benchmarks.studies.surrogate.breakeven import compute_breakeven
 from softdeca.lhm import InputError
 from softdeca.lhm.base.progress import silent
 from softdeca.surrogate import Surrogate

@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.harness.mpirun import SETTINGS, without_notices
+from softdeca.benchmarks.harness.mpirun import SETTINGS, strip_notices
 from softdeca.benchmarks.studies.scaling.ranks import PHASES, Ranks, compared
 from softdeca.lhm.base.errors import InputError, MissingDependencyError
 from softdeca.reference import Parameters, Scene, facial_scene, march, prepare, ranks
@@ -421,7 +421,7 @@ def test_the_command_says_an_error_once(tmp_path):
     done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
     alone = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == alone.returncode != 0
-    assert without_notices(done.stderr).strip() == alone.stderr.strip()
+    assert strip_notices(done.stderr).strip() == alone.stderr.strip()
     assert len(alone.stderr.strip().splitlines()) == 1
 
 
@@ -450,7 +450,7 @@ def test_a_command_that_solves_nothing_by_fenicsx_is_refused_under_mpirun(tmp_pa
     done = subprocess.run(["mpirun", "-n", "2", *command], env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 1
     error = "softdeca: error: softdeca head: solves nothing by FEniCSx; run it without mpirun"
-    assert without_notices(done.stderr).strip() == error
+    assert strip_notices(done.stderr).strip() == error
 
 
 def test_a_process_alone_is_the_only_rank(monkeypatch, tmp_path):

@@ -47,7 +47,7 @@ TIMED = [
 
 def test_a_method_stands_at_its_true_cost():
     scored = [scores("network", all=0.05, bones=0.1), scores(SETTLED, bind_ms=1500.0, frame_ms=0.25, all=0.08)]
-    found = first_screen.points({"work-precision": TIMED, "surrogate": scored})
+    found = first_screen.collect_points({"work-precision": TIMED, "surrogate": scored})
     assert list(found) == ["PD", "FEniCSx P1", "network", "settled + blendshapes", "bones carried"]
     assert found["PD"] == first_screen.Point(3.5, 3.0, 0.01)
     assert found["FEniCSx P1"] == first_screen.Point(6.5, 6.0, 0.01)
@@ -56,31 +56,31 @@ def test_a_method_stands_at_its_true_cost():
     assert found["settled + blendshapes"] == first_screen.Point(pytest.approx(1.50025), pytest.approx(2.5e-4), 0.08)
     # A solver that does not come so far is left out.
     far = [solver("PD, L-BFGS", [1.0, 2.0], [1.0, 0.02])]
-    assert first_screen.points({"work-precision": far}) == {}
+    assert first_screen.collect_points({"work-precision": far}) == {}
 
 
 def test_the_first_sentence_says_where_the_network_loses():
     network = scores("network", all=0.05, bones=0.1, palsy=0.02)
     rivals = [scores(SETTLED, all=0.08, bones=0.2, palsy=0.05), scores("bones carried", all=0.3, bones=0.06, palsy=0.4)]
-    first, second = first_screen.sentences({"surrogate": [network, *rivals]})
+    first, second = first_screen.write_sentences({"surrogate": [network, *rivals]})
     lost = "bones (bones carried 0.060 mm, network 0.100 mm)"
     assert first == f"The network loses to a simple rival on these kinds of frames: {lost}."
     assert "6 people" in second and "network errs by 0.050 mm" in second and "by 0.080 mm" in second
     assert "network is best" in second
     better = scores("network", all=0.05, bones=0.059, palsy=0.02)
-    first, _ = first_screen.sentences({"surrogate": [better, *rivals]})
+    first, _ = first_screen.write_sentences({"surrogate": [better, *rivals]})
     assert first == "The network beats the simple rivals on all 2 kinds of frames."
 
 
 def test_sentences_are_of_rows_that_are_there():
-    assert first_screen.sentences({}) == [] and first_screen.figure({}) == ""
+    assert first_screen.write_sentences({}) == [] and first_screen.draw_figure({}) == ""
     compared = [{"compared": "to FEniCSx, all vertices", "mean": 1e-9, "max": 2e-8}]
     neo = [
         {"compared": "to PD, all vertices", "mean": 0.03, "max": 1.75},
         {"compared": "to PD, skin", "mean": 0.005, "max": 0.3},
     ]
     agreement = [row("PD", {"compared": compared}), row("FEniCSx, neo-Hookean", {"compared": neo}), row("side", {})]
-    agreed, law, cost = first_screen.sentences({"agreement": agreement, "work-precision": TIMED})
+    agreed, law, cost = first_screen.write_sentences({"agreement": agreement, "work-precision": TIMED})
     assert "at most 2.0e-08 mm apart in 1 scene" in agreed
     assert "by 0.005 to 0.005 mm on average, and a vertex by at most 1.75 mm" in law
     assert cost == (
@@ -91,11 +91,11 @@ def test_sentences_are_of_rows_that_are_there():
 
 def test_the_figure_names_every_method_wide_and_narrow():
     rows = {"work-precision": TIMED}
-    wide = first_screen.figure(rows)
+    wide = first_screen.draw_figure(rows)
     with narrow_figures():
-        slim = first_screen.figure(rows)
+        slim = first_screen.draw_figure(rows)
     for text, width in ((wide, 12.0), (slim, NARROW)):
-        assert all(f">{name}<" in text for name in first_screen.points(rows))
+        assert all(f">{name}<" in text for name in first_screen.collect_points(rows))
         assert math.isclose(float(text.split('width="')[1].split("pt")[0]), 72 * width)
     # What follows is wide again.
-    assert first_screen.figure(rows).split('width="')[1].startswith("864pt")
+    assert first_screen.draw_figure(rows).split('width="')[1].startswith("864pt")

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from softdeca.benchmarks.harness import Asked, Task, compared, processes, run, run_together, runner
+from softdeca.benchmarks.harness import RunRequest, Task, compare_results, processes, run, run_together, runner
 from softdeca.benchmarks.harness.processes import Job
 from softdeca.benchmarks.harness.results import read_results
-from softdeca.benchmarks.studies import STUDIES, study_of
-from softdeca.cli.study_command import command_of
+from softdeca.benchmarks.studies import STUDIES, load_study
+from softdeca.cli.study_command import command_of_study
 from softdeca.lhm import InputError
 from softdeca.reference import ranks
 
@@ -161,14 +161,14 @@ def test_changes_are_told_beyond_noise(toys, tmp_path):
     slower = results_file(
         tmp_path / "b.json", {"quiet": [1.1, 1.101, 1.1], "noisy": [1.1, 1.5, 0.9], "gone": None, "late": quiet}
     )
-    found = compared(before, slower, toys.Toy)
-    assert {change.task: change.told for change in found.changes} == {"quiet, m": True, "noisy, m": False}
+    found = compare_results(before, slower, toys.Toy)
+    assert {change.task: change.is_beyond_noise for change in found.changes} == {"quiet, m": True, "noisy, m": False}
     assert found.changes[0].share == pytest.approx(0.1) and found.changes[0].cost
     assert found.broken == ["gone, m: done before, failed after"]
     assert found.other == ["late, m: failed before, done after"]
     (tmp_path / "c.json").write_text("{}")
     with pytest.raises(InputError, match="c.json: no results of a study"):
-        compared(before, tmp_path / "c.json", toys.Toy)
+        compare_results(before, tmp_path / "c.json", toys.Toy)
 
 
 def test_answers_are_compared_but_for_rounding(toys, tmp_path):
@@ -183,12 +183,12 @@ def test_answers_are_compared_but_for_rounding(toys, tmp_path):
 
     before = written("a.json", [100.0, 1e-9, 50.0, "right", None, True], True)
     after = written("b.json", [101.0, 2e-2, 55.0, "wrong", 1.0, False], False)
-    found = compared(before, after, toys.Toy)
-    told = {change.task: change.share for change in found.changes if change.told}
+    found = compare_results(before, after, toys.Toy)
+    told = {change.task: change.share for change in found.changes if change.is_beyond_noise}
     assert set(told) == {"2, m"} and told["2, m"] == pytest.approx(0.1)
     assert found.broken == ["small: reached before, not after"]
     assert found.other == ["quick: not reached before, but after", "3, m, twice: right before, wrong after"]
-    assert not any(change.told for change in compared(before, before, toys.Toy).changes)
+    assert not any(change.is_beyond_noise for change in compare_results(before, before, toys.Toy).changes)
 
 
 DAMAGED = {
@@ -216,7 +216,7 @@ def test_values_that_a_study_cannot_read_are_named(toys, tmp_path):
     rows = [{"case": "x", "method": "m", "status": "done", "values": {"rows": 3}}]
     (tmp_path / "b.json").write_text(json.dumps({"study": "toy", "rows": rows}))
     with pytest.raises(InputError, match="results damaged, or made by another version"):
-        compared(before, tmp_path / "b.json", toys.Toy)
+        compare_results(before, tmp_path / "b.json", toys.Toy)
 
 
 def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
@@ -234,9 +234,11 @@ def test_the_command_makes_its_options_of_the_studys_fields(command, tmp_path):
 
 def test_no_study_has_an_option_twice():
     for name in STUDIES:
-        options = [option for parameter in command_of(study_of(name)).params for option in parameter.opts]
+        options = [option for parameter in command_of_study(load_study(name)).params for option in parameter.opts]
         assert len(options) == len(set(options)), name
-    assert "--processes" in [option for parameter in command_of(study_of("ranks")).params for option in parameter.opts]
+    assert "--processes" in [
+        option for parameter in command_of_study(load_study("ranks")).params for option in parameter.opts
+    ]
 
 
 def test_under_mpirun_every_rank_measures_itself(toys, tmp_path, monkeypatch):
@@ -252,9 +254,9 @@ def test_a_process_goes_on_with_its_case(toys, tmp_path):
     lane = processes._Lane()
     jobs = [Job(toys.Toy(), Task(case, method)) for case in "123" for method in "ab"]
     ones, twos = ("toy", "1"), ("toy", "2")
-    assert lane.next_of(jobs, {ones}) == jobs[2]
+    assert lane.choose(jobs, {ones}) == jobs[2]
     lane.job = jobs[4]
-    assert lane.next_of(jobs, {ones, twos}) == jobs[4] and lane.next_of(jobs[:4], {ones, twos}) == jobs[0]
+    assert lane.choose(jobs, {ones, twos}) == jobs[4] and lane.choose(jobs[:4], {ones, twos}) == jobs[0]
 
 
 def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_cannot_be_run_is_told(
@@ -264,11 +266,15 @@ def test_studies_together_are_one_after_another_where_one_is_timed_and_one_that_
 
     def seen(jobs, count):
         lanes_used.append(count)
-        return processes.measured(jobs, count)
+        return processes.measure_jobs(jobs, count)
 
-    monkeypatch.setattr(runner, "measured", seen)
+    monkeypatch.setattr(runner, "measure_jobs", seen)
     good, more = (toys.Toy(folder=str(tmp_path), cases=(case,)) for case in "12")
-    asked = [Asked(good, tmp_path / "a"), Asked(good, tmp_path / "b", "no such"), Asked(more, tmp_path / "c")]
+    asked = [
+        RunRequest(good, tmp_path / "a"),
+        RunRequest(good, tmp_path / "b", "no such"),
+        RunRequest(more, tmp_path / "c"),
+    ]
     first, second, third = run_together(asked, workers=2)
     assert [row.values["twice"] for row in (*first.rows, *third.rows)] == [2.0, 4.0]
     assert isinstance(second, InputError) and "no such" in str(second) and not (tmp_path / "b").exists()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softdeca.benchmarks.studies.insides import (
+from softdeca.benchmarks.studies.agreement.insides import (
     load_on_mandible,
     mandible,
     mandible_apart,

@@ -5,11 +5,11 @@ import json
 import pytest
 
 from softdeca.benchmarks import main_study
-from softdeca.benchmarks.harness import Asked
+from softdeca.benchmarks.harness import RunRequest
 from softdeca.benchmarks.main_study import parts
+from softdeca.benchmarks.studies.agreement.material import Material
 from softdeca.benchmarks.studies.agreement.study import Agreement
-from softdeca.benchmarks.studies.material import Material
-from softdeca.benchmarks.studies.surrogate import SurrogateOnCorpus
+from softdeca.benchmarks.studies.surrogate.study import SurrogateOnCorpus
 from softdeca.benchmarks.studies.verification import Verification
 
 
@@ -36,9 +36,9 @@ def test_people_that_no_network_knows_have_no_surrogate(tmp_path, monkeypatch):
 
 
 def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, monkeypatch, command):
-    good = Asked(Verification(solvers=("skfem",)), tmp_path / "verification", "two layers")
+    good = RunRequest(Verification(solvers=("skfem",)), tmp_path / "verification", "two layers")
     monkeypatch.setattr(
-        main_study, "parts", lambda *given: [Asked(Material(modes=("torsion",)), tmp_path / "material"), good]
+        main_study, "parts", lambda *given: [RunRequest(Material(modes=("torsion",)), tmp_path / "material"), good]
     )
     ended = command("study", "--out", tmp_path)
     assert ended.status == 1 and any("FAILED material: mode 'torsion'" in line for line in ended.out.splitlines())

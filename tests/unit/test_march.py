@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 pytest.importorskip("dolfinx")
 
-from softdeca.benchmarks.studies.dynamics.release import Release
+from softdeca.benchmarks.studies.agreement.release import Release
 from softdeca.reference import Reason, Scene, SceneError, prepare, solve, terms
 from softdeca.reference.march import Scheme, march
 from softdeca.reference.materials import NeoHookean

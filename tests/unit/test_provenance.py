@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from softdeca.benchmarks.harness import run
-from softdeca.benchmarks.harness.page import CHANGED, page
-from softdeca.benchmarks.harness.report import Made, write
+from softdeca.benchmarks.harness.page import CHANGED, render_study
+from softdeca.benchmarks.harness.report import ReportPart, write_report
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm.base import provenance
 from softdeca.lhm.base.files.text import read_toml
@@ -97,8 +97,8 @@ def test_pages_say_where_no_commit_holds_the_code(tmp_path, commit, earlier):
     results = run(study, tmp_path, match="two layers", workers=1)
     rows = tuple(replace(row, commit=earlier) for row in results.rows)
     results = replace(results, machine={**results.machine, "commit": commit}, rows=rows)
-    write([Made(study, results, tmp_path)], tmp_path / "report", "mine")
-    shown = [page(study, results, tmp_path)] + [
+    write_report([ReportPart(study, results, tmp_path)], tmp_path / "report", "mine")
+    shown = [render_study(study, results, tmp_path)] + [
         (tmp_path / "report" / name).read_text() for name in ("index.html", "report.md")
     ]
     assert [CHANGED in text for text in shown] == 3 * ["dirty" in commit + earlier]

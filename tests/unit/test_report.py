@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from softdeca.benchmarks.harness import Table, run
-from softdeca.benchmarks.harness.page import latex, markdown
-from softdeca.benchmarks.harness.report import read, write
-from softdeca.benchmarks.studies import study_of
+from softdeca.benchmarks.harness.page import to_latex, to_markdown
+from softdeca.benchmarks.harness.report import read_part, write_report
+from softdeca.benchmarks.studies import load_study
 from softdeca.benchmarks.studies.verification import Verification
 from softdeca.lhm import InputError
 
@@ -52,7 +52,9 @@ def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(made, tmp_pat
         for row in rows:
             row["commit"] = commit
         file.write_text(json.dumps(found))
-        text = write([read(file, study_of)], tmp_path / "out", "cost", spent="This run took no time.")[0].read_text()
+        text = write_report([read_part(file, load_study)], tmp_path / "out", "cost", spent="This run took no time.")[
+            0
+        ].read_text()
         (line,) = re.findall(rf"<tr><td class=text>Do the solvers give.*{commit}<.*</tr>", text)
         assert clean in line and ">0.25<" in line and ">10<" in line
         assert "4 of 4 rows took 10 s of processor time together. This run took no time." in text
@@ -60,16 +62,19 @@ def test_a_report_says_what_it_cost_and_whether_the_tree_was_clean(made, tmp_pat
     for row in rows:
         del row["cpu"]
     file.write_text(json.dumps(found))
-    assert "of processor time together" not in write([read(file, study_of)], tmp_path / "o", "old")[0].read_text()
+    assert (
+        "of processor time together"
+        not in write_report([read_part(file, load_study)], tmp_path / "o", "old")[0].read_text()
+    )
 
 
 def test_results_that_are_none_are_named(made, command, tmp_path):
     (tmp_path / "results.json").write_text("{}")
     with pytest.raises(InputError, match="results.json: no results of a study"):
-        read(tmp_path, study_of)
-    once = read(made, study_of)
+        read_part(tmp_path, load_study)
+    once = read_part(made, load_study)
     with pytest.raises(InputError, match="each study once"):
-        write([once, once], tmp_path, "twice")
+        write_report([once, once], tmp_path, "twice")
     found = json.loads((made / "results.json").read_text())
     del found["rows"][0]["values"]["outcomes"]
     (tmp_path / "results.json").write_text(json.dumps(found))
@@ -79,13 +84,13 @@ def test_results_that_are_none_are_named(made, command, tmp_path):
 
 def test_a_table_as_markdown_and_latex():
     table = Table("50 % of |x|", ["law", "error [mm]"], [("a_b & c", 0.00012345), (True, None)], "by hand")
-    assert markdown(table).splitlines()[2:6] == [
+    assert to_markdown(table).splitlines()[2:6] == [
         "| law | error [mm] |",
         "|---|---|",
         "| a_b & c | 1.2e-04 |",
         "| yes | – |",
     ]
-    text = latex(table, "laws, by hand")
+    text = to_latex(table, "laws, by hand")
     assert r"a\_b \& c & 1.2e-04 \\" in text and r"50 \% of |x|" in text and r"\label{tab:laws-by-hand}" in text
 
 
@@ -94,10 +99,10 @@ KEPT = sorted(RESULTS.glob("*.json"))
 
 def test_results_that_are_kept_can_be_reported(tmp_path):
     assert {path.stem for path in KEPT} >= {"material", "split", "verification"}
-    made = [read(path, study_of) for path in KEPT]
+    made = [read_part(path, load_study) for path in KEPT]
     assert all(each.results.machine["commit"] for each in made)
     # The first gate counts what could not be measured, which is a row with its reason; no answer may be wrong.
     assert all(gate["passed"] for each in made for gate in each.results.gates[1:] if gate["answer"])
     assert all(row.done or row.reason for each in made for row in each.results.rows)
-    text = write(made, tmp_path, "kept")[0].read_text()
+    text = write_report(made, tmp_path, "kept")[0].read_text()
     assert all(f'<h2 id="{path.stem}">' in text for path in KEPT)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.surrogate_gates import (
+from softdeca.benchmarks.studies.surrogate.gates import (
     BOUNDS,
     HYBRID,
     LINEARISED,

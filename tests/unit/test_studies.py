@@ -9,7 +9,7 @@ import pytest
 
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies import verification
-from softdeca.benchmarks.studies.material import Material
+from softdeca.benchmarks.studies.agreement.material import Material
 from softdeca.benchmarks.studies.verification import felupe_beside_fenicsx
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene

@@ -1,1 +1,1 @@
-"""Whether PD's faces agree with finite elements' and with the network's."""
+"""How far apart solvers, laws, network and rules are: faces, effects, motion, and a cube of tissue."""

@@ -13,9 +13,9 @@ from ....lhm.base.mesh import Floats
 from ....reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
 from ....reference.face.facial import apply_law
 from ....surrogate import Surrogate
-from ..insides import compare_insides, load_on_mandible
 from ..measures import ACCURACY, TIGHT, Trace, difference, distances, traced, traced_to_itself
 from ..person import Person
+from .insides import compare_insides, load_on_mandible
 
 WARM = 1e-9
 """Gradient norm over its start of those that start at PD's answer, where it is smaller already."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -14,10 +14,10 @@ from ....animation.pictures import draw_cut_away
 from ....animation.plots import subplots, to_svg
 from ....lhm import check_head, expressions, identities
 from ....lhm.base.errors import InputError
+from ....lhm.base.option import option
 from ....reference import Parameters, open_jaw_scene, push_cheek_scene
 from ....surrogate import Surrogate
 from ...harness.study import Column, Row, Study, Table, Task, Values, above, at_most
-from ..insides import loads_on_mandible, vertices_and_stress
 from ..measures import ACCURACY
 from ..person import Person, person
 from .faces import (
@@ -38,6 +38,7 @@ from .faces import (
     Face,
     SceneFace,
 )
+from .insides import loads_on_mandible, vertices_and_stress
 
 SOLVERS = (FENICSX, PD, PLAIN, SKFEM, NEO, NEO_SKFEM)
 FEWER = (FENICSX, PD, NEO)
@@ -80,20 +81,16 @@ class Agreement(Study):
     )
     version = 2
 
-    identities: str = field(default="anny", metadata={"help": "'anny', ict:FILE, flame:FILE or folder:DIR"})
-    expressions: tuple[str, ...] = field(
-        default=("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker", "cheekPuff", "browInnerUp"),
-        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+    identities: str = option("anny", "'anny', ict:FILE, flame:FILE or folder:DIR")
+    expressions: tuple[str, ...] = option(
+        ("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker", "cheekPuff", "browInnerUp"),
+        "as jawOpen*0.5+cheekPuff; repeat for several",
     )
-    gravity: float = field(default=3.0, metadata={"help": "g of the scene that has no expression"})
-    volume: float = field(
-        default=1.4, metadata={"help": "times that of soft tissue, without an expression; 1: no such"}
-    )
-    jaw: float = field(
-        default=12.0, metadata={"help": "degrees by which its bone opens a jaw, at 2 g; 0: no such scene"}
-    )
-    push: float = field(default=0.25, metadata={"help": "kPa that push a cheek; 0: no such scene"})
-    weights: str = field(default="", metadata={"help": "of `softdeca train`  [those that are shipped]"})
+    gravity: float = option(3.0, "g of the scene that has no expression")
+    volume: float = option(1.4, "times that of soft tissue, without an expression; 1: no such")
+    jaw: float = option(12.0, "degrees by which its bone opens a jaw, at 2 g; 0: no such scene")
+    push: float = option(0.25, "kPa that push a cheek; 0: no such scene")
+    weights: str = option("", "of `softdeca train`  [those that are shipped]")
 
     def tasks(self) -> Sequence[Task]:
         """The head, and each case by each method; InputError for a space or an expression that cannot be read."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from ....animation.play import blend_linearly
 from ....animation.takes import read_frames
 from ....lhm import fit_head, identities, load_template
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.expressions import Take
 from ....lhm.identities.gaps import Gap, find_gaps
 from ....lhm.template import DEFAULT_LEVEL
@@ -43,11 +44,11 @@ class Closures(Study):
     )
     note = "On the mean of the default people. A width is negative where lids or lips cross."
 
-    take: str = field(default="conversation:3", metadata={"help": "a take, as `softdeca simulate` reads it"})
-    frames: str = field(default="", metadata={"help": "A:B, only these frames of the take, B left out"})
-    parameters: str = field(default="", metadata={"help": "TOML of named parameters p"})
-    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
-    dynamic: bool = field(default=False, metadata={"help": "with inertia, simulated and by the surrogate"})
+    take: str = option("conversation:3", "a take, as `softdeca simulate` reads it")
+    frames: str = option("", "A:B, only these frames of the take, B left out")
+    parameters: str = option("", "TOML of named parameters p")
+    level: int = option(DEFAULT_LEVEL, "of the template: 1,212, 4,842 or 19,362 vertices")
+    dynamic: bool = option(False, "with inertia, simulated and by the surrogate")
 
     def tasks(self) -> Sequence[Task]:
         """The take; InputError for one that cannot be read."""

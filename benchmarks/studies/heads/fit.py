@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from ....lhm import (
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.geometry.bvh import TriangleTree
 from ....lhm.base.geometry.topology import find_openings
+from ....lhm.base.option import option
 from ....lhm.check import Figure
 from ....lhm.head_file import load_head
 from ....lhm.identities.space import CLIP, LinearSpace
@@ -112,10 +113,10 @@ class Heads(OfPerson):
         "expressions at full weight, simulated by projective dynamics with default parameters."
     )
 
-    count: int = field(default=1000, metadata={"help": "how many random identities"})
-    sigma: float = field(default=CLIP, metadata={"help": "largest coefficient, in standard deviations"})
-    gallery: int = field(default=2, metadata={"help": "how many of them are simulated and drawn"})
-    heads: tuple[str, ...] = field(default=(), metadata={"help": "by `head fit`, drawn as well; repeat for several"})
+    count: int = option(1000, "how many random identities")
+    sigma: float = option(CLIP, "largest coefficient, in standard deviations")
+    gallery: int = option(2, "how many of them are simulated and drawn")
+    heads: tuple[str, ...] = option((), "by `head fit`, drawn as well; repeat for several")
 
     def tasks(self) -> Sequence[Task]:
         """Each identity, and the gallery; InputError for a value out of range and for a file that holds no head."""

@@ -8,7 +8,7 @@ is transfer's and how much registration's, a person of the same space tells, who
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from ....lhm.arkit import ARKIT
 from ....lhm.base.errors import InputError
 from ....lhm.base.geometry.rays import visible_sky
 from ....lhm.base.mesh import Floats, Floats32, Surface
+from ....lhm.base.option import option
 from ....lhm.fit import transfer_rig
 from ....lhm.identities import LinearSpace
 from ....lhm.identities.space import OUTSIDE
@@ -55,9 +56,9 @@ class Registrations(Study):
         "registration; the other head's artist had other shapes in mind."
     )
 
-    identities: str = field(default="anny", metadata={"help": "the one head with a rig: 'anny' or ict:FILE"})
-    upon: str = field(default="", metadata={"required": True, "help": "the other head, as ict:FILE"})
-    seed: int = field(default=0, metadata={"help": "of a person of each, whose shapes are known"})
+    identities: str = option("anny", "the one head with a rig: 'anny' or ict:FILE")
+    upon: str = option("", "the other head, as ict:FILE", required=True)
+    seed: int = option(0, "of a person of each, whose shapes are known")
 
     def tasks(self) -> Sequence[Task]:
         """One: two registrations, a minute each, answer all together. InputError for spaces that cannot be read."""

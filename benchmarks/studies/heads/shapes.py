@@ -6,13 +6,14 @@ Scenes are `facial_scene`'s at default parameters, solved by projective dynamics
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.expressions import ARKIT
 from ....lhm.head import LayeredHead
 from ....reference import Parameters, Prepared, facial_scene, prepare
@@ -42,7 +43,7 @@ class Shapes(OfPerson):
         Column("iterations", "iterations", cost=True),
     )
 
-    count: int = field(default=20, metadata={"help": "how many random identities, half a minute each"})
+    count: int = option(20, "how many random identities, half a minute each")
 
     def tasks(self) -> Sequence[Task]:
         """An identity each; InputError for none."""

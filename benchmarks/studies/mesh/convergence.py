@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
 from ....lhm.remesh import refine_head
 from ....reference import Parameters, Scene, Solution, facial_scene, prepare, solve
@@ -63,12 +64,12 @@ class Convergence(OfPerson):
         "them at its middles too."
     )
 
-    expressions: tuple[str, ...] = field(
-        default=("jawOpen*0.5", "mouthSmileLeft+mouthSmileRight", "cheekPuff+mouthPucker*0.5"),
-        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+    expressions: tuple[str, ...] = option(
+        ("jawOpen*0.5", "mouthSmileLeft+mouthSmileRight", "cheekPuff+mouthPucker*0.5"),
+        "as jawOpen*0.5+cheekPuff; repeat for several",
     )
-    quadratic: bool = field(default=False, metadata={"help": "also quadratic tets by FEniCSx: minutes"})
-    tolerance: float = field(default=1e-7, metadata={"help": "gradient norm over its start"})
+    quadratic: bool = option(False, "also quadratic tets by FEniCSx: minutes")
+    tolerance: float = option(1e-7, "gradient norm over its start")
 
     def tasks(self) -> Sequence[Task]:
         """Each expression; InputError for none."""

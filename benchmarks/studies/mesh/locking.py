@@ -7,7 +7,7 @@ pressure (Taylor-Hood). Free tets by gmsh between the same wraps share no edge i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
 from ....lhm.remesh import remesh
 from ....lhm.template import DEFAULT_LEVEL
@@ -80,18 +81,14 @@ class Locking(OfPerson):
     )
     limit = 7200.0
 
-    level: int = field(default=1, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
-    expression: str = field(default="mouthPucker", metadata={"help": "as jawOpen*0.5+cheekPuff"})
-    poisson: tuple[str, ...] = field(
-        default=("0.38", "0.45", "0.47", "0.49", "0.499"), metadata={"help": "a Poisson's ratio; repeat for several"}
+    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices")
+    expression: str = option("mouthPucker", "as jawOpen*0.5+cheekPuff")
+    poisson: tuple[str, ...] = option(
+        ("0.38", "0.45", "0.47", "0.49", "0.499"), "a Poisson's ratio; repeat for several"
     )
-    finer: tuple[str, ...] = field(
-        default=("0.45",), metadata={"help": f"a Poisson's ratio, also on level {DEFAULT_LEVEL}; repeat for several"}
-    )
-    free: tuple[str, ...] = field(
-        default=("0.45",), metadata={"help": "a Poisson's ratio, also on free tets by gmsh; repeat for several"}
-    )
-    size: float = field(default=8.0, metadata={"help": "largest free tets inside [mm]"})
+    finer: tuple[str, ...] = option(("0.45",), f"a Poisson's ratio, also on level {DEFAULT_LEVEL}; repeat for several")
+    free: tuple[str, ...] = option(("0.45",), "a Poisson's ratio, also on free tets by gmsh; repeat for several")
+    size: float = option(8.0, "largest free tets inside [mm]")
 
     def tasks(self) -> Sequence[Task]:
         """Name each mesh by each Poisson's ratio. Raises InputError for options out of range."""

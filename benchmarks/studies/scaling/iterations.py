@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,6 +14,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.template import LEVELS
 from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, prepare, projective
 from ....reference.face.sequence import Sequence as Simulation
@@ -71,17 +72,11 @@ class Scaling(OfPerson):
     timed = True
     alone = True
 
-    expression: str = field(
-        default="jawOpen*0.7+mouthSmileLeft+mouthSmileRight", metadata={"help": "as jawOpen*0.5+cheekPuff"}
-    )
-    levels: tuple[str, ...] = field(
-        default=tuple(map(str, LEVELS)), metadata={"option": "--levels", "help": "of the template, by tets; repeat"}
-    )
-    frames: tuple[str, ...] = field(default=("6", "12", "24", "48"), metadata={"option": "--frames", "help": "repeat"})
-    processes: tuple[str, ...] = field(
-        default=("1", "2"), metadata={"option": "--processes", "help": "side by side; repeat"}
-    )
-    repeats: int = field(default=5, metadata={"help": "of each solve, after one that is not counted"})
+    expression: str = option("jawOpen*0.7+mouthSmileLeft+mouthSmileRight", "as jawOpen*0.5+cheekPuff")
+    levels: tuple[str, ...] = option(tuple(map(str, LEVELS)), "of the template, by tets; repeat", name="--levels")
+    frames: tuple[str, ...] = option(("6", "12", "24", "48"), "repeat", name="--frames")
+    processes: tuple[str, ...] = option(("1", "2"), "side by side; repeat", name="--processes")
+    repeats: int = option(5, "of each solve, after one that is not counted")
 
     def tasks(self) -> Sequence[Task]:
         """Each level by each solver, each length of a sequence, and each count of processes."""

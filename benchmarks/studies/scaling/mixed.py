@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.head import LayeredHead
 from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, materials, prepare, solve, terms
 from ...harness.study import Column, Row, Task, Values, at_most
@@ -68,15 +69,9 @@ class Mixed(OfPerson):
     timed = True
     alone = True
 
-    expressions: tuple[str, ...] = field(
-        default=("mouthPucker",),
-        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
-    )
-    laws: tuple[str, ...] = field(
-        default=("incompressible", "0.499"),
-        metadata={"help": "incompressible or a Poisson's ratio; repeat"},
-    )
-    tolerance: float = field(default=1e-6, metadata={"help": "gradient norm over its start"})
+    expressions: tuple[str, ...] = option(("mouthPucker",), "as jawOpen*0.5+cheekPuff; repeat for several")
+    laws: tuple[str, ...] = option(("incompressible", "0.499"), "incompressible or a Poisson's ratio; repeat")
+    tolerance: float = option(1e-6, "gradient norm over its start")
 
     def tasks(self) -> Sequence[Task]:
         """Each expression by each law."""

@@ -10,15 +10,16 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ....lhm.base.errors import InputError
+from ....lhm.base.option import option
 from ....reference import solve, terms
 from ....reference.materials import NeoHookean
-from ...harness.mpirun import by_mpirun
+from ...harness.mpirun import run_by_mpirun
 from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Study, Task, Values
 from .ranks import agreement, counts_of
@@ -55,12 +56,10 @@ class Parts(Study):
     timed = True
     alone = True
 
-    processes: tuple[str, ...] = field(
-        default=("1", "2", "4"), metadata={"option": "--processes", "help": "counts to compare, the first is 1; repeat"}
+    processes: tuple[str, ...] = option(
+        ("1", "2", "4"), "counts to compare, the first is 1; repeat", name="--processes"
     )
-    unknowns: tuple[str, ...] = field(
-        default=("65000", "290000"), metadata={"option": "--unknowns", "help": "of a block, about; repeat"}
-    )
+    unknowns: tuple[str, ...] = option(("65000", "290000"), "of a block, about; repeat", name="--unknowns")
 
     def tasks(self) -> Sequence[Task]:
         """Strong scaling at each size, weak scaling at the first per process; InputError for what cannot be."""
@@ -103,8 +102,8 @@ def compared(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
         file = Path(folder) / "block.xdmf"
         for count in counts:
             if each or not rows:
-                by_mpirun(1, write, file, cells_of(unknowns * (count if each else 1)))
-            found = by_mpirun(count, measure, file)
+                run_by_mpirun(1, write, file, cells_of(unknowns * (count if each else 1)))
+            found = run_by_mpirun(count, measure, file)
             positions, moved = found.pop("positions"), found.pop("moved")
             first = positions if first is None else first
             off = None if each and rows else float(np.abs(positions - first).max()) / moved

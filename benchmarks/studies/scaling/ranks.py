@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene
-from ...harness.mpirun import by_mpirun
+from ...harness.mpirun import run_by_mpirun
 from ...harness.processes import peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import NEO_HOOKEAN, PD_ENERGY
@@ -51,12 +52,10 @@ class Ranks(OfPerson):
     )
     timed = True
 
-    processes: tuple[str, ...] = field(
-        default=("1", "2"), metadata={"option": "--processes", "help": "counts to compare, the first is 1; repeat"}
-    )
-    expression: str = field(default="jawOpen*0.5", metadata={"help": "as jawOpen*0.5+cheekPuff"})
-    rounds: int = field(default=2, metadata={"help": "in which every count has its turn"})
-    repeats: int = field(default=5, metadata={"help": "of a phase in each round"})
+    processes: tuple[str, ...] = option(("1", "2"), "counts to compare, the first is 1; repeat", name="--processes")
+    expression: str = option("jawOpen*0.5", "as jawOpen*0.5+cheekPuff")
+    rounds: int = option(2, "in which every count has its turn")
+    repeats: int = option(5, "of a phase in each round")
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -123,7 +122,7 @@ def compared(scene: Scene, study: Ranks) -> list[dict]:
     found: dict[int, dict] = {}
     for _ in range(study.rounds):
         for count in study.counts:
-            found[count] = _best(found.get(count), by_mpirun(count, measure, scene, study.repeats))
+            found[count] = _best(found.get(count), run_by_mpirun(count, measure, scene, study.repeats))
     alone = found[1]["positions"]
     largest = float(np.linalg.norm(alone - scene.vertices, axis=1).max())
     rows = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,6 +13,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....reference import Parameters, Prepared, facial_scene, prepare, projective
 from ....reference.face.sequence import TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
@@ -77,8 +78,8 @@ class Throughput(OfPerson):
     timed = True
     alone = True
 
-    people: int = field(default=3, metadata={"help": "of cold frames, of seeds from the study's on"})
-    frames: int = field(default=49, metadata={"help": "of the sequence, at 60 Hz; at least 13"})
+    people: int = option(3, "of cold frames, of seeds from the study's on")
+    frames: int = option(49, "of the sequence, at 60 Hz; at least 13")
 
     def tasks(self) -> Sequence[Task]:
         """Each kind of cold frames, the sequence, the memory, the floor."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,8 +17,9 @@ import numpy as np
 from ....animation.plots import subplots, to_svg
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
-from ...harness.processes import forget_peak, peak_megabytes
+from ...harness.processes import peak_megabytes, reset_peak
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, Stopwatch, load_kernels, slope, timed, unfinished
 from ..person import OfPerson
@@ -100,8 +101,8 @@ class Unknowns(OfPerson):
     timed = True
     alone = True
 
-    up_to: int = field(default=USUAL, metadata={"help": "unknowns of a mesh; 640000 for all: forty minutes"})
-    expression: str = field(default="mouthSmileLeft+mouthSmileRight", metadata={"help": "as jawOpen*0.5+cheekPuff"})
+    up_to: int = option(USUAL, "unknowns of a mesh; 640000 for all: forty minutes")
+    expression: str = option("mouthSmileLeft+mouthSmileRight", "as jawOpen*0.5+cheekPuff")
 
     @property
     def meshes(self) -> dict[str, Mesh]:
@@ -175,7 +176,7 @@ class Unknowns(OfPerson):
 
 def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) -> dict:
     """What a solve costs, from rest or a coarse mesh's answer, and the most memory [MB] that the process holds."""
-    forget_peak()
+    reset_peak()
     start, watch = None, Stopwatch()
     if coarse is not None:
         near = prepare(apply_law(coarse[0], law), solver="fenicsx").solve(tolerance=NEAR)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +12,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import expressions
 from ....lhm.base.errors import InputError, MissingDependencyError, SoftdecaError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import added_laws, added_solvers
 from ....reference.face.settle import carry_skin
@@ -79,12 +80,11 @@ class WorkPrecision(OfPerson):
     )
     timed = True
 
-    expressions: tuple[str, ...] = field(
-        default=("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker"),
-        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+    expressions: tuple[str, ...] = option(
+        ("jawOpen", "mouthSmileLeft+mouthSmileRight", "mouthPucker"), "as jawOpen*0.5+cheekPuff; repeat for several"
     )
-    repeats: int = field(default=5, metadata={"help": "of each solve, after one that is not counted"})
-    slow: bool = field(default=False, metadata={"help": "also quadratic tets and scikit-fem: minutes each"})
+    repeats: int = option(5, "of each solve, after one that is not counted")
+    slow: bool = option(False, "also quadratic tets and scikit-fem: minutes each")
 
     def tasks(self) -> Sequence[Task]:
         """Each expression by each method; InputError for none, and for no repeat."""

@@ -8,7 +8,7 @@ from ....animation.pictures import VIEW, Panel, draw_strip
 from ....lhm.base.mesh import Floats
 from ....lhm.head import LayeredHead
 from ..measures import distances
-from .cases import EffectResult
+from .effect_cases import EffectResult
 
 FRONT = (0.0, 0.05, 1.0)
 CLOSE = 560

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..surrogate.corpus.folder import shard_path, sum_seconds
-from ..surrogate.corpus.manifest import read_manifest
-from ..surrogate.corpus.shard import read_seconds
-from ..surrogate.evaluate import Score
-from ..surrogate.networks.weights import TrainingNote
+from ....surrogate.corpus.folder import shard_path, sum_seconds
+from ....surrogate.corpus.manifest import read_manifest
+from ....surrogate.corpus.shard import read_seconds
+from ....surrogate.evaluate import Score
+from ....surrogate.networks.weights import TrainingNote
 
 PAID = ("shapes", "fit", "settling", "derivatives", "statics", "sequences")
 """Phases of making a corpus that training needs."""

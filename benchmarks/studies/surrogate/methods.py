@@ -9,21 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ..lhm.base.errors import InputError
-from ..lhm.base.progress import silent
-from ..surrogate import Surrogate
-from ..surrogate.corpus.folder import read_kept_plan
-from ..surrogate.corpus.people import people_from_text
-from ..surrogate.corpus.plan import Split
-from ..surrogate.corpus.reading import Faces
-from ..surrogate.generalisation import PairStore, simulate_pairs
-from ..surrogate.heads import BindCosts, Heads, measure_binds
-from ..surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
-from ..surrogate.networks.responses import LearnedResponses
-from ..surrogate.networks.ridge import Ridge
-from ..surrogate.networks.weights import Weights
-from ..surrogate.schedule import count_processors, make_schedule
-from .surrogate_gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED
+from ....lhm.base.errors import InputError
+from ....lhm.base.progress import silent
+from ....surrogate import Surrogate
+from ....surrogate.corpus.folder import read_kept_plan
+from ....surrogate.corpus.people import people_from_text
+from ....surrogate.corpus.plan import Split
+from ....surrogate.corpus.reading import Faces
+from ....surrogate.generalisation import PairStore, simulate_pairs
+from ....surrogate.heads import BindCosts, Heads, measure_binds
+from ....surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
+from ....surrogate.networks.responses import LearnedResponses
+from ....surrogate.networks.ridge import Ridge
+from ....surrogate.networks.weights import Weights
+from ....surrogate.schedule import count_processors, make_schedule
+from .gates import BLENDSHAPES, CARRIED, HYBRID, LINEARISED, NETWORK, SETTLED
 
 Maker = Callable[[Weights, Heads], Method]
 READY: Mapping[str, Maker] = {
@@ -49,9 +49,9 @@ COSTED = 3
 @lru_cache(maxsize=1)
 def learning() -> Mapping[str, Callable[[], Method]]:
     """Return what is fitted to a corpus' training people, by name; most need torch, which is an extra."""
-    from ..surrogate.networks.face_wise import FaceWise
-    from ..surrogate.networks.softsmpl import SoftSMPL
-    from ..surrogate.networks.vertices_only import VerticesOnly
+    from ....surrogate.networks.face_wise import FaceWise
+    from ....surrogate.networks.softsmpl import SoftSMPL
+    from ....surrogate.networks.vertices_only import VerticesOnly
 
     makers: list[Callable[[], Method]] = [LearnedResponses, lambda: Ridge("dimensionless"), lambda: Ridge("raw")]
     makers += [lambda: SoftSMPL("small"), lambda: SoftSMPL("large"), VerticesOnly, FaceWise]

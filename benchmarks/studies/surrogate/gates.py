@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from ..surrogate.evaluate import ALL, UNSCALED, Score
-from ..surrogate.ruler import DEFAULT, KINDS
-from .harness.study import at_most
+from ....surrogate.evaluate import ALL, UNSCALED, Score
+from ....surrogate.ruler import DEFAULT, KINDS
+from ...harness.study import at_most
 
 NETWORK, HYBRID, LINEARISED = "network", "network + simulator at bind", "linearised simulator"
 CARRIED, SETTLED, BLENDSHAPES = "bones carried", "settled neutral face + blendshapes", "blendshapes (T = S)"

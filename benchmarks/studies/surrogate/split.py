@@ -8,25 +8,26 @@ the coarse part times the ratio of fine to coarse parts, with the lowest and hig
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from ...animation.plots import subplots, to_svg
-from ...lhm import expressions
-from ...lhm.base.errors import InputError, SoftdecaError
-from ...lhm.base.mesh import Floats
-from ...reference import Parameters, Scene, Solution, settle, solve
-from ...reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives, differentiate_head
-from ...reference.face.facial import apply_law
-from ...reference.face.settle import SettledFace, carry_skin, neutral_scene
-from ...surrogate import Surrogate
-from ...surrogate.corpus.plan import CorpusPlan
-from ...surrogate.ruler import measure
-from ..harness.study import Column, Row, Table, Task, Values, at_most
-from .measures import distances, limit_of_two
-from .person import OfPerson
+from ....animation.plots import subplots, to_svg
+from ....lhm import expressions
+from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
+from ....reference import Parameters, Scene, Solution, settle, solve
+from ....reference.face.derivatives import TIGHT_ACCURACY, FaceDerivatives, differentiate_head
+from ....reference.face.facial import apply_law
+from ....reference.face.settle import SettledFace, carry_skin, neutral_scene
+from ....surrogate import Surrogate
+from ....surrogate.corpus.plan import CorpusPlan
+from ....surrogate.ruler import measure
+from ...harness.study import Column, Row, Table, Task, Values, at_most
+from ..measures import distances, limit_of_two
+from ..person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {
     "defaults": Parameters(),
@@ -90,17 +91,15 @@ class Split(OfPerson):
         "the part of the mesh; its band is that of the measured ratios."
     )
 
-    expressions: tuple[str, ...] = field(
-        default=("jawOpen*0.5", "mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker", "cheekPuff"),
-        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+    expressions: tuple[str, ...] = option(
+        ("jawOpen*0.5", "mouthSmileLeft*0.6+mouthSmileRight*0.6", "mouthPucker", "cheekPuff"),
+        "as jawOpen*0.5+cheekPuff; repeat for several",
     )
-    effects: tuple[str, ...] = field(
-        default=tuple(EFFECTS), metadata={"help": f"of {', '.join(EFFECTS)}; repeat for several"}
-    )
-    seed: int = field(default=1_000_003, metadata={"help": "of the person"})
-    refined: tuple[str, ...] = field(
-        default=("defaults", "40 % more soft tissue"),
-        metadata={"help": "an effect with quadratic tets on the study's own level, first expression: minutes each"},
+    effects: tuple[str, ...] = option(tuple(EFFECTS), f"of {', '.join(EFFECTS)}; repeat for several")
+    seed: int = option(1_000_003, "of the person")
+    refined: tuple[str, ...] = option(
+        ("defaults", "40 % more soft tissue"),
+        "an effect with quadratic tets on the study's own level, first expression: minutes each",
     )
 
     def tasks(self) -> Sequence[Task]:

@@ -16,9 +16,9 @@ from ....reference.face.settle import carry_skin
 from ....surrogate import Surrogate
 from ....surrogate.local import around_vertices
 from ....surrogate.ruler import Ruler, measure
-from ..insides import compare_insides, load_on_mandible
 from ..measures import distances
-from .cases import Effect, EffectResult
+from .effect_cases import Effect, EffectResult
+from .insides import compare_insides, load_on_mandible
 
 PD, SAME, LAW = "PD", "PD's energy by FEM", "neo-Hookean by FEM"
 SURROGATE, CARRIED, BLENDED = "surrogate", "bones carried", "settled neutral face + blendshapes"

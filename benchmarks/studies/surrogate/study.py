@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from ...animation.plots import plot_costs, subplots, to_svg
-from ...lhm.base.errors import InputError
-from ...lhm.base.progress import silent
-from ...surrogate.corpus.manifest import OWNER, read_manifest, read_template
-from ...surrogate.evaluate import ALL, SIMULATOR, Score, evaluate, evaluate_references
-from ...surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
-from ...surrogate.generalisation import evaluate_generalisation
-from ...surrogate.methods import NetworkMethod
-from ...surrogate.ruler import MOVES
-from ..beyond import KIND as BEYOND
-from ..beyond import score_beyond
-from ..breakeven import Breakeven, compute_breakeven
-from ..harness.study import Column, Row, Study, Task, Values
-from ..surrogate_frames import draw_worst_frames
-from ..surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
-from ..surrogates import READY, SIMULATE, OnCorpus, learning, load_network, parse_people
+from ....animation.plots import plot_costs, subplots, to_svg
+from ....lhm.base.errors import InputError
+from ....lhm.base.option import option
+from ....lhm.base.progress import silent
+from ....surrogate.corpus.manifest import OWNER, read_manifest, read_template
+from ....surrogate.evaluate import ALL, SIMULATOR, Score, evaluate, evaluate_references
+from ....surrogate.evaluate_dynamic import evaluate_dynamic, evaluate_sequences
+from ....surrogate.generalisation import evaluate_generalisation
+from ....surrogate.methods import NetworkMethod
+from ....surrogate.ruler import MOVES
+from ...harness.study import Column, Row, Study, Task, Values
+from .beyond import KIND as BEYOND
+from .beyond import score_beyond
+from .breakeven import Breakeven, compute_breakeven
+from .frames import draw_worst_frames
+from .gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
+from .methods import READY, SIMULATE, OnCorpus, learning, load_network, parse_people
 
 SNP = "SNP"
 SEEN = 24
@@ -71,24 +72,17 @@ class SurrogateOnCorpus(Study):
     )
     timed = True
 
-    corpus: str = field(default="", metadata={"help": "folder of `softdeca corpus generate`"})
-    weights: str = field(
-        default="", metadata={"option": "--surrogate", "help": "weights of `softdeca train`; default: the shipped"}
+    corpus: str = option("", "folder of `softdeca corpus generate`")
+    weights: str = option("", "weights of `softdeca train`; default: the shipped", name="--surrogate")
+    people: str = option("test", "of the corpus: test, or all, where training has seen none")
+    partial: bool = option(False, "on the people that are there, of a corpus not complete")
+    rivals: bool = option(False, "also rivals that learn from its training people: minutes")
+    external: str = option("", "another corpus to score, such as external:ict:FILE")
+    simulated: int = option(0, "faces for rivals that simulate; with unseen parameters, too: minutes")
+    generalisation: int = option(
+        0, "pairs of people, known and unseen, simulated under both's parameters: a minute each"
     )
-    people: str = field(default="test", metadata={"help": "of the corpus: test, or all, where training has seen none"})
-    partial: bool = field(default=False, metadata={"help": "on the people that are there, of a corpus not complete"})
-    rivals: bool = field(default=False, metadata={"help": "also rivals that learn from its training people: minutes"})
-    external: str = field(default="", metadata={"help": "another corpus to score, such as external:ict:FILE"})
-    simulated: int = field(
-        default=0, metadata={"help": "faces for rivals that simulate; with unseen parameters, too: minutes"}
-    )
-    generalisation: int = field(
-        default=0,
-        metadata={"help": "pairs of people, known and unseen, simulated under both's parameters: a minute each"},
-    )
-    curve: tuple[str, ...] = field(
-        default=(), metadata={"option": "--curve", "help": "weights of `train --share`: errors over people trained on"}
-    )
+    curve: tuple[str, ...] = option((), "weights of `train --share`: errors over people trained on", name="--curve")
 
     def tasks(self) -> Sequence[Task]:
         """Each question by each method; InputError for no corpus, weights of another mesh, options out of range."""
@@ -209,7 +203,7 @@ class SurrogateOnCorpus(Study):
 
     def _moving(self, tested: OnCorpus, name: str) -> list[Score]:
         if name == SNP:
-            from ...surrogate.networks.snp import SubspacePhysics
+            from ....surrogate.networks.snp import SubspacePhysics
 
             return [evaluate_sequences(SubspacePhysics(), tested.corpus, tested.heads, partial=self.partial)]
         known = tested.network.weights.looseness

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +12,7 @@ from ....animation.plots import subplots, to_svg
 from ....lhm import LayeredHead
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....reference import Trajectory, march, solve, terms
 from ....reference.face.dynamics import Recurrence
 from ....reference.face.parameters import TISSUE_DENSITY
@@ -66,8 +67,8 @@ class Dynamics(OfPerson):
         "there."
     )
 
-    level: int = field(default=1, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
-    frames: int = field(default=24, metadata={"help": f"at 60 per second, at least {LEAST_FRAMES}"})
+    level: int = option(1, "of the template: 1,212, 4,842 or 19,362 vertices")
+    frames: int = option(24, f"at 60 per second, at least {LEAST_FRAMES}")
 
     def tasks(self) -> Sequence[Task]:
         """The motions; InputError for too few frames."""

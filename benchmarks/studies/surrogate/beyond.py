@@ -6,16 +6,16 @@ import warnings
 
 import numpy as np
 
-from ..lhm import expressions, fit_head, identities, load_template
-from ..lhm.base.mesh import Floats
-from ..lhm.base.progress import OnProgress
-from ..lhm.template import DEFAULT_LEVEL
-from ..reference import Parameters, settle
-from ..reference.face.derivatives import QUICK_ACCURACY, differentiate
-from ..reference.face.settle import TARGET_OPTIONS, carry_skin
-from ..surrogate import Surrogate
-from ..surrogate.evaluate import Known, Score, score_distances
-from .surrogate_gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
+from ....lhm import expressions, fit_head, identities, load_template
+from ....lhm.base.mesh import Floats
+from ....lhm.base.progress import OnProgress
+from ....lhm.template import DEFAULT_LEVEL
+from ....reference import Parameters, settle
+from ....reference.face.derivatives import QUICK_ACCURACY, differentiate
+from ....reference.face.settle import TARGET_OPTIONS, carry_skin
+from ....surrogate import Surrogate
+from ....surrogate.evaluate import Known, Score, score_distances
+from .gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED
 
 KIND = "p beyond what was seen, clamped"
 CASES = (

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..animation.contact_sheet import draw_face_strip, tile_pictures
-from ..animation.pictures import Panel
-from ..lhm.base.errors import InputError
-from ..lhm.base.mesh import Floats, Floats32
-from ..lhm.base.progress import OnProgress
-from ..surrogate.corpus.reading import Faces
-from ..surrogate.corpus.references import FEM_LAWS
-from ..surrogate.evaluate import read_references
-from ..surrogate.heads import Heads
-from ..surrogate.methods import Derivatives, NetworkMethod
-from ..surrogate.ruler import kind_of_coefficients, measure
-from .surrogates import OnCorpus
+from ....animation.contact_sheet import draw_face_strip, tile_pictures
+from ....animation.pictures import Panel
+from ....lhm.base.errors import InputError
+from ....lhm.base.mesh import Floats, Floats32
+from ....lhm.base.progress import OnProgress
+from ....surrogate.corpus.reading import Faces
+from ....surrogate.corpus.references import FEM_LAWS
+from ....surrogate.evaluate import read_references
+from ....surrogate.heads import Heads
+from ....surrogate.methods import Derivatives, NetworkMethod
+from ....surrogate.ruler import kind_of_coefficients, measure
+from .methods import OnCorpus
 
 SHOWN = 6
 """Faces, the worst ones, with the worst frame of each."""

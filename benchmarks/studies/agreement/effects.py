@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
 from ....lhm.expressions import weights_of
 from ....reference import SOLVERS, Parameters
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..insides import loads_on_mandible, vertices_and_stress
 from ..person import OfPerson
-from .cases import BROAD_SMILE, EFFECTS, TOLERANCE, EffectResult, named_effects, run_effect
-from .fan import ONE_MINIMUM, fan
-from .laws import (
+from .effect_cases import BROAD_SMILE, EFFECTS, TOLERANCE, EffectResult, named_effects, run_effect
+from .effect_laws import (
     BLENDED,
     CARRIED,
     LAW,
@@ -27,7 +26,9 @@ from .laws import (
     rule_skins,
     surrogate_skin,
 )
-from .pictures import effect_pictures
+from .effect_pictures import effect_pictures
+from .fan import ONE_MINIMUM, fan
+from .insides import loads_on_mandible, vertices_and_stress
 
 ACCURACY = 0.01
 """How near [mm] answers must be to a tight run's, and to another solver's.
@@ -75,13 +76,9 @@ class Effects(OfPerson):
     )
     version = 2
 
-    effects: tuple[str, ...] = field(
-        default=(), metadata={"help": f"of {', '.join(e.name for e in EFFECTS)}; repeat for several  [all]"}
-    )
-    reference: str = field(
-        default="fenicsx", metadata={"help": "by which PD's energy and a law are solved too: fenicsx, skfem or none"}
-    )
-    fan: int = field(default=0, metadata={"help": "random starts of a broad smile without an effect"})
+    effects: tuple[str, ...] = option((), f"of {', '.join(e.name for e in EFFECTS)}; repeat for several  [all]")
+    reference: str = option("fenicsx", "by which PD's energy and a law are solved too: fenicsx, skfem or none")
+    fan: int = option(0, "random starts of a broad smile without an effect")
 
     def tasks(self) -> Sequence[Task]:
         """Each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""

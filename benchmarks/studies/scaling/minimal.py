@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
 
-from ...animation.plots import subplots, to_svg
-from ...lhm import expressions
-from ...lhm.base.errors import InputError, SoftdecaError
-from ...lhm.base.mesh import Floats
-from ...reference import FacialModel, Parameters, smallest_facial_scene
-from ...reference.face.minimal import FACIAL_PIECES, TOLERANCE
-from ...reference.face.sequence import Sequence as Simulation
-from ...reference.face.tissue import bone_points
-from ..harness.study import Column, Row, Task, Values, at_least, at_most
-from .measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, counts, distances, megabytes, timed
-from .person import OfPerson
+from ....animation.plots import subplots, to_svg
+from ....lhm import expressions
+from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.mesh import Floats
+from ....lhm.base.option import option
+from ....reference import FacialModel, Parameters, smallest_facial_scene
+from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE
+from ....reference.face.sequence import Sequence as Simulation
+from ....reference.face.tissue import bone_points
+from ...harness.study import Column, Row, Task, Values, at_least, at_most
+from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, counts, distances, megabytes, timed
+from ..person import OfPerson
 
 EFFECTS: Mapping[str, Parameters] = {
     "20 % more soft tissue": Parameters(soft_volume=1.2),
@@ -75,18 +76,16 @@ class Minimal(OfPerson):
     needed: ClassVar[float] = 0.8
     """[mm] 3 g moves the settled face by 1 mm; a study that lets targets hold the face finds .02."""
 
-    expressions: tuple[str, ...] = field(
-        default=(
+    expressions: tuple[str, ...] = option(
+        (
             "jawOpen*0.7+mouthSmileLeft+mouthSmileRight",
             "mouthPressLeft+mouthPressRight+mouthRollLower+mouthRollUpper+eyeBlinkLeft+eyeBlinkRight",
             "mouthPucker+cheekPuff*0.5",
         ),
-        metadata={"help": "as jawOpen*0.5+cheekPuff; repeat for several"},
+        "as jawOpen*0.5+cheekPuff; repeat for several",
     )
-    effects: tuple[str, ...] = field(
-        default=tuple(EFFECTS), metadata={"help": f"of {', '.join(EFFECTS)}; repeat for several"}
-    )
-    within: float = field(default=0.1, metadata={"help": "mm that the smallest scene may change a vertex of the skin"})
+    effects: tuple[str, ...] = option(tuple(EFFECTS), f"of {', '.join(EFFECTS)}; repeat for several")
+    within: float = option(0.1, "mm that the smallest scene may change a vertex of the skin")
 
     def tasks(self) -> Sequence[Task]:
         """Each scene whole, with a piece more or less, and smallest; talk with and without dynamics."""

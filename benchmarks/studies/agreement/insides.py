@@ -7,13 +7,13 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from ...lhm.base.geometry.warp import rigid_motion
-from ...lhm.base.mesh import Floats, Ints
-from ...lhm.head import MANDIBLE, LayeredHead
-from ...reference import Scene, Solution, prepare, terms
-from ...reference.face.free_scenes import jaw_hinge
-from ..harness.study import Table
-from .measures import difference
+from ....lhm.base.geometry.warp import rigid_motion
+from ....lhm.base.mesh import Floats, Ints
+from ....lhm.head import MANDIBLE, LayeredHead
+from ....reference import Scene, Solution, prepare, terms
+from ....reference.face.free_scenes import jaw_hinge
+from ...harness.study import Table
+from ..measures import difference
 
 LAYERS = ("soft", "muscle")
 TOLERANCE = 1e-8

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from ...animation.plots import subplots, to_svg
-from ...lhm.base.errors import InputError, SoftdecaError
-from ...reference import solve
-from ...reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
-from ...reference.materials.material import Isotropic, lame
-from ...reference.problems.homogeneous import Row as Cube
-from ...reference.problems.homogeneous import held_scene
-from ...reference.problems.meshes import unstructured
-from ...reference.terms import Hyperelastic, Strain, Term, Volume
-from ..harness.study import Column, Row, Study, Task, Values, at_most
+from ....animation.plots import subplots, to_svg
+from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.option import option
+from ....reference import solve
+from ....reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
+from ....reference.materials.material import Isotropic, lame
+from ....reference.problems.homogeneous import Row as Cube
+from ....reference.problems.homogeneous import held_scene
+from ....reference.problems.meshes import unstructured
+from ....reference.terms import Hyperelastic, Strain, Term, Volume
+from ...harness.study import Column, Row, Study, Task, Values, at_most
 
 LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
     "neo-Hookean": NeoHookean.from_young,
@@ -61,10 +62,8 @@ class Material(Study):
         "pure shear one keeps its length. Solved by scikit-fem, which has every law and PD's energy."
     )
 
-    poisson: tuple[str, ...] = field(
-        default=("0.3", "0.4", "0.45", "0.49"), metadata={"option": "--poisson", "help": "repeat for several"}
-    )
-    modes: tuple[str, ...] = field(default=tuple(MODES), metadata={"help": f"of {', '.join(MODES)}; repeat"})
+    poisson: tuple[str, ...] = option(("0.3", "0.4", "0.45", "0.49"), "repeat for several", name="--poisson")
+    modes: tuple[str, ...] = option(tuple(MODES), f"of {', '.join(MODES)}; repeat")
 
     def tasks(self) -> Sequence[Task]:
         """Each Poisson's ratio and mode by each law; InputError for a ratio outside 0 to 0.5, and an unknown mode."""

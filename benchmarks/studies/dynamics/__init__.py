@@ -1,1 +1,0 @@
-"""Inertia: masses, shaken heads and cheeks that are let go."""
