@@ -18,13 +18,25 @@ from .written_file import FOLDER
 @click.option("--out", default="out/surrogate", type=FOLDER, help="folder of weights and curve")
 @click.option(
     "--network",
-    type=click.Choice(["modal", "paper"]),
+    type=click.Choice(["modal", "hyper", "paper", "softsmpl-small", "softsmpl-large", "face-wise"]),
     default="modal",
-    help="modal: the shipped form; paper: SoftDECA's hypernetwork of deformation gradients",
+    help="modal: the shipped form; paper: SoftDECA's hypernetwork as printed, by its protocol; hyper: ours of it, "
+    "quick; softsmpl-small, softsmpl-large, face-wise: its rivals",
 )
 @click.option("--steps", type=counted(TRAINING_STEPS), help="training steps; default: the network's own number")
 @click.option(
     "--seconds", type=click.FloatRange(0.0, min_open=True), help="stop after this time [s]; default: no limit"
+)
+@click.option("--batch", type=click.IntRange(1, 4096), help="frames a step, not of modal; default: the network's own")
+@click.option(
+    "--learning-rate",
+    type=click.FloatRange(0.0, 1.0, min_open=True),
+    help="highest learning rate; default: the network's own",
+)
+@click.option(
+    "--recurrence-steps",
+    type=click.IntRange(0, 1_000_000),
+    help="steps that learn alpha, beta and gamma of Eq. 21 from the corpus' sequences, not of modal; default: 0",
 )
 @click.option("--device", default="cpu", help="torch device: cpu, cuda")
 @click.option(
@@ -54,6 +66,9 @@ def train(
     network: str,
     steps: int | None,
     seconds: float | None,
+    batch: int | None,
+    learning_rate: float | None,
+    recurrence_steps: int | None,
     device: str,
     precision: str,
     neutrals: Path | None,
@@ -63,18 +78,31 @@ def train(
 ) -> int:
     """Train a surrogate on CORPUS, from `softdeca corpus generate`. An interrupted training resumes.
 
-    Writes OUT/modal.safetensors or OUT/paper.safetensors, which `Surrogate.load` and `--surrogate` read, and
-    the learning curve as OUT/curve.json and curve.png. Several processes, a device each, share a training of the modal
-    network under `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
+    Writes OUT/NETWORK.safetensors, which `Surrogate.load` and `--surrogate` read, and the learning curve as
+    OUT/curve.json and curve.png. An option that a network cannot honour is refused.
+
+    Several processes, a device each, share a training of the modal network under
+    `torchrun --nproc-per-node 4 --no-python softdeca train CORPUS --device cuda`.
     """
     from ..animation.plots import draw_learning_curve
 
-    options = {"steps": steps, "device": device, "precision": precision, "seconds": seconds}
+    options = {
+        "steps": steps,
+        "device": device,
+        "precision": precision,
+        "seconds": seconds,
+        "learning_rate": learning_rate,
+    }
     given = {name: value for name, value in options.items() if value is not None}
     read = {"partial": partial, "share": share}
+    of_modal = {"--neutrals": neutrals, "--start": start}
+    of_gradients = {"--batch": batch, "--recurrence-steps": recurrence_steps}
+    _refuse(network, of_gradients if network == "modal" else of_modal)
     with show_progress() as progress:
-        train_network = _modal if network == "modal" else _paper
-        path, curve = train_network(corpus, neutrals, start, out, given, read, progress)
+        if network == "modal":
+            path, curve = _modal(corpus, neutrals, start, out, given, read, progress)
+        else:
+            path, curve = _gradients(network, corpus, out, given, batch, recurrence_steps or 0, read, progress)
     with replaced(out / "curve.json") as temporary:
         temporary.write_text(json.dumps(curve, indent=1))
     (out / "curve.png").write_bytes(draw_learning_curve(curve))
@@ -101,18 +129,36 @@ def _modal(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, o
     return out / "modal.safetensors", [dict(point) for point in weights.note.curve]
 
 
-def _paper(corpus: Path, neutrals: Path | None, start: Path | None, out: Path, options: dict, read: dict, progress):
+def _refuse(network: str, options: dict) -> None:
+    """Raise InputError for an option that a network cannot honour."""
     from ..lhm.base.errors import InputError
-    from ..surrogate.corpus.reading import Faces
-    from ..surrogate.networks.hypernetwork_training import HypernetworkTraining, train_hypernetwork
 
-    if neutrals is not None or start is not None:
-        raise InputError("--network paper learns frames of one corpus alone; leave out --neutrals and --start")
-    config, faces = HypernetworkTraining(**options), Faces(corpus, "train", **read)
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise InputError(f"--network {network} cannot honour {given[0]}; leave it out")
+
+
+def _gradients(
+    network: str, corpus: Path, out: Path, options: dict, batch: int | None, recurrence_steps: int, read: dict, progress
+):
+    from ..surrogate.corpus.reading import Faces, Table
+    from ..surrogate.heads import Heads
+    from ..surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
+    from ..surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
+
+    config = replace(NETWORKS[network], **options)
+    config = config if batch is None else with_batch(config, batch)
+    faces = Faces(corpus, "train", **read)
+    # Before the long part: where there are no sequences, or nobody fits heads.
+    sequences = Table(corpus, "sequences", "train", **read) if recurrence_steps else None
+    pivot = find_mean_pivot(Heads.of_corpus(corpus, progress)) if recurrence_steps else None
     out.mkdir(parents=True, exist_ok=True)
-    weights = train_hypernetwork(faces, config, state=out / "paper.pt", on_progress=progress)
-    weights.save(out / "paper.safetensors")
-    return out / "paper.safetensors", [dict(point) for point in weights.note.curve]
+    weights = train_gradients(faces, config, state=out / f"{network}.pt", on_progress=progress)
+    if sequences is not None and pivot is not None:
+        moving = RecurrenceTraining(steps=recurrence_steps)
+        weights = train_recurrence(weights, sequences, pivot, moving, on_progress=progress)
+    weights.save(out / f"{network}.safetensors")
+    return out / f"{network}.safetensors", [dict(point) for point in weights.note.curve]
 
 
 class Evaluate(click.Command):

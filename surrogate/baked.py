@@ -14,7 +14,7 @@ from ..lhm.base.files.moving_surface import Morphs, write_rig
 from ..lhm.base.mesh import Floats32, Ints, Surface
 from ..lhm.expressions import Take, conversation
 from ..lhm.expressions.made_up import combinations
-from .dynamics import DynamicRig, Swing, dynamic_rig
+from .dynamics import DynamicRig, Swings, dynamic_rig
 from .rig import FaceModes, Remainder, add_combination, check_out, check_weights
 
 APART = 8
@@ -76,7 +76,7 @@ class BakedRig:
     remainder_of: Remainder
     mean_error: float
     largest_error: float
-    swing: Swing | None = None
+    swing: Swings | None = None
 
     def target_weights(self, weights) -> Floats32:
         """Weights of the targets, shape (..., rank), for ARKit weights (..., 52)."""
@@ -118,7 +118,7 @@ def bake(
     remainder_of: Remainder,
     triangles: Ints,
     rank: int,
-    swing: Swing | None = None,
+    swing: Swings | None = None,
 ) -> BakedRig:
     """Find the best `rank` targets for usual expressions from shapes (52 + k, 3 n) [mm]: their principal components."""
     if isinstance(rank, bool) or not isinstance(rank, int) or rank < 1:

@@ -13,6 +13,7 @@ frames by 2 % where flesh is loose, and raised it where a turning head shakes al
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numba
 import numpy as np
@@ -39,8 +40,23 @@ PEOPLE, SEED = 96, 41
 """How many people looseness is learned from, and the seed that draws them."""
 RIDGE = 8.0
 """Of each coefficient of a code, whose numbers are of size one, in people."""
+TINY = 1e-9
+"""Keeps logarithms of poles finite."""
 NOTHING = 0.02
 """A share below which a vertex does not swing: at p's lowest frequency it would be at rest within one frame."""
+
+
+class Swings(Protocol):
+    """How a bound face swings: coefficients of Eq. 21, and what its head turns about."""
+
+    @property
+    def pivot(self) -> Floats:
+        """Return what it turns about, shape (3,) [mm]."""
+        ...
+
+    def recurrence(self, time_step: float) -> Recurrence:
+        """Return α, β, γ at the vertices for frames time_step [s] apart; InputError where that cannot be."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +85,28 @@ class Swing:
     def recurrence(self, time_step: float) -> Recurrence:
         """α, β, γ for frames time_step [s] apart; InputError for one at which the frequency cannot be followed."""
         return Recurrence.from_oscillator(self.frequency, self.damping, time_step, loose=self.loose)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedSwing:
+    """Coefficients β and γ (n,) that a network has learned for frames `learned_at` [s] apart."""
+
+    beta: Floats
+    gamma: Floats
+    pivot: Floats
+    learned_at: float
+
+    def recurrence(self, time_step: float) -> Recurrence:
+        """α = (1 - γ + β)/2, so that rest stays rest; a turning head drives it as an oscillator of the same poles."""
+        if not np.isclose(time_step, self.learned_at, rtol=1e-3):
+            raise InputError(
+                f"time_step: this network has learned frames {self.learned_at:.4g} s apart, not {time_step:.4g} s"
+            )
+        beta, gamma = self.beta.astype(np.float64), self.gamma.astype(np.float64)
+        alpha = 0.5 * (1.0 - gamma + beta)
+        root = np.sqrt((alpha**2 - beta).astype(np.complex128))
+        squared = np.abs(np.log(alpha + root + TINY) * np.log(alpha - root + TINY))
+        return Recurrence(alpha, beta, 1.0 - 2.0 * alpha + beta, gamma / np.maximum(squared, TINY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +154,7 @@ class DynamicRig:
     The head may turn in the room (`base`), which shakes what is loose; answers are in the head's own frame.
     """
 
-    def __init__(self, rig: Rig, swing: Swing, time_step: float):
+    def __init__(self, rig: Rig, swing: Swings, time_step: float):
         self.time_step, self.recurrence = float(time_step), swing.recurrence(time_step)
         alpha, beta = np.asarray(self.recurrence.alpha), np.asarray(self.recurrence.beta)
         self._rig = rig
@@ -171,7 +209,7 @@ class DynamicRig:
         self._turns = np.stack([self._turns[1], now])
 
 
-def dynamic_rig(rig: Rig, swing: Swing | None, time_step: float) -> DynamicRig:
+def dynamic_rig(rig: Rig, swing: Swings | None, time_step: float) -> DynamicRig:
     """A rig's frames with inertia; InputError for one of which nothing is known."""
     if swing is None:
         raise InputError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Protocol
@@ -19,20 +19,20 @@ from .corpus.face import Face
 from .corpus.mixture import NAMES, basis
 from .corpus.plan import RATE, Split
 from .corpus.reading import Faces, Row, Table
-from .dynamics import OSCILLATION, DynamicRig, Looseness, Swing
+from .dynamics import OSCILLATION, DynamicRig, Looseness, Swing, Swings
 from .evaluate import Answers, Contender, Named, Score, Static, Trial, measure_frames
 from .heads import Heads
-from .methods import Method
+from .methods import Method, NetworkMethod
 
 DYNAMIC, STILL = "dynamic", "dynamic, by its static answer"
 
 
 class InMotion(Contender):
-    """Eq. 21 over a method's static answers, begun as the simulation was, of people over a `mean` skin."""
+    """Eq. 21 over a method's static answers, begun as the simulation was, each face by its `swing`."""
 
-    def __init__(self, static: Static, looseness: Looseness, mean: Surface):
+    def __init__(self, static: Static, swing: Callable[[Face], Swings]):
         super().__init__(static.name, simulates=static.simulates)
-        self._static, self._looseness, self._mean = static, looseness, mean
+        self._static, self._swing = static, swing
 
     def answer(self, trial: Trial) -> Answers:
         """Begin at the method's own static answer with the simulation's velocity; the head turns as in the sequence."""
@@ -48,14 +48,26 @@ class InMotion(Contender):
         each = (time.process_time() - begin) / len(swung)
         return Answers(swung - blended, None, [seconds + each for seconds in still.frame_seconds])
 
-    def _swing(self, face: Face) -> Swing:
-        """Combine the person's looseness with p's frequency and damping at the vertices."""
-        waves, values = basis(self._mean.vertices), []
-        for name in OSCILLATION:
-            row = face.parameters.coefficients[NAMES.index(name)].astype(np.float64)
-            values.append(np.asarray(Parameters.info(name).denormalise(np.clip(waves @ row, -1.0, 1.0))))
-        loose, pivot = self._looseness.at(face.code)
-        return Swing(loose, values[0], values[1], pivot)
+
+def swing_of_loose(looseness: Looseness, mean: Surface, face: Face) -> Swing:
+    """Combine a person's looseness with p's frequency and damping at the vertices of a `mean` skin."""
+    waves, values = basis(mean.vertices), []
+    for name in OSCILLATION:
+        row = face.parameters.coefficients[NAMES.index(name)].astype(np.float64)
+        values.append(np.asarray(Parameters.info(name).denormalise(np.clip(waves @ row, -1.0, 1.0))))
+    loose, pivot = looseness.at(face.code)
+    return Swing(loose, values[0], values[1], pivot)
+
+
+def swings_of(method: Method, looseness: Looseness, mean: Surface) -> Callable[[Face], Swings]:
+    """Return how faces swing for a method: as it has learned, or by looseness."""
+    learned = method.swing if isinstance(method, NetworkMethod) else None
+
+    def swing(face: Face) -> Swings:
+        own = None if learned is None else learned(face)
+        return swing_of_loose(looseness, mean, face) if own is None else own
+
+    return swing
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +134,15 @@ def evaluate_dynamic(
 ) -> list[Score]:
     """Score each method, which is fitted, over all frames of the sequences: of kinds DYNAMIC, and STILL.
 
-    heads: of the corpus' people. Raises InputError where no sequence of the split has derivatives, and what `Table`
-    raises.
+    A network with learned coefficients moves by these, all others by `looseness`. heads: of the corpus' people. Raises
+    InputError where no sequence of the split has derivatives, and what `Table` raises.
     """
     faces, table = Faces(folder, split, partial=partial), Table(folder, "sequences", split, partial=partial)
     if not set(map(tuple, faces.groups.tolist())) & set(map(tuple, table.groups.tolist())):
         raise InputError(f"corpus {folder}: no sequence of the {split or 'whole'} split is of a face with derivatives")
     still = [Static(method) for method in methods]
-    moving = [InMotion(static, looseness, table.template.mean) for static in still]
+    swings = [swings_of(method, looseness, table.template.mean) for method in methods]
+    moving = [InMotion(static, swing) for static, swing in zip(still, swings, strict=True)]
     distances = measure_frames([*moving, *still], sequence_trials(table, heads, faces), on_progress)
     scores = distances.scores(distances.parts())
     return scores[: len(moving)] + [replace(score, kind=STILL) for score in scores[len(moving) :]]

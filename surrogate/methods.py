@@ -22,6 +22,7 @@ from ..lhm.base.mesh import Floats, Floats32
 from ..reference.face.derivatives import FaceDerivatives, differentiate_head, spring_norm
 from .corpus.face import Face
 from .corpus.reading import Faces
+from .dynamics import Swings
 from .heads import Heads
 from .networks.weights import Weights
 from .rig import CorrectedRig, FaceModes, Rig
@@ -102,18 +103,25 @@ class Derivatives(_Ready):
 
 
 class NetworkMethod(_Ready):
-    """Trained weights of any kind; with `exact` offset and responses are the face's."""
+    """Trained weights of any kind, by a name; with `exact` offset and responses are the face's.
 
-    def __init__(self, weights: Weights, *, exact: bool = False):
+    Raises InputError for `exact` with weights that have neither.
+    """
+
+    def __init__(self, weights: Weights, *, exact: bool = False, name: str = "network"):
         self._surrogate, self.simulates = Surrogate(weights), exact
+        if exact:
+            self._surrogate.check_exact()
         self.takes: Takes = "derivatives" if exact else "nothing"
-        self.name = "network + simulator at bind" if exact else "network"
-        if weights.kind != "modal":
-            self.name = f"{self.name} ({weights.kind})"
+        self.name = f"{name} + simulator at bind" if exact else name
 
     def bind(self, face: Face) -> Rig:
         """Bind by the run time's own arithmetic."""
         return self._surrogate.bind_face(face, exact=self.simulates)
+
+    def swing(self, face: Face) -> Swings | None:
+        """Return how a face swings by learned coefficients; None for weights without."""
+        return self._surrogate.learned_swing(face)
 
 
 class _Simulated:

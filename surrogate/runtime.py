@@ -24,11 +24,13 @@ from ..reference import Parameters
 from ..reference.face.derivatives import differentiate_head
 from .baked import BakedRig, bake, compress
 from .corpus.face import Face
-from .corpus.mixture import STATIC
-from .dynamics import DynamicRig, Swing, dynamic_rig
+from .corpus.mixture import NAMES, STATIC, basis
+from .dynamics import OSCILLATION, DynamicRig, Swing, Swings, dynamic_rig
 from .local import around_vertices, of_static, on_wraps
+from .local import at_vertices as spread_over
 from .networks.features import Inputs
-from .networks.hypernetwork import HypernetworkRig, open_transfer
+from .networks.forms import FORMS
+from .networks.gradients import GradientRig, open_transfer
 from .networks.modal import bind_modal
 from .networks.weights import Weights
 from .rig import (
@@ -99,40 +101,65 @@ class Surrogate:
         at_vertices = _within_seen(_at_vertices(chosen, weights.mean), weights.note.seen, beyond)
         shapes = self._expressions(code, expressions)
         if exact:
-            self._check_exact()
+            self.check_exact()
             fitted = self._head(skin, head)
             offset, responses = derivatives(fitted, of_static(fitted, at_vertices), shapes)
             rig = self._bind_modes(skin, code, at_vertices, shapes, Swing.from_head(fitted, chosen))
             return rig.with_derivatives(offset, responses)
-        known = weights.looseness
-        swing = None if known is None else Swing.from_shares(*known.at(code), chosen, skin)
-        return self._bind(skin, code, at_vertices, shapes, swing)
+        return self._bind(skin, code, at_vertices, shapes, self._swing(skin, code, chosen, at_vertices))
 
     def bind_face(self, face: Face, *, exact: bool = False) -> BoundRig:
-        """Bind a face of a corpus; with `exact`, its own offset and responses."""
+        """Bind a face of a corpus; with `exact`, its own offset and responses.
+
+        A network that has one value of each parameter for the whole face takes the mean of those that vary.
+        """
         skin = self.weights.mean.with_vertices(face.skin)
         shapes = np.asarray(face.shapes, dtype=np.float32)
         at_vertices = self.inputs.features.at_vertices(face.coefficients)
+        if self.weights.kind in FORMS and not FORMS[self.weights.kind].follows_fields:
+            at_vertices = np.broadcast_to(at_vertices.mean(axis=0), at_vertices.shape)
         if not exact:
             return self._bind(skin, face.code, at_vertices, shapes)
-        self._check_exact()
+        self.check_exact()
         rig = self._bind_modes(skin, face.code, at_vertices, shapes)
         return rig.with_derivatives(face.offset.astype(np.float32), face.responses.astype(np.float32))
 
-    def _check_exact(self) -> None:
+    def learned_swing(self, face: Face) -> Swings | None:
+        """Return how a face of a corpus swings by learned coefficients of Eq. 21; None for weights without."""
+        learned = self.weights.recurrence
+        if learned is None:
+            return None
+        waves = basis(self.weights.mean.vertices)
+        at_vertices = np.clip(waves @ face.parameters.coefficients.T.astype(np.float64), -1.0, 1.0)
+        return learned.bind(self.inputs.code(face.code), at_vertices)
+
+    def _swing(self, skin: Surface, code: Floats, parameters: Parameters | Floats, static: Floats) -> Swings | None:
+        """Return how a face swings, by what was learned or by where it is loose; None where neither is known."""
+        learned, known = self.weights.recurrence, self.weights.looseness
+        if learned is not None:
+            chosen = parameters if isinstance(parameters, Parameters) else Parameters()
+            columns = dict(zip(STATIC, static.T, strict=True))
+            for name in OSCILLATION:
+                value = spread_over(name, getattr(chosen, name), skin)
+                columns[name] = np.asarray(Parameters.info(name).normalise(value))
+            return learned.bind(self.inputs.code(code), np.stack([columns[name] for name in NAMES], axis=1))
+        return None if known is None else Swing.from_shares(*known.at(code), parameters, skin)
+
+    def check_exact(self) -> None:
+        """Raise InputError for a network that has no offset and responses which the simulator could replace."""
         if self.weights.kind != "modal":
-            raise InputError(f"exact: a {self.weights.kind} network has no offset and responses to replace")
+            raise InputError(f"exact: a network of kind {self.weights.kind!r} has no offset and responses to replace")
 
     def _bind(
-        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None = None
     ) -> BoundRig:
-        if self.weights.kind == "hypernetwork":
-            network, code = self.weights.network, self.inputs.code(code)
-            return HypernetworkRig(network, self._transfer, code, at_vertices, skin, shapes, swing)
+        if self.weights.kind in FORMS:
+            form, network, code = FORMS[self.weights.kind], self.weights.network, self.inputs.code(code)
+            return GradientRig(form, network, self._transfer, code, at_vertices, skin, shapes, swing)
         return self._bind_modes(skin, code, at_vertices, shapes, swing)
 
     def _bind_modes(
-        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swing | None = None
+        self, skin: Surface, code: Floats, at_vertices: Floats, shapes: Floats32, swing: Swings | None = None
     ) -> BoundSurrogate:
         network, features, code = self.weights.network, self.inputs.features, self.inputs.code(code)
         with np.errstate(over="ignore", invalid="ignore"):  # of damaged weights, which are refused
@@ -198,7 +225,7 @@ class BoundSurrogate:
     skin: the person's without p. `swing` is what `dynamic` needs; None where the weights do not know it.
     """
 
-    def __init__(self, skin: Surface, modes: FaceModes, expressions: Floats32, swing: Swing | None = None):
+    def __init__(self, skin: Surface, modes: FaceModes, expressions: Floats32, swing: Swings | None = None):
         self.skin, self.modes, self.swing = skin, modes, swing
         self._expressions = expressions
         self._skin = skin.vertices.astype(np.float32)
@@ -315,5 +342,5 @@ def _within_seen(at_vertices: Floats, seen: Mapping[str, tuple[float, float]], b
     return np.clip(at_vertices, low, high)
 
 
-BoundRig = BoundSurrogate | HypernetworkRig
+BoundRig = BoundSurrogate | GradientRig
 """What weights of either kind are bound to."""

@@ -230,6 +230,10 @@ class Faces:
         """Read a person's neutral skin [mm]."""
         return self._table.skin(identity)
 
+    def person(self, identity: int) -> Person:
+        """Read a person's code, neutral skin and shapes."""
+        return self._table.person(identity)
+
     @cached_property
     def _statics(self) -> Table:
         return self._open_statics()

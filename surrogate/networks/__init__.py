@@ -3,11 +3,15 @@
 | file           | T - S                                                | of           |
 |----------------|------------------------------------------------------|--------------|
 | modal          | modes with local gains; what is shipped              | this project |
-| hypernetwork   | z(w) L(p, h) by deformation gradients                | SoftDECA     |
+| hypernetwork   | z(w) L(p, h) by deformation gradients, printed and ours | SoftDECA  |
+| recurrence     | α, β and γ of frames with inertia                    | SoftDECA     |
 | vertices_only  | z(w) L(p, h) at each vertex                          | SoftDECA's ablation |
-| face_wise      | a network at each vertex, in each frame              | SoftDECA's ablation |
-| softsmpl       | one perceptron of w, p and h to all vertices         | SoftSMPL     |
+| face_wise      | a network at each face, in each frame                | SoftDECA's ablation |
+| softsmpl       | one perceptron of w, p and h to all faces            | SoftSMPL     |
 | snp            | sequences alone, step by step in one subspace        | Subspace Neural Physics |
 | ridge          | ridge regression of frames, raw or dimensionless     | a baseline   |
 | responses      | offset and responses by kernel ridge regression      | a baseline   |
+
+`gradients` has what those of deformation gradients share at run time, `gradient_training` how they are trained, and
+`frames` the batches.
 """

@@ -1,35 +1,50 @@
-"""SoftDECA's ablation without the split of w from p and h: one network at every vertex, evaluated in every frame."""
+"""SoftDECA's ablation without a bound part: one perceptron at every face, evaluated in every frame."""
 
 from __future__ import annotations
 
-from ..rig import WEIGHTS
-from .layers import EVERY, Arrays, concatenate, linear, perceptron, silu
-from .trainer import Tensors, draw_layers, perceptron_layers, torch
-from .vertex_network import VertexNetwork
+import numpy as np
 
-POSITION, WIDTH = 16, 64
+from ...lhm.base.mesh import Floats32
+from .gradients import Bound, GradientForm
+from .layers import Arrays, elu, linear, perceptron
 
 
-class FaceWise(VertexNetwork):
-    """T - S = f(z(w, p, h), v), in the vertex form."""
+class FaceWise(GradientForm):
+    """J_i - I = f(f_w(w), p, h, π(i)), nine numbers of each face."""
 
-    name = "face-wise network"
+    kind = "face-wise"
+    layers = {
+        "expression.0": ("wide", "weights"),
+        "expression.2": ("wide", "wide"),
+        "expression.4": ("latent", "wide"),
+        # The first layer at the faces in four parts, which add up.
+        "from_position": ("hidden", "position"),
+        "from_latent": ("hidden", "latent"),
+        "from_code": ("hidden", "code"),
+        "from_parameters": ("hidden", "parameters"),
+        "middle.0": ("hidden", "hidden"),
+        "middle.2": ("nine", "hidden"),
+    }
+    without_bias = ("from_position", "from_latent", "from_code")
+    tables = {"position": ("faces", "position")}
+    quiet = {"middle.2.weight": 0.02, "middle.2.bias": 0.02}
 
-    def draw(self, vertices: int, summary: int) -> Tensors:
-        """See `VertexNetwork`."""
-        network = draw_layers(perceptron_layers("whole", WEIGHTS + summary, 128, 128, WIDTH))
-        network["position"] = torch.randn(vertices, POSITION)
-        return network | draw_layers(perceptron_layers("local", WIDTH + POSITION, WIDTH, WIDTH, 3))
+    def gradients(self, network: Arrays, weights, code, parameters):
+        """See `GradientForm`."""
+        bound = _bound(network, code[:, None, None], parameters[:, None, None])
+        return _answer(network, bound, weights[:, :, None])
 
-    def bound(self, network: Arrays, summary, vertices=EVERY):
-        """Return the summary itself."""
-        return summary
+    def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
+        """See `GradientForm`: only the first layer's part of p, h and π is bound."""
+        bound, one = _bound(network, code, parameters), np.ones(1, dtype=np.float32)
+        return lambda weights: (np.ascontiguousarray(_answer(network, bound, weights)[:, :, None]), one)
 
-    def answer(self, network: Arrays, bound, weights, vertices=EVERY):
-        """See `VertexNetwork`."""
-        whole = perceptron(network, "whole", concatenate([weights, bound]))[:, None]
-        # The first layer of `local` in two parts, which add up: nothing is concatenated per vertex.
-        first = network["local.0.weight"]
-        hidden = whole @ first[:, :WIDTH].T + network["position"][vertices] @ first[:, WIDTH:].T
-        hidden = silu(linear(network, "local.2", silu(hidden + network["local.0.bias"])))
-        return linear(network, "local.4", hidden)
+
+def _bound(network: Arrays, code, parameters):
+    place = network["position"] @ network["from_position.weight"].T
+    return place + (code @ network["from_code.weight"].T + linear(network, "from_parameters", parameters))
+
+
+def _answer(network: Arrays, bound, weights):
+    latent = perceptron(network, "expression", weights, elu)
+    return perceptron(network, "middle", elu(bound + latent @ network["from_latent.weight"].T), elu)

@@ -1,39 +1,56 @@
-"""SoftSMPL's regressor (Santesteban et al. 2020) as SoftDECA compares with it: w, p and h together into one latent."""
+"""SoftSMPL's regressor (Santesteban et al. 2020) as SoftDECA compares with it: one perceptron of w, p and h together.
+
+The answer is the same, a deformation gradient per face. Only the conditioning differs: nothing of it is bound.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
 
-from ..rig import WEIGHTS
-from .layers import EVERY, Arrays, concatenate, perceptron
-from .trainer import Tensors, draw_layers, perceptron_layers, torch
-from .vertex_network import STEPS, VertexNetwork
+import numpy as np
 
-WIDTHS = {"small": (128, 32), "large": (512, 256)}
-"""Hidden width and latents: the small one has those of SoftDECA's network."""
+from ...lhm.base.mesh import Floats32
+from .gradients import Bound, GradientForm, Widths
+from .layers import Arrays, concatenate, count_rows, elu, perceptron
+
+SMALL, LARGE = Widths(latent=32, expression=128), Widths(latent=256, expression=512)
+"""The small one has the widths of the hypernetwork's f_w, as in the paper, which tells a large one's time alone."""
 
 
-class SoftSMPL(VertexNetwork):
-    """A perceptron whose last layer is a linear map to all vertices: nothing of it is bound."""
+class SoftSMPL(GradientForm):
+    """J - I = last(MLP(w, p, h)), the last layer linear to all faces."""
 
-    def __init__(self, size: Literal["small", "large"] = "small", steps: int = STEPS):
-        super().__init__(steps)
-        self._width, self._latent = WIDTHS[size]
-        self.name = f"SoftSMPL, {size}"
+    kind = "softsmpl"
+    layers = {
+        "hidden.0": ("wide", "all"),
+        "hidden.2": ("wide", "wide"),
+        "hidden.4": ("latent", "wide"),
+        "last": ("faces*9", "latent"),
+    }
+    quiet = {"last.weight": 0.02, "last.bias": 0.02}
+    follows_fields = False
 
-    def draw(self, vertices: int, summary: int) -> Tensors:
-        """See `VertexNetwork`."""
-        hidden = perceptron_layers("hidden", WEIGHTS + summary, self._width, self._width, self._latent)
-        network = draw_layers(hidden)
-        network["last"] = torch.randn(self._latent, vertices, 3) / self._latent**0.5
-        return network | {"bias": torch.zeros(vertices, 3)}
+    def found_sizes(self, network: Mapping[str, np.ndarray]) -> dict[str, int]:
+        """See `GradientForm`."""
+        (latent,) = count_rows(network, "hidden.4.weight")
+        return {"latent": latent}
 
-    def bound(self, network: Arrays, summary, vertices=EVERY):
-        """Return the summary itself."""
-        return summary
+    def gradients(self, network: Arrays, weights, code, parameters):
+        """See `GradientForm`."""
+        latent = _latent(network, weights, code[:, None], parameters[:, None])
+        answer = latent @ network["last.weight"].T + network["last.bias"]
+        return answer.reshape(*latent.shape[:-1], -1, 9)
 
-    def answer(self, network: Arrays, bound, weights, vertices=EVERY):
-        """See `VertexNetwork`."""
-        latent = perceptron(network, "hidden", concatenate([weights, bound]))
-        last = network["last"][:, vertices]
-        return (latent @ last.reshape(len(last), -1)).reshape(len(latent), -1, 3) + network["bias"][vertices]
+    def bind(self, network: Arrays, code: Floats32, parameters: Floats32) -> Bound:
+        """See `GradientForm`: L is the last layer, the same for everybody, and z all of the perceptron."""
+        count = network["last.weight"].shape[1]
+        last = np.concatenate([network["last.weight"], network["last.bias"][:, None]], axis=1)
+        latents = np.ascontiguousarray(last.reshape(-1, 9, count + 1))
+        one = np.ones(1, dtype=np.float32)
+        return lambda weights: (latents, np.concatenate([_latent(network, weights, code, parameters), one]))
+
+
+def _latent(network: Arrays, weights, code, parameters):
+    """Return the last hidden layer, shape (..., latent)."""
+    whole = [part + 0.0 * weights[..., :1] for part in (parameters, code)]
+    return elu(perceptron(network, "hidden", concatenate([weights, *whole]), elu))

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
@@ -52,6 +52,7 @@ class TrainerConfig:
     one_cycle: bool = False  # super-convergence (Smith and Topin 2019); otherwise a warm-up and a cosine
     warm_up: int = 1  # steps, before a cosine
     final_rate: float = 0.0  # where a cosine ends
+    falls: Literal["cosine", "line"] = "cosine"  # how the rate gets there
     weight_decay: float = 0.0
     clip: float | None = None  # norm of the gradient beyond which it is shortened
     validate_every: int = 400  # steps between two points of the curve
@@ -115,7 +116,7 @@ class Trainer:
             self.restore(state)
         self.group.wait()
         while self.step < config.steps and not (config.seconds is not None and self.seconds >= config.seconds):
-            self.run(min(config.validate_every, config.steps - self.step))
+            self.run(min(config.validate_every - self.step % config.validate_every, config.steps - self.step))
             if state is not None and self.group.first:
                 self.keep(state)
             errors = {name: value for name, value in self.curve[-1].items() if name not in ("step", "seconds", "loss")}
@@ -125,9 +126,13 @@ class Trainer:
             )
 
     def run(self, steps: int) -> None:
-        """Make some steps, then add a point to the curve."""
+        """Make some steps, fewer where the time is over, then add a point to the curve.
+
+        Raises InputError for a loss that is not finite.
+        """
         begin, total = time.perf_counter(), 0.0
         device, precision = self.group.device.type, self.config.precision
+        first = self.step
         for _ in range(steps):
             # The first of several processes draws what one alone would.
             own = [self.group.number] if self.group.number else []
@@ -143,11 +148,16 @@ class Trainer:
             self.schedule.step()
             self.step += 1
             total += float(loss.detach())
+            if not np.isfinite(total):
+                raise InputError(f"training: the loss is not finite at step {self.step}; take a lower learning rate")
+            spent = self.seconds + time.perf_counter() - begin
+            if self.config.seconds is not None and self.group.count == 1 and spent >= self.config.seconds:
+                break  # of several processes none may stop before the others
         self.seconds += time.perf_counter() - begin
         errors = {name: float(value) for name, value in self.lesson.errors().items()}
         if self.config.best_by and errors[self.config.best_by] < self.least:
             self.least, self.best = errors[self.config.best_by], self._copy()
-        self.curve.append({"step": self.step, "seconds": self.seconds, "loss": total / steps, **errors})
+        self.curve.append({"step": self.step, "seconds": self.seconds, "loss": total / (self.step - first), **errors})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the trained network: the best of the curve, or as it is now."""
@@ -189,15 +199,17 @@ class Trainer:
 
     @property
     def _of(self) -> list[str]:
-        return [repr(self.config), *self.lesson.about]
+        # A training that a time limit has stopped goes on with another limit.
+        return [repr(replace(self.config, seconds=None)), *self.lesson.about]
 
     def _copy(self) -> Tensors:
         return {name: value.detach().clone() for name, value in self.lesson.network.items()}
 
     def _share_of_rate(self, step: int) -> float:
         last = self.config.final_rate / self.config.learning_rate
-        cosine = last + (1.0 - last) * 0.5 * (1.0 + np.cos(np.pi * step / self.config.steps))
-        return float(cosine * min(1.0, (step + 1) / self.config.warm_up))
+        done = step / self.config.steps
+        left = 1.0 - done if self.config.falls == "line" else 0.5 * (1.0 + np.cos(np.pi * done))
+        return float((last + (1.0 - last) * left) * min(1.0, (step + 1) / self.config.warm_up))
 
 
 _VALUES = ("step", "seconds", "curve", "best", "least")

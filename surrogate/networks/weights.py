@@ -23,10 +23,11 @@ from ...lhm.base.mesh import Floats, Surface
 from ..corpus.mixture import STATIC
 from ..dynamics import Looseness
 from ..surface_hash import surface_hash
-from .hypernetwork import check_hypernetwork
+from .forms import FORMS
 from .modal import check_modal
+from .recurrence import LearnedRecurrence
 
-CHECKS = {"modal": check_modal, "hypernetwork": check_hypernetwork}
+CHECKS = {"modal": check_modal} | {kind: form.check for kind, form in FORMS.items()}
 """What checks the arrays of each kind of network: the run time indexes them without looking."""
 FARTHEST = 1e5
 """[mm] Of any vertex or pivot, and of a number of a code: a hundred metres."""
@@ -58,6 +59,7 @@ class Weights:
     """Arrays of a network by name, and the mean skin [mm] they belong to; code_mean and code_scale (c,).
 
     kind: one of CHECKS. looseness: what dynamic frames need besides; None where nobody could fit heads to the people.
+    recurrence: learned coefficients of Eq. 21, which take its place.
     """
 
     kind: str
@@ -68,6 +70,7 @@ class Weights:
     network: Mapping[str, np.ndarray]
     note: TrainingNote
     looseness: Looseness | None = None
+    recurrence: LearnedRecurrence | None = None
 
     @property
     def template(self) -> str:
@@ -106,6 +109,10 @@ class Weights:
         if self.looseness is not None:
             arrays["looseness.shares"] = np.ascontiguousarray(self.looseness.shares, dtype=np.float16)
             arrays["looseness.pivots"] = np.ascontiguousarray(self.looseness.pivots)
+        if self.recurrence is not None:
+            learned = self.recurrence.network.items()
+            arrays |= {f"recurrence.{name}": np.ascontiguousarray(value, dtype=np.float32) for name, value in learned}
+            arrays["recurrence.pivot"] = np.ascontiguousarray(self.recurrence.pivot, dtype=np.float64)
         about["checksum"] = _checksum(arrays)
         write_whole(Path(path), save(arrays, metadata={"softdeca": json.dumps(about)}))
 
@@ -147,14 +154,15 @@ class Weights:
         CHECKS[kind](network, mean, len(code_mean))
         looseness = _read_looseness(arrays, len(code_mean), len(mean.vertices))
         space, note = text("space", about["space"]), _read_note(about["note"])
-        weights = cls(kind, space, mean, code_mean, code_scale, network, note, looseness)
+        recurrence = _read_recurrence(arrays, len(code_mean), len(mean.vertices))
+        weights = cls(kind, space, mean, code_mean, code_scale, network, note, looseness, recurrence)
         if weights.template != about["template"]:
             raise InputError(f"their mesh is not the one they name ({quote(about['template'])}); train them anew")
         return weights
 
 
 def _format(kind: str) -> str:
-    return f"softdeca-{kind}-3"
+    return f"softdeca-{kind.replace(' ', '-')}-3"
 
 
 def _checksum(arrays: Mapping[str, np.ndarray]) -> str:
@@ -193,3 +201,12 @@ def _read_looseness(arrays: Mapping[str, np.ndarray], code_size: int, vertices: 
         return None
     shares = finite("looseness.shares", arrays["looseness.shares"], (code_size + 1, vertices), most=FARTHEST)
     return Looseness(shares, finite("looseness.pivots", arrays["looseness.pivots"], (code_size + 1, 3), most=FARTHEST))
+
+
+def _read_recurrence(arrays: Mapping[str, np.ndarray], code_size: int, vertices: int) -> LearnedRecurrence | None:
+    if "recurrence.pivot" not in arrays:
+        return None
+    read = {k.removeprefix("recurrence."): value for k, value in arrays.items() if k.startswith("recurrence.")}
+    learned = LearnedRecurrence({k: value for k, value in read.items() if k != "pivot"}, read["pivot"])
+    learned.check(vertices, code_size)
+    return learned

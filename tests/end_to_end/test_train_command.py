@@ -49,7 +49,7 @@ def test_what_is_simulated_is_learned_from_and_tested_on(command, corpus, tmp_pa
     assert json.loads(ended.out) == kept and set(list_missing(kept)) <= OF_THE_CHECKOUT
     told = {row["method"]: row["values"] for row in kept["rows"]}
     methods = {name: values["rows"][0] for name, values in told.items()}
-    assert set(READY) < set(methods) and len(methods) == 13 and methods["bones carried"]["share"] == pytest.approx(1.0)
+    assert set(READY) < set(methods) and len(methods) == 10 and methods["bones carried"]["share"] == pytest.approx(1.0)
     assert {row["kind"] for row in methods.values()} == {"all"}
     # A bind by simulation has the simulator's seconds in it, and whoever needs a head waits for it.
     network = told[NETWORK]
@@ -102,9 +102,17 @@ def test_generalisation_needs_people_that_a_command_knows(command, corpus, tmp_p
     assert ended.status == 0 and kinds == list(KINDS) and list((corpus / "generalisation").glob("pair-*.npz"))
 
 
-def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):
-    ended = command("train", corpus, "--network", "paper", "--out", tmp_path, "--steps", "4")
-    assert ended.status == 0 and (tmp_path / "paper.safetensors").is_file()
+def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command, corpus, tmp_path):
+    asked = ("--network", "paper", "--out", tmp_path, "--steps", "4", "--batch", "6")
+    ended = command("train", corpus, *asked)
+    weights = tmp_path / "paper.safetensors"
+    assert ended.status == 0 and weights.is_file()
+    config = Surrogate.load(weights).weights.note.config
+    assert (config["batch"], config["frames"], config["learning_rate"], config["seconds"]) == (6, 6, 1e-4, None)
+    # There is no offset that the simulator could replace, so that method is not among those scored.
+    ended = command("evaluate", corpus, "--surrogate", weights, "--out", tmp_path / "scores", "--json")
+    methods = [row["method"] for row in json.loads(ended.out)["rows"]]
+    assert ended.status == 0 and "network" in methods and "network + simulator at bind" not in methods
 
 
 @pytest.mark.parametrize(
@@ -115,8 +123,24 @@ def test_the_paper_s_network_is_trained_by_name(command, corpus, tmp_path):
         (("train", "CORPUS", "--device", "abacus"), "no device 'abacus'"),
         (("evaluate", "CORPUS", "--surrogate", "no.safetensors"), "no such file"),
         (("evaluate", "CORPUS"), "vertices"),
+        (("train", "CORPUS", "--network", "paper", "--neutrals", "CORPUS"), "paper cannot honour --neutrals"),
+        (("train", "CORPUS", "--batch", "8"), "modal cannot honour --batch"),
+        (("train", "CORPUS", "--network", "hyper", "--device", "meta"), "solved on the cpu, not on 'meta'"),
+        (("train", "CORPUS", "--network", "hyper", "--precision", "bfloat16"), "needs float32"),
+        (("train", "CORPUS", "--network", "hyper", "--recurrence-steps", "5"), "nothing of sequences"),
     ],
-    ids=["train", "evaluate", "device", "weights", "template"],
+    ids=[
+        "train",
+        "evaluate",
+        "device",
+        "weights",
+        "template",
+        "neutrals",
+        "batch",
+        "solve",
+        "precision",
+        "sequences",
+    ],
 )
 def test_what_cannot_be_is_one_line(command, corpus, tmp_path, arguments, said):
     given = [corpus if text == "CORPUS" else text for text in arguments]

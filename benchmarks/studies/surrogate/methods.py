@@ -16,6 +16,7 @@ from ....surrogate.corpus.folder import read_kept_plan
 from ....surrogate.corpus.people import people_from_text
 from ....surrogate.corpus.plan import Split
 from ....surrogate.corpus.reading import Faces
+from ....surrogate.dynamics import Looseness
 from ....surrogate.generalisation import PairStore, simulate_pairs
 from ....surrogate.heads import BindCosts, Heads, measure_binds
 from ....surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, Method, NetworkMethod
@@ -48,13 +49,14 @@ COSTED = 3
 
 @lru_cache(maxsize=1)
 def learning() -> Mapping[str, Callable[[], Method]]:
-    """Return what is fitted to a corpus' training people, by name; most need torch, which is an extra."""
-    from ....surrogate.networks.face_wise import FaceWise
-    from ....surrogate.networks.softsmpl import SoftSMPL
+    """Return what is fitted to a corpus' training people in minutes, by name; some need torch, which is an extra.
+
+    The paper's networks, which take longer, are in `table_1.py`.
+    """
     from ....surrogate.networks.vertices_only import VerticesOnly
 
     makers: list[Callable[[], Method]] = [LearnedResponses, lambda: Ridge("dimensionless"), lambda: Ridge("raw")]
-    makers += [lambda: SoftSMPL("small"), lambda: SoftSMPL("large"), VerticesOnly, FaceWise]
+    makers += [VerticesOnly]
     return {make().name: make for make in makers}
 
 
@@ -101,6 +103,17 @@ class OnCorpus:
     def costs(self) -> BindCosts | None:
         """Seconds of binds on COSTED faces; None where nobody fits heads."""
         return _costs(self)
+
+    @property
+    def looseness(self) -> Looseness | None:
+        """Where people are loose: the weights' own, or the shipped network's where that is of the same mesh."""
+        own, shipped = self.network.weights, load_network(None).weights
+        return own.looseness or (shipped.looseness if own.template == shipped.template else None)
+
+    @property
+    def ready_names(self) -> list[str]:
+        """Names of READY that the weights can honour."""
+        return [name for name in READY if name != HYBRID or self.network.weights.kind == "modal"]
 
     def ready(self, name: str) -> Method:
         """A method of READY or SIMULATE."""

@@ -157,8 +157,8 @@ class SurrogateOnCorpus(Study):
         """Methods, and what scores one of them, by case."""
         if not self.corpus:
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
-        tested, corpus, ready = self._tested(), Path(self.corpus).name, list(READY)
-        counts, swings = read_manifest(tested.corpus).counts, tested.network.weights.looseness is not None
+        tested, corpus = self._tested(), Path(self.corpus).name
+        ready, counts, swings = tested.ready_names, read_manifest(tested.corpus).counts, tested.looseness is not None
         tested.network.weights.check_mesh(read_template(tested.corpus))
         asked: dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]] = {}
         asked[corpus] = [*ready, *(learning() if self.rivals else ())], lambda name: self._static(tested, name)
@@ -206,7 +206,7 @@ class SurrogateOnCorpus(Study):
             from ....surrogate.networks.snp import SubspacePhysics
 
             return [evaluate_sequences(SubspacePhysics(), tested.corpus, tested.heads, partial=self.partial)]
-        known = tested.network.weights.looseness
+        known = tested.looseness
         assert known is not None
         ready = [tested.ready(name)]
         return evaluate_dynamic(ready, tested.corpus, tested.split, tested.heads, known, partial=self.partial)

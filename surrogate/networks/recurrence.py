@@ -1,0 +1,79 @@
+"""The learned coefficients of SoftDECA's Eq. 21, f_t = γ F(w_t) + 2α f_{t-1} - β f_{t-2}, at each vertex.
+
+γ and β are networks f_γ and f_β of p, h and a trained table π at the vertex (Eq. 20), bound once. The paper has a
+third, f_α. Here α = (1 - γ + β)/2: only so a shift of everything stays a shift, and a face at rest stays where statics
+have it; with γ in (0, 1] and β below 1 every pole lies inside the unit circle. The paper states neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...lhm.base.checks import finite
+from ...lhm.base.mesh import Floats
+from ..corpus.mixture import NAMES
+from ..corpus.plan import RATE
+from ..dynamics import LearnedSwing
+from .layers import Arrays, check_numbers, check_sizes, exp, linear, perceptron, silu
+
+COEFFICIENTS = ("beta", "gamma")
+LAYERS: dict[str, tuple[str, str]] = {
+    f"{name}_{layer}": sizes
+    for name in COEFFICIENTS
+    for layer, sizes in {
+        "from_position": ("hidden", "position"),
+        "from_code": ("hidden", "code"),
+        "from_parameters": ("hidden", "parameters"),
+        "rest.0": ("hidden", "hidden"),
+        "rest.2": ("one", "hidden"),
+    }.items()
+}
+WITHOUT_BIAS = tuple(f"{name}_{layer}" for name in COEFFICIENTS for layer in ("from_position", "from_code"))
+ARRAYS: dict[str, tuple[str, ...]] = {
+    "position": ("n", "position"),
+    **{f"{name}.weight": sizes for name, sizes in LAYERS.items()},
+    **{f"{name}.bias": sizes[:1] for name, sizes in LAYERS.items() if name not in WITHOUT_BIAS},
+}
+MOST = 0.98
+"""Of β: beyond it an oscillation takes seconds to fade."""
+
+
+def sizes(vertices: int, code_size: int) -> dict[str, int]:
+    """Return the sizes that follow from the space."""
+    return {"n": vertices, "code": code_size, "parameters": len(NAMES), "one": 1}
+
+
+def coefficients(network: Arrays, code, parameters):
+    """Return β and γ, shape (..., n), of a normalised code (..., 1, c) and of NAMES in [-1, 1] at vertices."""
+    values = []
+    for name, most in zip(COEFFICIENTS, (MOST, 1.0), strict=True):
+        hidden = network["position"] @ network[f"{name}_from_position.weight"].T
+        hidden = hidden + code @ network[f"{name}_from_code.weight"].T
+        hidden = silu(hidden + linear(network, f"{name}_from_parameters", parameters))
+        logits = perceptron(network, f"{name}_rest", hidden)[..., 0]
+        values.append(most / (1.0 + exp(-logits)))
+    return tuple(values)
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedRecurrence:
+    """Arrays of ARRAYS, and what heads turn about: pivot (3,) [mm], that of the mean head."""
+
+    network: Mapping[str, np.ndarray]
+    pivot: Floats
+
+    def check(self, vertices: int, code_size: int) -> None:
+        """Raise InputError unless every array is there, of fitting shape and finite."""
+        check_numbers(self.network, [*ARRAYS])
+        check_sizes(self.network, ARRAYS, sizes(vertices, code_size))
+        finite("recurrence pivot", self.pivot, (3,))
+
+    def bind(self, code: Floats, at_vertices: Floats) -> LearnedSwing:
+        """Evaluate α, β, γ of a normalised code (c,) and of NAMES in [-1, 1] at vertices (n, P)."""
+        beta, gamma = coefficients(
+            self.network, np.asarray(code, dtype=np.float32)[None], np.asarray(at_vertices, dtype=np.float32)
+        )
+        return LearnedSwing(beta, np.maximum(gamma, 1e-6), self.pivot, 1.0 / RATE)
