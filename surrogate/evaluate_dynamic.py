@@ -141,7 +141,7 @@ def evaluate_dynamic(
     if not set(map(tuple, faces.groups.tolist())) & set(map(tuple, table.groups.tolist())):
         raise InputError(f"corpus {folder}: no sequence of the {split or 'whole'} split is of a face with derivatives")
     still = [Static(method) for method in methods]
-    swings = [swings_of(method, looseness, table.template.mean) for method in methods]
+    swings = [swings_of(method, looseness, table.mean) for method in methods]
     moving = [InMotion(static, swing) for static, swing in zip(still, swings, strict=True)]
     distances = measure_frames([*moving, *still], sequence_trials(table, heads, faces), on_progress)
     scores = distances.scores(distances.parts())

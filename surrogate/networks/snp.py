@@ -41,7 +41,7 @@ class SubspacePhysics:
         rows = [table[k] for k in range(len(table))]
         codes = np.array([row["code"] for row in rows], dtype=np.float64)
         scale = np.maximum(codes.std(axis=0), 1e-6)
-        self._inputs = Inputs(Features(table.template.mean), codes.mean(axis=0), scale)
+        self._inputs = Inputs(Features(table.mean), codes.mean(axis=0), scale)
         motion = np.stack([_motion(row) for row in rows])
         count, length = motion.shape[:2]
         flat = motion.reshape(count * length, -1)
