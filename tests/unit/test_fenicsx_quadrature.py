@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_matrix
 
 pytest.importorskip("dolfinx")
 
@@ -15,6 +14,7 @@ from softdeca.reference.fenicsx.problem import Problem
 from softdeca.reference.fenicsx.quadrature import DEGREES, Quadrature
 from softdeca.reference.problems import meshes
 
+from .by_solver import dense
 from .tangents import tangent
 
 ufl = seam.ufl
@@ -56,11 +56,6 @@ def tensors(order, cells, values):
 def flat(v):
     gradient = ufl.grad(v)
     return ufl.as_vector([gradient[i, j] for i in range(3) for j in range(3)])
-
-
-def dense(matrix):
-    indptr, columns, values = matrix.getValuesCSR()
-    return csr_matrix((values, columns, indptr)).toarray()
 
 
 def test_deformation_gradient_is_the_displacements(setting):
@@ -121,3 +116,4 @@ def test_a_law_s_tangent_by_stretches_is_that_of_its_density():
     seam.add_matrix(problem._hyperelastic[0].tangent, expected)
     expected.assemble()
     np.testing.assert_allclose(found, dense(expected), atol=1e-11 * np.abs(found).max())
+    np.testing.assert_allclose(dense(state.softened_hessian(1.0)), found, atol=1e-11 * np.abs(found).max())

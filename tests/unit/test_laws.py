@@ -21,6 +21,7 @@ from softdeca.reference.fenicsx.solids import Grown as GrownStretches
 from softdeca.reference.fenicsx.solids import StrainLaw, VolumeLaw, nearest_with_determinant
 from softdeca.reference.materials.material import HasDensity, HasInvariants, HasRotation, HasStretches
 from softdeca.reference.problems import meshes
+from softdeca.reference.projective import projections as projective
 from softdeca.reference.skfem import solids as skfem
 from softdeca.reference.skfem.discretisation import rest_gradients
 from softdeca.reference.skfem.surfaces import Membrane
@@ -397,20 +398,36 @@ def test_signed_svd(signed_svd, F):
     assert np.allclose(np.abs(s), np.linalg.svd(F, compute_uv=False), atol=1e-14)
 
 
-@pytest.mark.parametrize("nearest", [nearest_with_determinant, lambda s, v: skfem.nearest_of_determinant(s, v)[0]])
+BALL = (1.95, 1.95, 1.95)  # nearer to a flat shape of that volume than to the unit ball
+NEAREST = {
+    "fenicsx": nearest_with_determinant,
+    "skfem": lambda s, v: skfem.nearest_of_determinant(s, v)[0],
+    "projective": lambda s, v: np.array([projective.nearest_of_determinant(*s[0], v[0])]),
+}
+SOUGHT = [
+    *product([(1.3, 0.8, 0.5), (2.5, 1.2, -0.7), (0.0, 0.0, 0.0), (9.0, 5.0, 3.0), (3.0, 3.0, 3.0)], (1.0, 1.4)),
+    ((1.2, 0.9, 0.5), 1.0),
+    ((1.5, 1.2, 0.9), 0.8),
+    ((1.1, 0.6, -0.4), 1.0),
+    ((2.0, 1.0, 0.5), 0.05),
+    (BALL, 1.0),
+]
+MISSED = pytest.mark.xfail(
+    strict=True, reason="FEniCSx takes the unit ball, a stationary point, for stretches of 1.93 to 2"
+)
+
+
 @pytest.mark.parametrize(
-    ("sigma", "target"),
+    ("solver", "sigma", "target"),
     [
-        *product([(1.3, 0.8, 0.5), (2.5, 1.2, -0.7), (0.0, 0.0, 0.0), (9.0, 5.0, 3.0), (3.0, 3.0, 3.0)], (1.0, 1.4)),
-        ((1.2, 0.9, 0.5), 1.0),
-        ((1.5, 1.2, 0.9), 0.8),
-        ((1.1, 0.6, -0.4), 1.0),
-        ((2.0, 1.0, 0.5), 0.05),
+        pytest.param(solver, *sought, marks=MISSED if (solver, sought[0]) == ("fenicsx", BALL) else ())
+        for solver in NEAREST
+        for sought in SOUGHT
     ],
 )
-def test_nearest_of_determinant_is_the_nearest(nearest, sigma, target):
+def test_nearest_of_determinant_is_the_nearest(solver, sigma, target):
     """Against a minimisation over the two free stretches, from many starts."""
-    t = nearest(np.array([sigma]), np.array([target]))[0]
+    t = NEAREST[solver](np.array([sigma]), np.array([target]))[0]
     assert np.isclose(np.prod(t), target, rtol=1e-12)
 
     def distance(logs):

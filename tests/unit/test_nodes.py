@@ -1,0 +1,143 @@
+"""Nodes of both finite-element solvers: where they lie, what is held, whose faces they are; rules and assembly."""
+
+from math import factorial
+
+import numpy as np
+import pytest
+from skfem import BilinearForm, LinearForm
+
+from softdeca.reference import Scene, SceneError, terms
+from softdeca.reference.materials import NeoHookean
+from softdeca.reference.problems import meshes
+from softdeca.reference.skfem.discretisation import tet_rule, triangle_rule
+from softdeca.reference.skfem.solids import ByInvariants
+
+from .by_solver import DISCRETE, prepare_by, solve_by
+
+X, TETS = meshes.unstructured(2)
+FEM = pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
+SOFT = terms.Hyperelastic(NeoHookean.from_young(1.0, 0.3))
+
+
+@pytest.mark.parametrize("rule", [tet_rule, triangle_rule])
+@pytest.mark.parametrize(("degree", "exact"), [(1, 1), (2, 4)])
+def test_rules_integrate_polynomials(rule, degree, exact):
+    """Over the reference simplex of d dimensions x^a y^b z^c integrates to a! b! c! / (a + b + c + d)!."""
+    points, weights = rule(degree)
+    assert weights.min() > 0
+    d = len(points)
+    for powers in np.ndindex(*(d * [exact + 1])):
+        if sum(powers) <= exact:
+            expected = np.prod([float(factorial(p)) for p in powers]) / factorial(sum(powers) + d)
+            integral = weights @ np.prod(points.T ** np.array(powers), axis=1)
+            assert integral == pytest.approx(expected, rel=1e-13)
+
+
+@FEM
+def test_quadratic_elements_have_a_node_per_vertex_and_edge(solver):
+    """They lie where the library has them; a face finds those of its corners, then those on its sides."""
+    discrete = DISCRETE[solver](Scene(X, TETS, []), "P2")
+    pairs = TETS[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
+    edges = np.unique(np.sort(pairs, axis=1), axis=0)
+    expected = np.concatenate([X, X[edges].mean(axis=1)])
+    nodes = discrete.nodes
+    assert len(nodes) == len(expected)
+    np.testing.assert_allclose(nodes[np.lexsort(nodes.T)], expected[np.lexsort(expected.T)], atol=1e-14)
+    if solver == "skfem":
+        at = discrete.discretisation
+        for c in range(3):
+            np.testing.assert_allclose(at.basis.doflocs[:, at.dofs[:, c]].T, nodes, atol=1e-14)
+    else:
+        np.testing.assert_allclose(discrete.order.space.tabulate_dof_coordinates(), nodes, atol=1e-14)
+        assert np.array_equal(nodes[discrete.order.dof], X)
+    triangles = meshes.boundary_triangles(TETS)
+    of_faces = nodes[discrete.face_nodes(triangles)]
+    np.testing.assert_allclose(of_faces[:, :3], X[triangles], atol=1e-14)
+    sides = {"skfem": ((0, 1), (1, 2), (0, 2)), "fenicsx": ((1, 2), (0, 2), (0, 1))}[solver]
+    for k, side in enumerate(sides):
+        np.testing.assert_allclose(of_faces[:, 3 + k], X[triangles[:, side]].mean(axis=1), atol=1e-14)
+
+
+def test_linear_nodes_of_fenicsx_are_the_vertices_of_tets():
+    X, tets = meshes.unstructured(3)
+    spare = np.concatenate([[[9.0, 9.0, 9.0]], X])  # a vertex in no tet
+    scene = Scene(spare, tets + 1, [SOFT])
+    order = DISCRETE["fenicsx"](scene).order
+    assert np.array_equal(order.X, spare[order.vertex]) and order.dof[0] == -1
+    assert np.array_equal(order.dof[order.vertex], np.arange(len(X)))
+    corners = np.sort(order.vertex[order.cell_dofs], axis=1)
+    assert np.array_equal(corners, np.sort(scene.tets[order.tet], axis=1))
+    geometry = order.space.mesh.geometry.x[:, :3]
+    assert np.array_equal(np.sort(geometry, axis=0), np.sort(X, axis=0))
+    values = np.random.default_rng(0).normal(size=spare.shape)
+    assert np.array_equal(order.to_scene(order.to_dofs(values), np.zeros_like(values))[1:], values[1:])
+
+
+@FEM
+def test_an_edge_through_the_inside_is_free_between_held_faces(solver):
+    """Of a cube of one cell all vertices are held, or two sides in other components; the diagonal's middle is not."""
+    X, tets = meshes.block(1)
+    discrete = DISCRETE[solver](Scene(X, tets, []), "P2")
+    nodes = discrete.nodes
+    inside = (nodes == 0.5).all(axis=1)
+    assert inside.sum() == 1
+    assert np.array_equal(discrete.held(np.ones(X.shape, dtype=bool)), np.repeat(~inside[:, None], 3, axis=1))
+    some = np.zeros(X.shape, dtype=bool)
+    some[X[:, 0] == 0] = True
+    some[X[:, 1] == 0, 2] = True
+    held = discrete.held(some)
+    assert np.array_equal(held[:, 1], nodes[:, 0] == 0)
+    assert np.array_equal(held[:, 2], (nodes[:, 0] == 0) | (nodes[:, 1] == 0))
+
+
+@FEM
+@pytest.mark.parametrize("kind", [terms.Traction, terms.SurfaceStrain])
+def test_quadratic_elements_refuse_a_triangle_inside_a_tet(solver, kind):
+    """Linear ones take a membrane through the inside."""
+    across = np.array([[0, 1, 26]])
+    term = terms.Traction(across, (1.0, 0, 0)) if kind is terms.Traction else terms.SurfaceStrain(across, 1.0)
+    scene = Scene(X, TETS, [SOFT, term, terms.Fixed([0, 1, 2, 8])])
+    assert prepare_by(solver, scene).solve(max_iterations=0).iterations == 0
+    with pytest.raises(SceneError, match=f"{term.name}: triangle 0 is no face of a tet"):
+        prepare_by(solver, scene, element="P2").solve()
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_assembly_is_scikit_fems(element):
+    """Forces and stiffness of one law against scikit-fem's own assembly of its weak forms."""
+    discrete = DISCRETE["skfem"](Scene(X, TETS, [SOFT]), element)
+    basis = discrete.discretisation.basis
+    x = discrete.start + np.random.default_rng(2).normal(0.0, 0.02, discrete.size)
+    law = ByInvariants(SOFT.material)
+
+    def at_points(w):
+        return np.moveaxis(w["x"].grad, (0, 1), (-2, -1)).reshape(-1, 3, 3)
+
+    @LinearForm
+    def work(v, w):
+        stress = law.stress(at_points(w)).reshape(*w["x"].grad.shape[2:], 3, 3)
+        return np.einsum("mqij,ijmq->mq", stress, v.grad)
+
+    @BilinearForm
+    def stiffness(u, v, w):
+        tangent = law.tangent(at_points(w)).reshape(*w["x"].grad.shape[2:], 3, 3, 3, 3)
+        return np.einsum("mqijkl,ijmq,klmq->mq", tangent, v.grad, u.grad)
+
+    place = basis.interpolate(x)
+    forces, matrix = work.assemble(basis, x=place), stiffness.assemble(basis, x=place).toarray()
+    np.testing.assert_allclose(discrete.gradient(x), forces, rtol=0.0, atol=1e-13 * np.abs(forces).max())
+    np.testing.assert_allclose(discrete.hessian(x), matrix, rtol=0.0, atol=1e-13 * np.abs(matrix).max())
+
+
+@FEM
+def test_a_bar_under_its_own_weight_is_quadratic(solver):
+    """Laterally held, its displacement g ρ (L x - x²/2) / (λ + 2μ) lies in the element's space, at small strain."""
+    X, tets = meshes.box((3, 1, 1), (3.0, 1.0, 1.0))
+    density, law = 1e-6, SOFT.material
+    walls = [terms.Fixed(meshes.vertices_at(X, c, end), components=c) for c in (1, 2) for end in (0.0, 1.0)]
+    held = [terms.Fixed(meshes.vertices_at(X, 0, 0.0), components=0), *walls]
+    scene = Scene(X, tets, [SOFT, terms.Gravity((1.0, 0, 0), density=density), *held])
+    moved = solve_by(solver, scene, element="P2", tolerance=1e-10).positions - X
+    expected = density * (3.0 * X[:, 0] - X[:, 0] ** 2 / 2) / (law.lmbda + 2 * law.mu)
+    assert np.abs(moved[:, 0] - expected).max() < 1e-4 * expected.max()
+    assert np.abs(moved[:, 1:]).max() < 1e-4 * expected.max()

@@ -1,0 +1,222 @@
+"""What every solver promises of a solve: its history, why it stopped, a sequence prepared once, what is refused."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from softdeca.lhm.base.errors import MissingDependencyError
+from softdeca.reference import Reason, Scene, SceneError, materials, terms
+from softdeca.reference.problems import meshes
+
+from .by_solver import SOLVERS, WAYS, element_options, prepare_by, solve_by
+
+X, TETS = meshes.unstructured(2)
+SOFT = terms.Hyperelastic(materials.NeoHookean.from_young(1.0, 0.3))
+LOW, HIGH = (meshes.vertices_at(X, 2, at) for at in (0.0, 1.0))
+each_way = pytest.mark.parametrize(("solver", "element"), WAYS)
+each_solver = pytest.mark.parametrize("solver", SOLVERS)
+
+
+def pulled_block(*more):
+    """Energies, springs and loads that all solvers model, on a block with a held foot."""
+    some, skin = np.arange(0, len(TETS), 2), meshes.boundary_triangles(TETS)
+    return Scene(
+        X,
+        TETS,
+        [
+            terms.Strain(np.linspace(1.0, 2.0, len(some)), 1.02, tets=some),
+            terms.Strain(0.5),
+            terms.Volume(np.linspace(5.0, 9.0, len(TETS)), 1.1),
+            terms.SurfaceStrain(skin, np.linspace(1.0, 2.0, len(skin)), growth=1.1, rest=X * [1.0, 1.1, 0.9]),
+            terms.Bending(meshes.triangles_at(X, TETS, 1, 1.0), 0.3),
+            terms.Inertia(1e-4, 0.01),
+            terms.Target(HIGH, X[HIGH] + [0.2, 0.3, 0.1], 0.7),
+            terms.Fixed(LOW),
+            terms.Gravity((0.2, -1.0, 3.0), density=np.linspace(0.1, 0.2, len(TETS))),
+            terms.Traction(meshes.triangles_at(X, TETS, 2, 1.0), (0.05, 0.0, 0.4)),
+            *more,
+        ],
+    )
+
+
+@each_way
+def test_every_term_is_solved_tightly_and_each_iteration_told(solver, element):
+    seen, scene = [], pulled_block()
+
+    def see(i, x, energy, norm):
+        seen.append((i, x, energy, norm))
+
+    answer = solve_by(solver, scene, tolerance=1e-10, on_iteration=see, **element_options(solver, element))
+    history = answer.history
+    assert history.gradient_norm[-1] <= 1e-10 * history.gradient_norm[0]
+    held, positions = scene.dirichlet()
+    assert np.array_equal(answer.positions[held], positions[held])
+    assert len(history.energy) == len(history.time) == answer.iterations + 1
+    assert answer.energy == history.energy[-1] < history.energy[0]
+    assert [i for i, *_ in seen] == list(range(answer.iterations + 1))
+    np.testing.assert_allclose(seen[0][1], X, atol=1e-15)
+    np.testing.assert_allclose(seen[-1][1], answer.positions, atol=1e-12)
+    assert seen[-1][2:] == (answer.energy, history.gradient_norm[-1])
+    assert all(np.abs(after[1] - before[1]).max() > 0 for before, after in zip(seen[:-1], seen[1:], strict=True))
+
+
+@each_way
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_a_solve_says_why_it_stops(solver, element):
+    prepared = prepare_by(solver, pulled_block(), **element_options(solver, element))
+    for limit in (0, 1, 2):
+        bounded = prepared.solve(max_iterations=limit, tolerance=1e-12)
+        assert (bounded.reason, bounded.iterations) == (Reason.MAX_ITERATIONS, limit)
+        assert len(bounded.history.energy) == limit + 1
+    stopped = prepared.solve(on_iteration=lambda i, x, energy, norm: i == 2)
+    assert (stopped.reason, stopped.iterations) == (Reason.INTERRUPTED, 2)
+    if solver == "projective":  # whose energies are finite wherever floating point is
+        refused = prepared.solve(start=X * 1e200)
+    else:
+        scene = Scene(X, TETS, [SOFT, terms.Fixed(LOW)])
+        refused = prepare_by(solver, scene, element=element).solve(start=X * [1.0, 1.0, -1.0])
+    assert refused.reason is Reason.NOT_FINITE and not refused.converged
+
+
+@each_way
+def test_a_sequence_is_prepared_once(solver, element):
+    """Other targets and held positions in a prepared scene give what a new preparation gives."""
+    scene, options = pulled_block(), element_options(solver, element)
+    (target,) = scene.of(terms.Target)
+    other = scene.with_targets(target.positions + [0.1, -0.4, 0.0]).with_fixed(X[LOW] + [0.0, 0.1, 0.0])
+    prepared = prepare_by(solver, scene, **options)
+    prepared.solve()
+    again = prepared.solve(other, tolerance=1e-11)
+    assert again.converged
+    assert np.abs(again.positions - solve_by(solver, other, **options).positions).max() < 1e-8
+    with pytest.raises(SceneError, match=r"Strain.stiffness differs .* prepare it anew"):
+        prepared.solve(Scene(X, TETS, [terms.Strain(9.0, 1.02, tets=scene.terms[0].tets), *scene.terms[1:]]))
+
+
+@each_way
+@pytest.mark.parametrize("place", [0, 20])
+def test_vertices_of_no_tet_stay_or_are_held(solver, element, place):
+    """Three vertices beside a cube, numbered first or in its midst, and last; springs pull one where they may."""
+    cube, tets = meshes.block(2)
+    points = np.vstack([cube[:place], [[5.0, 5.0, 5.0]], cube[place:], [[6.0, 6.0, 6.0], [7.0, 7.0, 7.0]]])
+    last = len(points) - 1
+    held = terms.Fixed([last - 1], [[7.0, 7.0, 7.0]])
+    scene = Scene(points, tets + (tets >= place), [terms.Strain(1.0), held])
+    options = element_options(solver, element)
+    expected = points.copy()
+    expected[last - 1] = 7.0
+    np.testing.assert_allclose(solve_by(solver, scene, tolerance=1e-9, **options).positions, expected, atol=1e-12)
+    pulled = Scene(points, scene.tets, [*scene.terms, terms.Target([last], [[8.0, 7.0, 6.0]], 3.0)])
+    if solver == "fenicsx":
+        with pytest.raises(SceneError, match=f"Target: vertex {last} is in no tet"):
+            prepare_by(solver, pulled, **options)
+        return
+    expected[last] = [8.0, 7.0, 6.0]
+    np.testing.assert_allclose(solve_by(solver, pulled, tolerance=1e-9, **options).positions, expected, atol=1e-8)
+
+
+BAD_START = np.where((np.arange(len(X)) == 17)[:, None] & np.array([False, True, False]), np.nan, X)
+
+
+@each_solver
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        *(({"tolerance": bad}, "tolerance must lie between 0 and 1, got") for bad in (0.0, -1.0, np.nan, 1.0)),
+        ({"max_iterations": -1}, "max_iterations must be at least 0"),
+        ({"start": X[:-1]}, "start: expected shape"),
+        ({"start": BAD_START}, "start: 1 rows are not finite, the first is 17"),
+    ],
+)
+def test_options_of_a_solve_out_of_range_are_named(solver, options, message):
+    prepared = prepare_by(solver, pulled_block())
+    with pytest.raises(SceneError, match=message):
+        prepared.solve(**options)
+
+
+class Wind(terms.Term):
+    """No solver's."""
+
+
+LOADED = [terms.Strain(1.0, tets=[0]), terms.Gravity((0, -1, 0), density=1.0)]
+INDICATOR = [terms.Strain(1.0, rule="indicator")]
+
+
+@pytest.mark.parametrize(
+    ("solver", "parts", "options", "message"),
+    [
+        ("projective", INDICATOR, {"method": "newton"}, "unknown method 'newton'; there are lbfgs, anderson, plain"),
+        ("projective", [SOFT], {}, "cannot model Hyperelastic"),
+        ("fenicsx", [SOFT], {"element": "P7"}, "unknown element 'P7'; there are P1, P2, P2P1"),
+        ("fenicsx", [SOFT], {"linear_solver": "jacobi"}, "unknown linear_solver 'jacobi'; there are cg, mumps"),
+        ("fenicsx", LOADED, {}, "carries a load, but no energy acts on it"),
+        ("skfem", [SOFT], {"element": "P9"}, "element"),
+        *((solver, [Wind()], {}, f"'{solver}' cannot model Wind") for solver in SOLVERS),
+        *((solver, INDICATOR, {}, f"{solver}.*Strain with rule 'indicator'") for solver in SOLVERS[1:]),
+    ],
+)
+def test_what_a_solver_does_not_know_is_refused(solver, parts, options, message):
+    with pytest.raises(SceneError, match=message):
+        prepare_by(solver, Scene(X, TETS, parts), **options).solve()
+
+
+WEIGHT = terms.Gravity((0, -9810.0, 0), 1e-6)
+PULL = terms.Traction(meshes.triangles_at(X, TETS, 1, 1.0), (0.15, 0.2, 0.3))
+FREE = [
+    ("projective", {}, [terms.Strain(1.0), WEIGHT], "nothing holds the part around vertex 0 along y"),
+    ("skfem", {}, [terms.Strain(1.0), WEIGHT], "nothing holds translation along x, .* of the part with vertex 0"),
+    *(
+        ("fenicsx", {"element": element}, [SOFT, PULL, *held], message)
+        for element in ("P1", "P2P1")
+        for held, message in (
+            ([], "translation along x, translation along y, translation along z, rotation about x"),
+            (
+                [terms.Fixed([0])],
+                "holds rotation about x, rotation about y, .* of the part with vertex 0",
+            ),
+            ([terms.Fixed([0, 2])], "holds rotation about z of"),
+            ([terms.Fixed(np.arange(4), components=(0, 2))], "holds translation along y of"),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("solver", "options", "parts", "message"), FREE)
+def test_free_rigid_motions_under_a_load_are_named(solver, options, parts, message):
+    with pytest.raises(SceneError, match=message):
+        prepare_by(solver, Scene(X, TETS, parts), **options).solve()
+
+
+@each_solver
+def test_balanced_loads_on_a_free_block_stretch_it(solver):
+    """Strain only: P = ws (stretch - 1); how it turns is free."""
+    pull = [terms.Traction(meshes.triangles_at(X, TETS, 0, end), (0.4 * end - 0.2, 0, 0)) for end in (0.0, 1.0)]
+    answer = solve_by(solver, Scene(X, TETS, [terms.Strain(1.0), *pull]))
+    np.testing.assert_allclose(pdist(answer.positions), pdist(X * [1.2, 1.0, 1.0]), atol=1e-8)
+
+
+def test_unknown_versions_are_refused_in_one_line():
+    pytest.importorskip("dolfinx")
+    from softdeca.reference.fenicsx.dolfinx_version import parse_version
+
+    assert parse_version("0.5.2") == (0, 5) and parse_version("0.9.0.post1") == (0, 9)
+    for version in ("0.4.1", "0.10.0", "1.0.0"):
+        with pytest.raises(MissingDependencyError, match=f"dolfinx {version} is installed; softdeca knows 0.5 to 0.9"):
+            parse_version(version)
+
+
+def test_dolfinx_is_loaded_when_asked_for_and_missed_in_one_line():
+    program = (
+        "import sys; import softdeca.reference; print('dolfinx' in sys.modules); sys.modules['dolfinx'] = None\n"
+        "from softdeca.reference import MissingDependencyError, Scene, solve\n"
+        "import numpy as np\n"
+        "scene = Scene(np.vstack([np.zeros(3), np.eye(3)]), [[0, 1, 2, 3]], [])\n"
+        "try:\n    solve(scene, solver='fenicsx')\n"
+        "except MissingDependencyError as error:\n    print(error)\n"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    loaded, error = answer.splitlines()
+    assert loaded == "False" and "needs dolfinx" in error and "apt-get install python3-dolfinx" in error
