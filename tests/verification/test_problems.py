@@ -12,18 +12,13 @@ OTHER_WAYS = {
     "fenicsx": [{"element": "P2"}, {"linear_solver": "mumps"}],
     "skfem": [{"element": "P2"}],
 }
-# Under a dead load of compression quadratic elements buckle, so of the stretched cubes those that are held.
-HOMOGENEOUS = (
-    "patch",
-    "NeoHookean nu=.45, uniaxial, stretch",
-    "Strain, uniaxial, stretch",
-    "Strain + 10 Volume, uniaxial, stretch",
-)
+HOMOGENEOUS = ("patch", "NeoHookean nu=.45, uniaxial", "Strain")
 CASES = [(problem, solver, {}) for problem in problems.ALL for solver in problem.solvers]
+# Not under dead loads, by which quadratic elements buckle in compression.
 CASES += [
     (problem, solver, options)
     for problem in problems.ALL
-    if problem.name.startswith(HOMOGENEOUS)
+    if problem.name.startswith(HOMOGENEOUS) and "kPa" not in problem.name
     for solver in problem.solvers
     for options in OTHER_WAYS[solver]
 ]
