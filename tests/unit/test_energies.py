@@ -143,6 +143,26 @@ def energy_of(way, parts, motion, mesh=(X, TETS)):
     return discrete.energy(discrete.at(motion(discrete.nodes)))
 
 
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("name", [name for name in ENERGIES if name not in ("held", "Strain by the indicator")])
+def test_solvers_measure_one_energy_and_its_forces(name, element):
+    """At one disturbed state; on quadratic elements by each library's own tables of shapes and points."""
+    parts, size, solvers = ENERGIES[name]
+    free = [part for part in parts if not isinstance(part, terms.RigidBody)]
+    energies, forces = [], []
+    for solver in solvers if element == "P1" else SOLVERS[1:]:
+        discrete = DISCRETE[solver](Scene(X, TETS, free), element)
+        in_order = np.lexsort(np.round(discrete.nodes, 9).T)
+        step = size * np.random.default_rng(4).normal(size=discrete.nodes.shape)
+        places = np.empty_like(discrete.nodes)
+        places[in_order] = discrete.nodes[in_order] + step
+        energies.append(discrete.energy(discrete.at(places)) - discrete.energy(discrete.at(discrete.nodes)))
+        forces.append(discrete.forces(places)[in_order])
+    for energy, force in zip(energies[1:], forces[1:], strict=True):
+        assert energy == pytest.approx(energies[0], rel=1e-11)
+        np.testing.assert_allclose(force, forces[0], rtol=0.0, atol=1e-11 * np.abs(force).max())
+
+
 TURN = Rotation.from_rotvec([0.3, -1.0, 2.0])
 AREA, BULK = 9.0, 27.0  # of the top [mm²], of the block [mm³]
 STRETCHED = np.array([1.3, 1 / 1.3, 1.0])

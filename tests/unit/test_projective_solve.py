@@ -65,12 +65,6 @@ def test_a_varied_scene_is_solved_without_factoring(scene, monkeypatch):
     assert np.abs(again.positions - prepared.solve(tolerance=1e-9).positions).max() > 0.5
 
 
-def test_other_changes_need_a_new_preparation(scene):
-    stiffer = replace(scene, terms=[replace(scene.terms[0], stiffness=6.0), *scene.terms[1:]])
-    with pytest.raises(SceneError, match=r"Strain.stiffness differs .* prepare it anew"):
-        prepare(scene).solve(stiffer)
-
-
 def test_plain_descends_monotonically_to_what_lbfgs_finds(scene):
     """At a volume to strain ratio of 13.5; and L-BFGS needs at most a fifth of the iterations to 0.01 mm."""
     limit = solve(scene, tolerance=1e-11).positions
@@ -106,15 +100,6 @@ def test_less_of_the_volume_in_the_matrix_saves_iterations(scene, monkeypatch):
     assert abs(2.0 * half - whole - none).max() <= 1e-12 * abs(added).max()
 
 
-def test_converges_far_below_what_comparisons_need(scene):
-    solution = solve(scene, tolerance=1e-10)
-    assert solution.converged
-    norm = solution.history.gradient_norm
-    assert norm[-1] <= 1e-10 * norm[0]
-    assert len(norm) == len(solution.history.time) == solution.iterations + 1
-    assert solution.volume_ratio.min() > 0.5
-
-
 def test_a_tolerance_below_rounding_ends_at_rounding(scene):
     solution = solve(scene, tolerance=1e-30)
     assert solution.reason in (Reason.CONVERGED, Reason.STAGNATED)
@@ -129,12 +114,6 @@ def test_held_components_are_exact_and_factored_by_mask(scene):
     assert solution.detail["factorisations"] == 2  # x and z agree, y does not
     assert solution.positions[n - 1, 1] == scene.vertices[n - 1, 1] + 0.1
     assert solution.positions[n - 1, 0] != scene.vertices[n - 1, 0]
-
-
-def test_superlu_stands_in_for_cholespy(scene, monkeypatch):
-    with_cholespy = solve(scene, tolerance=1e-10).positions
-    monkeypatch.setattr(cholesky, "CholeskySolverD", None)
-    np.testing.assert_allclose(solve(scene, tolerance=1e-10).positions, with_cholespy, atol=1e-7)
 
 
 def test_a_scene_without_tet_terms_builds_none():
