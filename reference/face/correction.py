@@ -69,7 +69,7 @@ class FaceFrames:
 
 
 class Correction:
-    """One frame on its way: `point` is where it is; `solves` counts those with either matrix.
+    """One frame on its way: `point` is where it is, `iterations` the local ones, `solves` those with either matrix.
 
     `size` [mN] is the gradient norm of the targets' springs each 1 mm long.
     """
@@ -82,7 +82,7 @@ class Correction:
         self._memory = Memory(self._coordinates.size)
         self._problem = Problem(self._at, self._coordinates.move, self._solve_matrix, bounded=False)
         self._step: tuple[Point, Floats] | None = None
-        self.solves = 0
+        self.iterations = self.solves = 0
         self.point = self._at(place)
 
     @property
@@ -100,6 +100,7 @@ class Correction:
         """Run L-BFGS with the PD matrix."""
         for _ in range(iterations):
             self.point = lbfgs_step(self._problem, self.point, self._memory)
+        self.iterations += iterations
 
     def step(self) -> Floats:
         """Return the step [mm] over the unknowns to the minimum that gradient and Hessian at rest tell of."""
