@@ -79,11 +79,12 @@ class CertifiedFrame:
 class CertifiedFace:
     """One head, its expressions and p, bound to the simulator in some seconds; see the module.
 
-    `rig` makes the same face's frames without an estimate, at the price of blendshapes.
+    `rig` makes the same face's frames without an estimate, at the price of blendshapes. carried (n, 3) [mm]: how scaled
+    bones carry the neutral skin.
     """
 
     def __init__(self, frames: FaceFrames, rig: BoundSurrogate, carried: Floats):
-        self.rig, self._frames, self._carried = rig, frames, carried
+        self.rig, self.frames, self.carried = rig, frames, carried
         self.frame(np.full(len(frames.deltas), 0.1), FINEST, seconds=0.0)  # compiles
 
     @classmethod
@@ -123,6 +124,12 @@ class CertifiedFace:
         return self.rig.skin
 
     @property
+    def derivatives(self) -> BoundSurrogate:
+        """The rig without its network."""
+        modes = FaceModes.linear(self.rig.modes.offset, self.rig.modes.responses)
+        return BoundSurrogate(self.skin, modes, self.frames.deltas.astype(np.float32))
+
+    @property
     def has_network(self) -> bool:
         """Whether a network adds what is not linear."""
         return len(self.rig.modes.modes) > 0
@@ -144,7 +151,7 @@ class CertifiedFace:
         accuracy = number("accuracy", accuracy, least=FINEST, unit="mm")
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
-        correction = self._frames.begin(known, self._start(known, after))
+        correction = self.frames.begin(known, self._start(known, after))
         stepping = True
         for rounds in SMOOTHING:
             correction.smooth(rounds)
@@ -161,18 +168,18 @@ class CertifiedFace:
         """Return the first order, and on it the correction of the frame before."""
         if after is None:
             return None
-        start = self._frames.predict(weights)
+        start = self.frames.predict(weights)
         if after.positions.shape != start.shape:
             raise InputError(f"after: a frame of another face, of {len(after.positions)} vertices, not {len(start)}")
-        return start + (after.positions - self._frames.predict(after.weights))
+        return start + (after.positions - self.frames.predict(after.weights))
 
     def _tell(self, correction: Correction, begin: float) -> CertifiedFrame:
         """Estimate the error of where a correction is, and of the network's frame."""
-        head = self._frames.linear.face.head
-        skin, expression = correction.skin(), self._frames.expression(correction.weights)
+        head = self.frames.linear.face.head
+        skin, expression = correction.skin(), self.frames.expression(correction.weights)
         left = head.skin_from_wrap @ correction.move_wrap(correction.step())
         answer = skin + left
-        moves = np.linalg.norm(answer - expression - self._carried, axis=1) > MOVES
+        moves = np.linalg.norm(answer - expression - self.carried, axis=1) > MOVES
         counted = moves if moves.any() else np.ones_like(moves)
         is_first = correction.iterations <= SMOOTHING[0]
         error, certain = _estimate(left[counted], FIRST_SCALE if is_first else LATER_SCALE)
@@ -183,7 +190,7 @@ class CertifiedFace:
             if other[0] < error:
                 skin, (error, certain) = guess, other
                 method = "network" if self.has_network else "derivatives"
-        certain = certain and self._frames.linear.is_exact
+        certain = certain and self.frames.linear.is_exact
         return CertifiedFrame(
             skin.astype(np.float32),
             error,

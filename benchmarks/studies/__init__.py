@@ -16,6 +16,7 @@ STUDIES = {
     "hard": "verification:Hard",
     "mixed": "scaling.mixed:Mixed",
     "split": "surrogate.split:Split",
+    "dial": "surrogate.dial:Dial",
     "surrogate": "surrogate.study:SurrogateOnCorpus",
     "work-precision": "work_precision.study:WorkPrecision",
     "throughput": "scaling.throughput:Throughput",
@@ -47,7 +48,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
     ),
     "surrogate": (
         "How far is the network from the simulator on people it has not seen, and where does its error come from?",
-        {"people": "surrogate", "split": "split"},
+        {"people": "surrogate", "split": "split", "dial": "dial"},
     ),
     "heads": (
         "Does every person get a valid head, and how near is it to what is known?",

@@ -1,0 +1,298 @@
+"""The dial: whether a face knows its error, and what each accuracy costs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from ....animation.plots import subplots, to_svg
+from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.mesh import Floats
+from ....lhm.expressions import sample_weights
+from ....lhm.template import DEFAULT_LEVEL
+from ....reference import Parameters
+from ....reference.face.derivatives import FRAME_ACCURACY, spring_norm
+from ....surrogate import CertifiedFace, Surrogate
+from ....surrogate.corpus.mixture import draw
+from ....surrogate.corpus.people import People, people_from_text
+from ....surrogate.ruler import MOVES
+from ...harness.study import Column, Row, Study, Table, Task, Values, at_least
+
+HELD_OUT, EXTERNAL, BEYOND = "held-out", "external", "out of range"
+KINDS = ("materials", "single", "both", "default", "single", "effects")
+"""Of held-out and external people's p, in turn; "default" is no p at all."""
+FAR = {"muscle_strain_ratio": (0.05, 0.3), "strain_limit": (1.1, 1.2)}
+"""What the network has not seen: a muscle's softness always, a strain limit in every other face."""
+ACCURACIES = (0.1, 0.05, 0.02, 0.01, 0.003, 0.001)
+"""[mm] that are asked for."""
+TRUTH = 1e-8
+"""Gradient norm of the truth, relative to that of the targets' springs each 1 mm long."""
+NEAR = (0.8, 1.25)
+"""Told over true error is to be in here."""
+LEAST = 1e-3
+"""[mm] Smaller true errors are counted apart: there rounding of positions and of the truth shows."""
+BLENDSHAPES, NETWORK, DERIVATIVES, BOTH, PD = (
+    "settled face + blendshapes", "network alone", "derivatives", "network + derivatives", "PD, from first order",
+)  # fmt: skip
+COLOURS = ("#006d5b", "#b3541e", "#4c3f91")
+
+
+@dataclass(frozen=True)
+class Dial(Study):
+    """Told and true errors, and processor time, of frames by accuracy."""
+
+    name = "dial"
+    heading = "Does a face know its error, and what does an accuracy cost?"
+    question = "Is the error that a frame tells the true one, and what does a frame cost at each accuracy?"
+    columns = (
+        Column("accuracy", "asked for [mm]"),
+        Column("told", "told, mean [mm]"),
+        Column("true", "true, mean [mm]"),
+        Column("near", "told / true in 0.8 to 1.25"),
+        Column("certain", "certain"),
+        Column("ms", "frame, median [ms]", cost=True),
+    )
+    note = (
+        "People whom no training has seen, half of the expressions hard (two to five shapes, up to full weight). "
+        "External people are ICT-FaceKit's, with shapes of their own. Out of range are muscles and strain limits that "
+        "the network has not seen. The truth is PD converged to 1e-8 from the first order. Errors are means over the "
+        "vertices that physics moves by more than 0.05 mm. Milliseconds are processor time of one core."
+    )
+    timed = True
+    version = 1
+
+    faces: int = field(default=6, metadata={"help": "people of each kind: held-out, external, out of range"})
+    frames: int = field(default=4, metadata={"help": "expressions of each"})
+    seed: int = field(default=7000, metadata={"help": "of people, parameters and expressions"})
+    external: str = field(default="", metadata={"help": "space of external people, as ict:FILE; default: none"})
+    level: int = field(default=DEFAULT_LEVEL, metadata={"help": "of the template: 1,212, 4,842 or 19,362 vertices"})
+
+    def tasks(self) -> Sequence[Task]:
+        """Each person; InputError for none and for no frame."""
+        if self.faces < 1 or self.frames < 1:
+            raise InputError("faces, frames: expected 1 or more")
+        groups = (HELD_OUT, *((EXTERNAL,) if self.external else ()), BEYOND)
+        return [Task(f"{group}, person {number}", "dial") for group in groups for number in range(self.faces)]
+
+    def measure(self, task: Task) -> Values:
+        """Bind a person's face, and make its frames by every method and accuracy."""
+        group, person = task.case.split(", person ")
+        face, network, kind, rng = self._bind(group, int(person))
+        frames = [_Frame(face, self._weights(rng, number)) for number in range(self.frames)]
+        told = [frame.ask(accuracy) for frame in frames for accuracy in ACCURACIES]
+        lean = [row for frame in frames for row in frame.lean(network)]
+        rows = [_line(accuracy, [row for row in told if row["accuracy"] == accuracy]) for accuracy in ACCURACIES]
+        return {"group": group, "kind": kind, "told": told, "lean": lean, "rows": rows}
+
+    def _bind(self, group: str, person: int):
+        """Return a person's face, the network bound alone or None, the kind of p, and what draws expressions."""
+        rng = np.random.default_rng([self.seed, (HELD_OUT, EXTERNAL, BEYOND).index(group), person])
+        people = _people("external:" + self.external if group == EXTERNAL else "anny", self.level)
+        who = people.person(rng)
+        head = people.head(who)
+        kind = KINDS[person % len(KINDS)]
+        if group == BEYOND:
+            kind = "beyond"
+            far = list(FAR.items())[: 1 + person % 2]
+            parameters = Parameters(**{name: float(rng.uniform(*span)) for name, span in far})
+        elif kind == "default":
+            parameters = Parameters()
+        else:
+            parameters = draw(rng, kind, field=False).parameters(head, people.mean)
+        surrogate = Surrogate.load()
+        face = CertifiedFace.from_head(head, who.shapes, parameters, surrogate=surrogate)
+        network = None
+        if face.has_network:
+            network = surrogate.bind(who.skin, who.code, parameters, expressions=who.shapes)
+        return face, network, kind, rng
+
+    def gates(self, rows: Sequence[Row]) -> list[dict]:
+        """What was hoped for; a gate that fails says how far it is missed."""
+        told = [row for one in rows for row in one.values["told"]]
+        counted = [row for row in told if row["true"] >= LEAST]
+        within = [row["true"] <= row["accuracy"] for row in told]
+        gates = [
+            at_least("share of frames whose told error is within 0.8 to 1.25 of the true one", _share_near(told), 0.95),
+            at_least(
+                "the same, of frames that say they are certain",
+                _share_near([row for row in told if row["certain"]]),
+                0.95,
+            ),
+            at_least("share of frames whose true error is within the accuracy asked for", float(np.mean(within)), 0.95),
+        ]
+        for accuracy, rate in ((0.01, 10.0), (0.05, 30.0)):
+            ms = [row["ms"] for row in counted if row["accuracy"] == accuracy]
+            if ms:
+                what = f"frames a second on one core at {accuracy:g} mm, median"
+                gates.append(at_least(what, 1e3 / float(np.median(ms)), rate, answer=False))
+        return gates
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Told against true, and the price of each accuracy."""
+        told = [row for one in rows for row in one.values["told"]]
+        ratios = np.array([row["told"] / row["true"] for row in told if row["true"] >= LEAST])
+        low, middle, high = np.percentile(ratios, [5.0, 50.0, 95.0])
+        certain = [row for row in told if row["certain"]]
+        prices = []
+        for accuracy in ACCURACIES:
+            ms = np.median([row["ms"] for row in told if row["accuracy"] == accuracy])
+            prices.append(f"{accuracy:g} mm in {ms:.0f} ms")
+        return (
+            f"Told over true error is {middle:.2f} in the median, {low:.2f} to {high:.2f} from 5 to 95 % of frames. "
+            f"It is within 0.8 to 1.25 on {100 * _share_near(told):.0f} % of all, and on "
+            f"{100 * _share_near(certain):.0f} % of the {100 * len(certain) / len(told):.0f} % that say they are "
+            f"certain. In the median a frame costs: {', '.join(prices)}."
+        )
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
+        """All people together, by accuracy; then by group."""
+        groups = list(dict.fromkeys(row.values["group"] for row in rows))
+        head = ("people", "asked for [mm]", "told [mm]", "true [mm]", "near", "near, certain", "certain", "ms")
+        body = []
+        for group in (*groups, "all"):
+            told = [r for row in rows if group in (row.values["group"], "all") for r in row.values["told"]]
+            for accuracy in ACCURACIES:
+                of = [row for row in told if row["accuracy"] == accuracy]
+                line = _line(accuracy, of)
+                near = _share_near([row for row in of if row["certain"]])
+                body.append(
+                    (group, accuracy, line["told"], line["true"], line["near"], near, line["certain"], line["ms"])
+                )
+        return [Table("The dial by people and accuracy", head, body)]
+
+    def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
+        """Told against true error; and error against time, one curve through all methods."""
+        return {
+            "Told against true error of every frame; grey: a factor of 1.25. Hollow marks are not certain.": (
+                _draw_told(rows)
+            ),
+            "Error against time of a frame, medians: methods that tell no error, and the dial.": _draw_dial(rows),
+        }
+
+    def _weights(self, rng: np.random.Generator, number: int) -> Floats:
+        if number % 2 == 0:
+            return sample_weights(rng)
+        weights, count = np.zeros(52), rng.integers(2, 6)
+        low, high = (0.2, 1.0) if rng.random() < 0.5 else (0.1, 0.5)
+        weights[rng.choice(51, count, replace=False)] = rng.uniform(low, high, count)
+        return weights
+
+
+class _Frame:
+    """One expression of a face: its truth, and which vertices move there."""
+
+    def __init__(self, face: CertifiedFace, weights: Floats):
+        frames = face.frames
+        self.face, self.weights = face, weights
+        self.expression = frames.expression(weights)
+        self.scene = frames.linear.face.scene(self.expression)
+        self.start = frames.predict(weights)
+        truth = self._solve(TRUTH)
+        if not truth.converged and truth.history.gradient_norm[-1] > 1e2 * TRUTH * spring_norm(self.scene):
+            raise SoftdecaError(f"truth: {truth.reason}")
+        self.truth = frames.linear.face.skin_after(self.expression, truth.positions)
+        self.inverted = int(np.count_nonzero(truth.volume_ratio <= 0.0))
+        moves = np.linalg.norm(self.truth - self.expression - face.carried, axis=1) > MOVES
+        self.counted = moves if moves.any() else np.ones_like(moves)
+
+    def _solve(self, accuracy: float):
+        return self.face.frames.linear.prepared.solve(
+            self.scene, start=self.start, absolute=accuracy * spring_norm(self.scene), untangle=False
+        )
+
+    def error(self, skin: Floats) -> float:
+        """Return the true mean error [mm] of a skin."""
+        return float(np.linalg.norm(skin - self.truth, axis=1)[self.counted].mean())
+
+    def ask(self, accuracy: float) -> dict:
+        """Return what a frame of an accuracy tells, what is true, and its milliseconds."""
+        begin = time.process_time()
+        frame = self.face.frame(self.weights, accuracy)
+        ms = 1e3 * (time.process_time() - begin)
+        return {
+            "accuracy": accuracy, "method": frame.method, "told": frame.error, "true": self.error(frame.skin),
+            "certain": frame.certain, "ms": ms, "inverted": self.inverted,
+        }  # fmt: skip
+
+    def lean(self, network) -> list[dict]:
+        """Return errors and milliseconds of methods that tell none, and of PD alone."""
+        face, weights = self.face, self.weights.astype(np.float32)
+        linear = face.derivatives
+        settled = face.frames.linear.face.displacement
+        made = {
+            BLENDSHAPES: lambda: face.rig.blend(weights) + settled,
+            DERIVATIVES: lambda: linear.frame(weights),
+            PD: lambda: face.frames.linear.face.skin_after(self.expression, self._solve(FRAME_ACCURACY).positions),
+        }
+        if network is not None:
+            made |= {NETWORK: lambda: network.frame(weights), BOTH: lambda: face.rig.frame(weights)}
+        rows = []
+        for method, make in made.items():
+            begin = time.process_time()
+            skin = make()
+            rows.append({"method": method, "true": self.error(skin), "ms": 1e3 * (time.process_time() - begin)})
+        return rows
+
+
+def _line(accuracy: float, told: Sequence[Mapping]) -> dict:
+    """Return a line of the report: the frames of one accuracy."""
+    return {
+        "accuracy": accuracy,
+        "told": float(np.mean([row["told"] for row in told])),
+        "true": float(np.mean([row["true"] for row in told])),
+        "near": _share_near(told),
+        "certain": float(np.mean([row["certain"] for row in told])),
+        "ms": float(np.median([row["ms"] for row in told])),
+    }
+
+
+def _share_near(told: Sequence[Mapping]) -> float:
+    """Return the share of frames whose told error is near the true one; NaN-free: 1 where none is counted."""
+    ratios = np.array([row["told"] / row["true"] for row in told if row["true"] >= LEAST])
+    return float(np.mean((ratios >= NEAR[0]) & (ratios <= NEAR[1]))) if len(ratios) else 1.0
+
+
+def _draw_told(rows: Sequence[Row]) -> str:
+    figure, axis = subplots(figsize=(5.6, 5.0))
+    groups = list(dict.fromkeys(row.values["group"] for row in rows))
+    for group, colour in zip(groups, COLOURS, strict=False):
+        told = [r for row in rows if row.values["group"] == group for r in row.values["told"]]
+        for certain, face in ((True, colour), (False, "none")):
+            of = [row for row in told if row["certain"] == certain]
+            true, said = ([max(row[key], 1e-6) for row in of] for key in ("true", "told"))
+            axis.scatter(true, said, s=16, facecolors=face, edgecolors=colour, label=group if certain else None)
+    ends = np.array([1e-5, 0.3])
+    axis.plot(ends, ends, color="#444444", lw=1.0)
+    axis.fill_between(ends, NEAR[0] * ends, NEAR[1] * ends, color="#999999", alpha=0.3, lw=0)
+    axis.set(xscale="log", yscale="log", xlabel="true mean error [mm]", ylabel="told [mm]", xlim=ends, ylim=ends)
+    axis.legend()
+    return to_svg(figure)
+
+
+def _draw_dial(rows: Sequence[Row]) -> str:
+    figure, axis = subplots(figsize=(6.4, 4.2))
+    lean = [r for row in rows for r in row.values["lean"]]
+    for method in dict.fromkeys(row["method"] for row in lean):
+        of = [row for row in lean if row["method"] == method]
+        at = tuple(float(np.median([row[key] for row in of])) for key in ("ms", "true"))
+        axis.scatter(*at, color="#b3541e" if method == PD else "#4c78a8")
+        axis.annotate(method, at, (5, 5), textcoords="offset points", fontsize=7)
+    told = [r for row in rows for r in row.values["told"]]
+    points = []
+    for accuracy in ACCURACIES:
+        of = [row for row in told if row["accuracy"] == accuracy]
+        points.append([float(np.median([row[key] for row in of])) for key in ("ms", "true")])
+        axis.annotate(f"{accuracy:g} mm", points[-1], (5, 5), textcoords="offset points", fontsize=7)
+    axis.plot(*np.transpose(points), "o-", color="#006d5b", label="the dial, at the accuracy asked for")
+    axis.set(xscale="log", yscale="log", xlabel="a frame, processor time [ms]", ylabel="true mean error [mm]")
+    axis.legend()
+    return to_svg(figure)
+
+
+@lru_cache(maxsize=2)
+def _people(text: str, level: int) -> People:
+    return people_from_text(text, level=level)
