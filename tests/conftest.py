@@ -68,6 +68,12 @@ class Ended:
     out: str
     errors: list[str]
 
+    def refusal(self) -> str:
+        """The one line of a command that was refused."""
+        assert self.status in (1, 2) and len(self.errors) == 1, self
+        assert self.errors[0].startswith("softdeca: error: ") and "Traceback" not in self.errors[0]
+        return self.errors[0]
+
 
 @pytest.fixture
 def command(monkeypatch, capsys):

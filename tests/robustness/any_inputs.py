@@ -16,10 +16,11 @@ from collections.abc import Callable
 import bad_inputs
 import click
 import numpy as np
-from bad_inputs import Case, Function, bounded, functions, outcome
+from bad_inputs import Case, Function, functions, outcome
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from watch import bound_memory
 
 from softdeca.animation.takes import take_from_text
 from softdeca.cli.app import app
@@ -143,7 +144,7 @@ def any_options(data) -> None:
 def main(arguments: list[str]) -> int:
     """Try each property; the number of those that found a defect, each told by its smallest case."""
     QUICK.extend(function for function in functions() if function.name not in SLOW)
-    bounded()
+    bound_memory(bad_inputs.MEMORY)
     count = int(arguments[0]) if arguments else EXAMPLES
     defects = 0
     how = settings(

@@ -11,14 +11,10 @@ defect: another exception, 10 s of work without an end, or the process' end.
 from __future__ import annotations
 
 import contextlib
-import faulthandler
 import io
 import os
-import resource
-import signal
 import sys
 import tempfile
-import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -31,6 +27,7 @@ import click
 import numpy as np
 import trimesh
 from scipy.sparse import identity
+from watch import bound_memory, watch
 
 from softdeca import lhm, reference, surrogate
 from softdeca.benchmarks import main_study  # noqa: F401 (what commands import is not part of a case's time)
@@ -42,13 +39,9 @@ from softdeca.reference.face import parameters
 from softdeca.reference.problems.meshes import box
 
 SECONDS, PATIENCE = 10, 120
-"""Of work that a case may take, and of time: on a busy machine a second of work takes many."""
+"""Of work that a case may take, and of time."""
 MEMORY = 6 * 10**9
 """Bytes that a case may add to the process' address space."""
-
-
-class TooLong(BaseException):
-    """A case had its time; not an Exception, so that nothing on its way catches it."""
 
 
 @dataclass(frozen=True)
@@ -285,39 +278,10 @@ def calls() -> Iterator[Case]:
 
 
 def outcome(case: Case) -> tuple[str, str]:
-    """How a case ended: refused, accepted, traceback or hang, and what was said."""
-    signal.setitimer(signal.ITIMER_PROF, SECONDS)
-    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
-    faulthandler.dump_traceback_later(2 * PATIENCE, exit=True)  # where only C code runs
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            case.call()
-        return "accepted", ""
-    except SoftdecaError as error:
-        said = str(error)
-        return ("refused" if said and "\n" not in said else "traceback"), said
-    except TooLong:
-        return "hang", f"no end after {SECONDS} s of work or {PATIENCE} s"
-    except BaseException as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return "traceback", f"{type(error).__name__}: {str(error)[:100]!r} at {where.filename}:{where.lineno}"
-    finally:
-        for timer in (signal.ITIMER_PROF, signal.ITIMER_REAL):
-            signal.setitimer(timer, 0)
-        faulthandler.cancel_dump_traceback_later()
-
-
-def bounded() -> None:
-    """Bound this process' memory from here on, and let the timers of `outcome` end a case."""
-    for signalled in (signal.SIGALRM, signal.SIGPROF):
-        signal.signal(signalled, _too_long)
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-
-
-def _too_long(*_) -> None:
-    raise TooLong
+    """How a case ended, and what was said, with neither stdout nor warnings."""
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return watch(case.call, seconds=SECONDS, patience=PATIENCE)
 
 
 NO_PLACES = ("/dev/null/x", "/dev/null/x.npz", "/dev/null/x.png", "é" * 300, "é" * 300 + ".npz")
@@ -387,7 +351,7 @@ def command_ends(words) -> None:
 
 def main(arguments: list[str]) -> int:
     """Try all cases, or those of a part or with a text in their name; the number of defects."""
-    bounded()
+    bound_memory(MEMORY)
     counts = {"refused": 0, "accepted": 0, "defects": 0}
     for case in (*calls(), *commands()):
         if all(text in case.name for text in arguments):

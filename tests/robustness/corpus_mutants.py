@@ -10,15 +10,13 @@ import json
 import shutil
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import file_mutants
-import h5py
 import numpy as np
-from file_mutants import Format, of_json, of_npz, one_array_changed, renumbered
+from damages import of_json, of_npy, of_npz, of_safetensors, of_shard, of_toml, renumbered
+from file_mutants import Format
 from matplotlib import pyplot
-from safetensors.numpy import load, save
 
 from softdeca.benchmarks.harness.report import read_part, write_report
 from softdeca.benchmarks.harness.results import compare_results
@@ -72,96 +70,6 @@ def random_weights() -> Weights:
     note = TrainingNote(2, 4, 8, 4, 10, {"seed": 0}, ({"step": 10, "seconds": 1.0, "network": 0.1},), seen, (1,))
     code = np.zeros(SPACE.code_size)
     return Weights("modal", SPACE.name, SPACE.mean, code, code + 1.0, network, note)
-
-
-# Damage that keeps the format
-
-
-def of_toml(content: bytes, rng: np.random.Generator) -> bytes:
-    if rng.random() < 0.1:
-        return content + b"\nkinds = " + (b"[" if rng.random() < 0.5 else b"{a=") * int(rng.choice([10, 5000]))
-    if rng.random() < 0.6:
-        return renumbered(content, rng)
-    lines = content.splitlines(keepends=True)
-    value = rng.choice(
-        ["inf", "nan", "true", '"x"', "[]", "{}", "[[1]]", "1979-05-27", "9" * 4000, "1e999", "-0.0", "''"]
-    )
-    k = rng.integers(len(lines))
-    lines[k] = lines[k].split(b"=")[0] + b"= " + str(value).encode() + b"\n"
-    return b"".join(lines)
-
-
-def of_npy(content: bytes, rng: np.random.Generator) -> bytes:
-    if rng.random() < 0.5:
-        return renumbered(content[:128], rng) + content[128:]
-    array = one_array_changed({"a": np.load(io.BytesIO(content))}, rng)["a"]
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    return buffer.getvalue()
-
-
-def of_shard(others: list[bytes]) -> Callable[[bytes, np.random.Generator], bytes]:
-    """Another person's shard, or arrays that are others, with the checksum that they had, or a right one."""
-
-    def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-        if rng.random() < 0.15:
-            return others[rng.integers(len(others))]
-        buffer = io.BytesIO(content)
-        with h5py.File(buffer, "r+") as file:
-            names: list[str] = []
-            file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
-            old = {name: file[name][()] for name in rng.choice(names, 3, replace=False)}
-            new = one_array_changed(old, rng)
-            for name in old:
-                del file[name]
-                if name in new and new[name].dtype.kind not in "OU":
-                    chunked = {"chunks": True} if new[name].size and new[name].ndim and rng.random() < 0.2 else {}
-                    file.create_dataset(name, data=new[name], **chunked)
-                elif rng.random() < 0.5:
-                    file.create_dataset(name, shape=(2**40, 3), dtype="f4", chunks=(1, 3))
-            if rng.random() < 0.7:
-                file.attrs["checksum"] = _checksum(file)
-            if rng.random() < 0.1:
-                name = rng.choice(["owner", "format", "version", "checksum"])
-                file.attrs[name] = rng.choice([0, 10**6])
-        return buffer.getvalue()
-
-    return mutated
-
-
-def _checksum(file: h5py.File) -> str:
-    """That of the arrays as they are, where they are all there."""
-    from softdeca.surrogate.corpus.shard import TABLES, Shard
-
-    try:
-        tables = {
-            name: kind(**{field: file[f"{name}/{field}"][()] for field in kind.__dataclass_fields__})
-            for name, kind in TABLES.items()
-        }
-        return Shard(**tables).checksum
-    except (KeyError, ValueError, MemoryError):
-        return "0"
-
-
-def of_safetensors(content: bytes, rng: np.random.Generator) -> bytes:
-    size = int.from_bytes(content[:8], "little")
-    head = json.loads(content[8 : 8 + size])
-    about = head["__metadata__"]["softdeca"]
-    if rng.random() < 0.5:
-        arrays = {k: v for k, v in one_array_changed(load(content), rng).items() if v.dtype.kind in "fiub"}
-        said = json.loads(about)
-        if rng.random() < 0.7:
-            del said["checksum"]
-        arrays = {
-            name: np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("=")) for name, array in arrays.items()
-        }
-        return save(arrays, metadata={"softdeca": json.dumps(said)})
-    if rng.random() < 0.5:
-        head["__metadata__"]["softdeca"] = of_json(about.encode(), rng).decode()
-        text = json.dumps(head).encode()
-    else:
-        text = of_json(json.dumps(head).encode(), rng)
-    return len(text).to_bytes(8, "little") + text + content[8 + size :]
 
 
 # What is read, as arrays that have to be finite

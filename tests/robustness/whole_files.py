@@ -1,0 +1,267 @@
+"""Whole files, as small as they can be: meshes as bytes where trimesh does not write them so, heads, and spaces."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import trimesh
+from scipy.sparse import identity
+
+from softdeca.lhm import LayeredHead, Surface, Template
+from softdeca.lhm.arkit import ARKIT
+from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
+from softdeca.lhm.regressor.depths import DepthPairs, DepthRegressor
+from softdeca.lhm.rig import Rig
+
+
+def exported(kind: str, x: np.ndarray, triangles: np.ndarray, **more) -> bytes:
+    """A file as trimesh writes it."""
+    out = trimesh.Trimesh(x, triangles, process=False).export(file_type=kind, **more)
+    return out.encode() if isinstance(out, str) else out
+
+
+def obj(x: np.ndarray, triangles: np.ndarray) -> str:
+    lines = [f"v {a:.9g} {b:.9g} {c:.9g}" for a, b, c in x]
+    return "\n".join(lines + [f"f {a} {b} {c}" for a, b, c in np.asarray(triangles) + 1]) + "\n"
+
+
+def stl(x: np.ndarray, triangles: np.ndarray, header: bytes = b"solid") -> bytes:
+    """A binary STL, whose header may begin as a text's."""
+    rows = np.zeros(len(triangles), dtype=[("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")])
+    rows["x"] = x[triangles]
+    return header.ljust(80, b"\0") + struct.pack("<I", len(rows)) + rows.tobytes()
+
+
+def ply_header(form: str, vertices: int, elements: str, more: str = "") -> bytes:
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    listed = f"element {elements} vertex_indices\n"
+    return f"ply\nformat {form} 1.0\ncomment x\nelement vertex {vertices}\n{axes}{more}{listed}end_header\n".encode()
+
+
+def big_endian_ply(x: np.ndarray, triangles: np.ndarray) -> bytes:
+    rows = np.zeros(len(triangles), dtype=[("k", "u1"), ("v", ">i4", 3)])
+    rows["k"], rows["v"] = 3, triangles
+    header = ply_header("binary_big_endian", len(x), f"face {len(triangles)}\nproperty list uchar int")
+    return header + x.astype(">f4").tobytes() + rows.tobytes()
+
+
+def strips_ply(x: np.ndarray, triangles: np.ndarray) -> bytes:
+    """Text with one strip for each triangle."""
+    body = "\n".join(f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in x)
+    strips = " ".join(f"{a} {b} {c} -1" for a, b, c in triangles)
+    header = ply_header("ascii", len(x), "tristrips 1\nproperty list int int")
+    return header + f"{body}\n{4 * len(triangles)} {strips}\n".encode()
+
+
+def binary_strips_ply(x: np.ndarray, triangles: np.ndarray) -> bytes:
+    """Two triangles a strip, where they follow one another as a strip's do, and vertices with a colour."""
+    rows = np.zeros(len(x), dtype=[("x", "<f4", 3), ("red", "u1")])
+    rows["x"] = x
+    left = {tuple(t) for t in triangles.tolist()}
+    runs = []
+    for a, b, c in triangles.tolist():
+        if (a, b, c) not in left:
+            continue
+        left.remove((a, b, c))
+        after = next((t for t in left if t[0] == c and t[1] == b), None)
+        runs += [a, b, c, *([after[2]] if after else []), -1]
+        left.discard(after)
+    elements = "tristrips 1\nproperty list int int"
+    header = ply_header("binary_little_endian", len(x), elements, "property uchar red\n")
+    return header + rows.tobytes() + np.array([len(runs), *runs], dtype="<i4").tobytes()
+
+
+def glb(words: dict, chunk: bytes) -> bytes:
+    text = json.dumps(words).encode()
+    text, chunk = text + b" " * (-len(text) % 4), chunk + bytes(-len(chunk) % 4)
+    body = struct.pack("<I", len(text)) + b"JSON" + text + struct.pack("<I", len(chunk)) + b"BIN\0" + chunk
+    return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body
+
+
+def glb_words(content: bytes) -> tuple[dict, bytes]:
+    """The JSON of a GLB file, and the bytes of its binary chunk."""
+    length = struct.unpack("<I", content[12:16])[0]
+    return json.loads(content[20 : 20 + length]), content[28 + length :]
+
+
+class Gltf:
+    """The words of a glTF file of one mesh, and the bytes of its buffer, to which arrays are added."""
+
+    COMPONENTS = {"u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+
+    def __init__(self, **words):
+        self.chunk = b""
+        self.words = {"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}], "bufferViews": [], "accessors": [], **words}
+
+    def view(self, content: bytes) -> int:
+        """Add bytes; the number of their view."""
+        views = self.words["bufferViews"]
+        views.append({"buffer": 0, "byteOffset": len(self.chunk), "byteLength": len(content)})
+        self.chunk += content + bytes(-len(content) % 4)
+        self.words["buffers"] = [{"byteLength": len(self.chunk)}]
+        return len(views) - 1
+
+    def add(self, array: np.ndarray, **more) -> int:
+        """Add an array of a row an element; the number of its accessor."""
+        kind = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}[array.shape[1:]]
+        accessor = {"bufferView": self.view(array.tobytes()), "count": len(array), "type": kind}
+        return self.access(accessor | {"componentType": self.COMPONENTS[array.dtype.str[1:]]} | more)
+
+    def access(self, accessor: dict) -> int:
+        self.words["accessors"].append(accessor)
+        return len(self.words["accessors"]) - 1
+
+    def mesh(self, *primitives: dict, **more) -> None:
+        self.words["meshes"] = [{"primitives": list(primitives), **more}]
+
+    def glb(self) -> bytes:
+        return glb(self.words, self.chunk)
+
+
+def sphere(frequency: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    unit, triangles = geodesic_sphere(frequency)
+    return 100.0 * unit, triangles
+
+
+def head() -> LayeredHead:
+    x, triangles = sphere()
+    wraps = [Surface(k * x, triangles) for k in (1.0, 0.92, 0.85)]
+    bone = np.where(x[:, 1] > 0.0, 1, np.where(x[:, 1] < -70, 2, 0))
+    weights = identity(len(x), format="csr")
+    deltas = np.zeros((52, len(x), 3))
+    deltas[ARKIT.index("jawOpen"), :9] = 1.0
+    rig = Rig(deltas, "a test", ("cheekPuff",), {"jawForward": "no teeth"})
+    regions = {"lips": x[:, 2] > 80, "face": x[:, 2] > 0}
+    return LayeredHead(
+        wraps[0], *wraps, bone, weights, weights, regions, muscles=wraps[1], skull=wraps[2], rig=rig, notes=("a note",)
+    )
+
+
+def template() -> Template:
+    whole = head()
+    stack = np.vstack([wrap.vertices for wrap in (whole.skin_wrap, whole.muscle_wrap, whole.skull_wrap)])
+    n = len(whole.bone)
+    ties = (whole.wrap_from_skin, whole.skin_from_wrap)
+    return Template(
+        "test", whole.skin, np.zeros(n, int), whole.skin.triangles, stack, np.full(n, 9.0), whole.bone, *ties,
+        whole.regions, skull=whole.skull, skull_bone=whole.bone,
+    )  # fmt: skip
+
+
+def ict() -> dict[str, np.ndarray]:
+    x, triangles = sphere(6)
+    centre = x[triangles].mean(axis=1)
+    part = np.zeros(len(triangles), np.uint8)
+    for k, place in enumerate(([0, -40, 90], [35, 30, 88], [-35, 30, 88]), start=1):
+        part[np.linalg.norm(centre - place, axis=1) < 25] = k
+    deltas = np.random.default_rng(0).normal(size=(4, *x.shape)) * 0.1
+    return {
+        "vertices": (x * [0.1, 0.2, 0.1]).astype(np.float32),
+        "triangles": triangles.astype(np.int32),
+        "triangle_part": part,
+        "part_names": np.array(["face", "mouth_socket", "eye_socket_l", "eye_socket_r"]),
+        "identity_deltas": deltas[:2].astype(np.float32),
+        "expression_deltas": deltas[2:].astype(np.float32),
+        "expression_arkit": np.array(["jawOpen", "eyeBlinkLeft"]),
+    }
+
+
+def flame() -> dict[str, np.ndarray]:
+    x, triangles = sphere(5)
+    x = x / 1000
+    rng = np.random.default_rng(0)
+    cut = x[triangles].mean(axis=1)[:, 1] < -0.08
+    weights = np.zeros((len(x), 5))
+    weights[:, 1] = 1.0
+    return {
+        "v_template": x,
+        "f": triangles[~cut].astype(np.uint32),
+        "shapedirs": 0.001 * rng.normal(size=(len(x), 3, 110)),
+        "posedirs": np.zeros((len(x), 3, 36)),
+        "weights": weights,
+        "J_regressor": np.full((5, len(x)), 1 / len(x)),
+    }
+
+
+def anatomy() -> dict[str, np.ndarray]:
+    corners = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9.0]])
+    faces = np.array([[0, 1, 2], [0, 1, 3], [1, 2, 3]])
+    parts = [("skull", "frontal bone"), ("skull", "mandible"), ("teeth", "right upper central incisor")]
+    parts += [("teeth", "left lower canine"), ("expression", "risorius"), ("jaw", "mylohyoid")]
+    parts += [("other", "right eyeball"), ("other", "left eyeball")]
+    shifts = [[0, 9 * k, 0] for k in range(6)] + [[-40, 30, 60], [40, 30, 60]]
+    return {
+        "vertices": np.vstack([corners + shift for shift in shifts]).astype(np.float32),
+        "faces": np.vstack([faces + 4 * k for k in range(len(parts))]).astype(np.int32),
+        "face_part": np.repeat(np.arange(len(parts)), 3).astype(np.uint8),
+        "part_group": np.array([group for group, _ in parts]),
+        "part_name": np.array([name for _, name in parts]),
+    }
+
+
+def regressor(wrap: Surface) -> DepthRegressor:
+    rng = np.random.default_rng(0)
+    wraps = wrap.vertices * (1 + 0.05 * rng.normal(size=(6, 1, 3)))
+    names = tuple("abcdef")
+    return DepthRegressor.fit(DepthPairs("test", names, wraps, rng.uniform(3, 9, (6, len(wrap.vertices)))), wrap)
+
+
+def rigged_glb() -> bytes:
+    """A sphere with a skin of one joint, a morph target, sparse and normalised accessors."""
+    x, triangles = sphere(2)
+    n = len(x)
+    nodes = [
+        {"children": [1, 2], "rotation": [0, 0, 0, 1]}, {"mesh": 0, "skin": 0, "scale": [1, 1, 1]},
+        {"translation": [0, 1, 0]},
+    ]  # fmt: skip
+    gltf = Gltf(scene=0, scenes=[{"nodes": [0]}], nodes=nodes)
+    place, corners = gltf.add(x.astype("<f4")), gltf.add(triangles.astype("<u2").ravel())
+    gltf.words["skins"] = [{"joints": [2], "inverseBindMatrices": gltf.add(np.eye(4, dtype="<f4")[None])}]
+    joints = gltf.add(np.zeros((n, 4), "u1"))
+    weights = gltf.add(np.tile(np.array([255, 0, 0, 0], "u1"), (n, 1)), normalized=True)
+    some, values = gltf.view(np.array([1, 2], "<u2").tobytes()), gltf.view(np.ones((2, 3), "<f4").tobytes())
+    sparse = {"count": 2, "indices": {"bufferView": some, "componentType": 5123}, "values": {"bufferView": values}}
+    morph = gltf.access({"componentType": 5126, "count": n, "type": "VEC3", "sparse": sparse})
+    attributes = {"POSITION": place, "JOINTS_0": joints, "WEIGHTS_0": weights}
+    primitive = {"attributes": attributes, "indices": corners, "mode": 4, "targets": [{"POSITION": morph}]}
+    gltf.mesh(primitive, extras={"targetNames": ["jawOpen"]})
+    return gltf.glb()
+
+
+PACKED_TRIANGLES = bytes.fromhex(
+    "e1fefefefefefefefefefefefefefefefefffffffffffffffffffffffffefefefeffff0f0af202f202f2025f045f025f020f"
+    "026f046f025f020f026f046f025f020f02ff2b0a01f2050af1070af1070aff050a01f2050af1070af1070aff050a01f2050a"
+    "f1070af1070a80171615fe0a292f050e007687566778a9866589689801690000"
+)
+"""102 corners over a grid of 5 x 5, by meshoptimizer's own encoder (0.2.30 of its Python wrapper)."""
+
+
+def packed_glb() -> bytes:
+    """Those triangles, over their grid."""
+    gltf = Gltf(extensionsRequired=["EXT_meshopt_compression"])
+    place = gltf.add(np.stack([*np.divmod(np.arange(25), 5), np.arange(25) % 3], axis=1).astype("<f4"))
+    packed = gltf.words["bufferViews"][gltf.view(PACKED_TRIANGLES)]
+    packed |= {"byteStride": 4, "count": 102, "mode": "TRIANGLES", "filter": "NONE"}
+    gltf.words["buffers"].append({"byteLength": 408})
+    unpacked = {"buffer": 1, "byteLength": 408, "extensions": {"EXT_meshopt_compression": packed}}
+    gltf.words["bufferViews"][1] = unpacked
+    corners = gltf.access({"bufferView": 1, "componentType": 5125, "count": 102, "type": "SCALAR"})
+    gltf.mesh({"attributes": {"POSITION": place}, "indices": corners})
+    return gltf.glb()
+
+
+def draco_glb() -> bytes | None:
+    """A sphere compressed by Draco; None without the package."""
+    try:
+        import DracoPy
+    except ModuleNotFoundError:
+        return None
+    x, triangles = sphere(2)
+    gltf = Gltf(extensionsRequired=["KHR_draco_mesh_compression"])
+    packed = gltf.view(DracoPy.encode(x.astype(np.float32), triangles.astype(np.uint32)))
+    place = gltf.access({"componentType": 5126, "count": len(x), "type": "VEC3"})
+    extension = {"bufferView": packed, "attributes": {"POSITION": 0}}
+    gltf.mesh({"attributes": {"POSITION": place}, "extensions": {"KHR_draco_mesh_compression": extension}})
+    return gltf.glb()
