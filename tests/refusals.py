@@ -2,10 +2,10 @@
 
 import pytest
 
-from softdeca.lhm import SoftdecaError
+from softdeca.lhm import InputError
 
 
-def refused(words, call, *arguments, error=SoftdecaError, **options) -> str:
+def refused(words, call, *arguments, error=InputError, **options) -> str:
     """Assert that a call is refused in one line that matches a pattern; that line."""
     with pytest.raises(error, match=words) as raised:
         call(*arguments, **options)

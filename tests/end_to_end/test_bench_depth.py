@@ -160,20 +160,3 @@ def test_a_skin_without_a_face_is_a_failure_with_its_reason(command, tmp_path):
     ended = command("bench", "heads", "--cases", "depth", "--skin", sphere, "--skull", skull, "--out", tmp_path / "out")
     assert ended.status == 1 and "FAILED sphere.npz, default: " in ended.out
     assert "sphere.npz: skin: no face found" in ended.out
-
-
-def test_missing_files_and_options_are_named_in_one_line(command, skin, tmp_path):
-    skull, out = _skull(tmp_path, "skull.npz", lambda x: x), tmp_path / "out"
-    files = {"--skin": skin, "--skull": skull}
-    for option, text in (("--skin", "none.ply: no such file"), ("--skull", "none.ply: no such file")):
-        arguments = [a for pair in (files | {option: tmp_path / "none.ply"}).items() for a in pair]
-        ended = command("bench", "heads", "--cases", "depth", *arguments, "--out", out)
-        assert ended.status == 1 and len(ended.errors) == 1 and text in ended.errors[0]
-        left = [a for pair in files.items() if pair[0] != option for a in pair]
-        ended = command("bench", "heads", "--cases", "depth", *left, "--out", out)
-        assert ended.status == 2 and len(ended.errors) == 1 and f"{option} is missing" in ended.errors[0]
-    assert not out.exists()
-    ended = command(
-        "bench", "heads", "--cases", "depth", "--skin", skin, "--skull", skull, "--regressor", skull, "--out", out
-    )
-    assert ended.status == 1 and "FAILED skin.npz, skull.npz: " in ended.out

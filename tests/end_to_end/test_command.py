@@ -106,29 +106,3 @@ def test_the_list_of_studies_has_whole_questions(command):
     assert load_study("work-precision").question in words
     words = " ".join(command("bench", "list").out.split())
     assert load_study("dynamics").heading in words and load_study("agreement").heading in words
-
-
-@pytest.mark.parametrize(
-    ("words", "allowed"),
-    [
-        (("corpus", "generate", "--people", "100000"), "2<=x<=99999"),
-        (("corpus", "generate", "--workers", "100000"), "1<=x<=256"),
-        (("corpus", "sample", "out", "--count", "1000000"), "1<=x<=200"),
-        (("evaluate", "out", "--generalisation", "1000000000"), "0<=x<=10000"),
-        (("train", "out", "--steps", "9" * 40), "1<=x<=100000000"),
-        (("animate", "conversation", "--targets", "1000000"), "1<=x<=4096"),
-        (("view", "--seed", "9" * 40), "0<=x<=9223372036854775807"),
-        (("bench", "heads", "--count", "9" * 40), "1<=x<=100000"),
-        (("bench", "scaling", "--cases", "throughput", "--frames", "0"), "1<=x<=100000"),
-    ],
-)
-def test_a_count_out_of_its_range_is_told_with_the_range(command, words, allowed):
-    ended = command(*words)
-    assert ended.status == 2 and len(ended.errors) == 1 and allowed in ended.errors[0]
-    assert words[-2] in ended.errors[0]
-
-
-@pytest.mark.parametrize("text", ["speech:" + "so " * 70_000, "conversation:36000", "/dev/zero"], ids=lambda t: t[:12])
-def test_a_take_beyond_its_bounds_ends_at_once(command, text):
-    ended = command("animate", text)
-    assert ended.status == 1 and len(ended.errors) == 1 and "expected" in ended.errors[0]

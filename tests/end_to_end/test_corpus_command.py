@@ -6,7 +6,6 @@ import shutil
 import pytest
 
 from softdeca.lhm.base.provenance import list_missing
-from softdeca.surrogate.corpus.plan import PRESETS
 
 PLAN = """
 preset = "tiny"
@@ -62,22 +61,3 @@ def test_a_corpus_from_plan_to_picture(planned, command):
     shutil.copytree(out, study / "surrogate" / "corpus-0-2")
     ended = command("corpus", "status", study)
     assert ended.status == 1 and "a study with 2 corpora" in ended.errors[0]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("status", "nowhere"), "nowhere: no corpus.json"),
-        (("generate", "plan.toml", "--preset", "tiny"), "both say which plan"),
-        (("generate", "--preset", "huge"), "there are " + ", ".join(PRESETS)),
-        (("generate", "none.toml", "--dry-run"), "none.toml: no such file"),
-        (("generate", "--takes", "nowhere", "--dry-run"), "nowhere: no such folder"),
-        (("sample", "made", "--out", "sample.jpg"), "sample.jpg: expected a file that ends in .png"),
-        (("generate", "--identities", "external:anny"), "has the default's triangles"),
-        (("generate", "--identities", "external:"), "expected 'external:' and a space"),
-    ],
-)
-def test_what_is_wrong_is_named_in_one_line(planned, command, monkeypatch, arguments, message):
-    monkeypatch.chdir(planned)
-    ended = command("corpus", *arguments)
-    assert ended.status != 0 and len(ended.errors) == 1 and message in ended.errors[0]

@@ -38,22 +38,6 @@ def test_a_size_makes_free_tets(command, file, tmp_path):
     assert set(read_tets(tmp_path / "head.msh").names.values()) >= {"soft_tissue", "skull"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("--layers", "2"), "layers '2': expected two counts"),
-        (("--layers", "0,1"), "from 1 to 32"),
-        (("--layers", "1000000,1"), "from 1 to 32"),
-        (("--size", "0"), "size: expected 0.2 to 1000 mm"),
-        (("--layers", "2,2", "--size", "3"), "give one"),
-        (("--out", "head.obj"), "expected one of .msh"),
-    ],
-)
-def test_what_is_wrong_is_one_line(command, file, arguments, told):
-    ended = command("head", "mesh", file, *arguments)
-    assert ended.status != 0 and len(ended.errors) == 1 and told in ended.errors[0]
-
-
 def test_a_regular_tet_is_measured():
     # Edges of 2 sqrt 2: dihedral arccos(1/3) = 70.53°, aspect sqrt(3/2), volume 8/3.
     x = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])

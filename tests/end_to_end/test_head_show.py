@@ -43,19 +43,6 @@ def test_pictures_and_vtk_files_are_written_and_named(file, tmp_path, command):
         assert (tmp_path / "rest" / name).read_bytes() == (tmp_path / "open" / name).read_bytes()
 
 
-def test_what_cannot_be_shown_is_one_line(file, tmp_path, sphere_head, command):
-    sphere = tmp_path / "sphere.npz"
-    save_head(sphere, sphere_head)
-    for arguments, words in (
-        ((tmp_path / "none.npz",), "no such file"),
-        ((file, "--expression", "jawOpn"), "did you mean jawOpen"),
-        ((sphere, "--expression", "jawOpen"), "not the triangles of 'anny'"),
-    ):
-        ended = command("head", "show", *arguments, "--out", tmp_path / "out")
-        assert ended.status == 1 and len(ended.errors) == 1 and words in ended.errors[0]
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_head_without_regions_is_shown(sphere_head):
     images = draw_head(sphere_head)
     assert {f"{name}.png" for name in images} == set(PICTURES)

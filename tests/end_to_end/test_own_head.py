@@ -101,21 +101,6 @@ def test_it_is_shown_and_simulated_without_a_word_more(fitted, command, tmp_path
     assert ended.status == 1 and "not the triangles of 'anny'" in ended.errors[-1]
 
 
-def test_what_is_no_head_writes_nothing(command, tmp_path, data):
-    from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
-
-    x, triangles = geodesic_sphere(5)
-    write_obj(tmp_path / "ball.obj", 100 * x, triangles)
-    for arguments, words in (
-        ((tmp_path / "ball.obj",), "ball.obj: skin: no face found in it"),
-        ((tmp_path / "ball.obj", "--unit", "mile"), "unit 'mile'"),
-        ((tmp_path / "none.glb",), "none.glb: no such file"),
-    ):
-        ended = command("head", "fit", "--skin", *arguments, "--level", 1, "--out", tmp_path / "head.npz")
-        assert ended.status == 1 and words in ended.errors[-1], ended.errors
-        assert not (tmp_path / "head.npz").exists()
-
-
 def test_landmarks_are_named_and_found(command, file, person, tmp_path):
     found, picture = tmp_path / "found.json", tmp_path / "found.png"
     ended = command("head", "fit", "--find-landmarks", found)

@@ -115,34 +115,15 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
     assert ended.status == 0 and "network" in methods and "network + simulator at bind" not in methods
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("train", "no/such/folder"), "no corpus"),
-        (("evaluate", "no/such/folder"), "no corpus"),
-        (("train", "CORPUS", "--device", "abacus"), "no device 'abacus'"),
-        (("evaluate", "CORPUS", "--surrogate", "no.safetensors"), "no such file"),
-        (("evaluate", "CORPUS"), "vertices"),
-        (("train", "CORPUS", "--network", "paper", "--neutrals", "CORPUS"), "paper cannot honour --neutrals"),
-        (("train", "CORPUS", "--batch", "8"), "modal cannot honour --batch"),
-        (("train", "CORPUS", "--network", "hyper", "--device", "meta"), "solved on the cpu, not on 'meta'"),
-        (("train", "CORPUS", "--network", "hyper", "--precision", "bfloat16"), "needs float32"),
-        (("train", "CORPUS", "--network", "hyper", "--recurrence-steps", "5"), "nothing of sequences"),
-    ],
-    ids=[
-        "train",
-        "evaluate",
-        "device",
-        "weights",
-        "template",
-        "neutrals",
-        "batch",
-        "solve",
-        "precision",
-        "sequences",
-    ],
-)
-def test_what_cannot_be_is_one_line(command, corpus, tmp_path, arguments, said):
-    given = [corpus if text == "CORPUS" else text for text in arguments]
-    ended = command(*given, "--out", tmp_path / "out")
-    assert ended.status != 0 and len(ended.errors) == 1 and said in ended.errors[0]
+def test_what_cannot_be_is_one_line(command, corpus, tmp_path):
+    for words, said in (
+        (("train", corpus, "--device", "abacus"), "no device 'abacus'"),
+        (("evaluate", corpus, "--surrogate", "no.safetensors"), "no such file"),
+        (("evaluate", corpus), "vertices"),
+        (("train", corpus, "--network", "paper", "--neutrals", corpus), "paper cannot honour --neutrals"),
+        (("train", corpus, "--batch", "8"), "modal cannot honour --batch"),
+        (("train", corpus, "--network", "hyper", "--device", "meta"), "solved on the cpu, not on 'meta'"),
+        (("train", corpus, "--network", "hyper", "--precision", "bfloat16"), "needs float32"),
+        (("train", corpus, "--network", "hyper", "--recurrence-steps", "5"), "nothing of sequences"),
+    ):
+        assert said in command(*words, "--out", tmp_path / "out").refusal()

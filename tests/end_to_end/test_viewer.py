@@ -14,6 +14,8 @@ from softdeca.lhm import InputError, expressions, identities
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
 
+from ..refusals import refused
+
 SPACE = identities.Anny()
 CODE = np.zeros(SPACE.code_size)
 
@@ -144,8 +146,7 @@ def test_the_page_of_a_simulated_head(sphere_head):
 
 def test_what_cannot_be_shown_is_named():
     skin = SPACE.skin(CODE)
-    with pytest.raises(InputError, match="no rig"):
-        render_page("a", "b", skin.triangles, [])
+    refused("no rig", render_page, "a", "b", skin.triangles, [])
     rig = Rig("blendshapes", skin.vertices, SPACE.expressions)
     with pytest.raises(InputError, match=r"\(5, 3\)"):
         render_page("a", "b", skin.triangles, [rig], poses=[Pose("p", np.zeros(52), {"PD": np.zeros((5, 3))})])

@@ -16,6 +16,8 @@ from softdeca.lhm.check import Figure, check_layers
 from softdeca.lhm.head_file import check_head_file, save_head
 from softdeca.lhm.openings import lid_path, lip_path
 
+from ..refusals import refused
+
 RADII = (100.0, 92.0, 85.0)
 
 
@@ -155,11 +157,9 @@ def test_what_makes_no_layers_is_named():
     with pytest.raises(MeshError, match="muscle wrap: its triangulation"):
         check_layers(surfaces[0], [surfaces[0], Surface(wraps[1], faces[::-1]), surfaces[2]], bone, {})
     opened = [Surface(x, faces[1:]) for x in wraps]
-    with pytest.raises(MeshError, match="wraps: .*closed"):
-        check_layers(surfaces[0], opened, bone, {})
+    refused("wraps: .*closed", check_layers, surfaces[0], opened, bone, {}, error=MeshError)
     fin = Surface(surfaces[0].vertices, np.vstack([faces, faces[:1]]))
-    with pytest.raises(MeshError, match="skin: edges with more than two triangles"):
-        check_layers(fin, surfaces, bone, {})
+    refused("skin: edges with more than two triangles", check_layers, fin, surfaces, bone, {}, error=MeshError)
     with pytest.raises(MeshError, match="lips: expected shape"):
         check_layers(surfaces[0], surfaces, bone, {"lips": np.ones(3, bool)})
     with pytest.raises(MeshError, match="'face': no vertex"):

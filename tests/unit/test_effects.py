@@ -318,9 +318,3 @@ def test_an_effect_by_both_laws(head):
 def test_options_are_checked(options, says):
     with pytest.raises(InputError, match=says):
         Effects(**options).tasks()
-
-
-def test_an_unknown_effect_is_one_line(command):
-    ended = command("bench", "effects", "--effect", "slimming")
-    assert ended.status == 1 and ended.out == ""
-    assert len(ended.errors) == 1 and "unknown effect 'slimming'" in ended.errors[0]

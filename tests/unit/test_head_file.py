@@ -2,11 +2,11 @@
 
 import meshio
 import numpy as np
-import pytest
 
-from softdeca.lhm import InputError
 from softdeca.lhm.head_file import export_vtk, load_head, save_head
 from softdeca.lhm.remesh import refine_head
+
+from ..refusals import refused
 
 
 def test_a_head_survives_the_file(tmp_path, sphere_head):
@@ -30,8 +30,7 @@ def test_a_volume_mesh_survives_the_file(tmp_path, spheres):
 
 def test_a_file_of_something_else_is_named(tmp_path):
     np.savez(tmp_path / "other.npz", a=1)
-    with pytest.raises(InputError, match="other.npz: not a layered head"):
-        load_head(tmp_path / "other.npz")
+    refused("other.npz: not a layered head", load_head, tmp_path / "other.npz")
 
 
 def test_vtk_holds_the_tets_and_their_layers(tmp_path, sphere_head):

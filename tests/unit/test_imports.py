@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from softdeca.lhm import InputError, expressions, identities
+from softdeca.lhm import expressions, identities
 from softdeca.lhm.anatomy import bodyparts
 from softdeca.lhm.base.geometry.surfaces import geodesic_sphere
 from softdeca.lhm.identities import ict
 from softdeca.lhm.identities.space import CAP, EYES, MOUTH, OUTSIDE
+
+from ..refusals import refused
 
 NOTICE = "Copyright (c) somebody"
 
@@ -77,32 +79,25 @@ def test_a_folder_of_facekits_form_becomes_a_space(small, command, tmp_path):
 
 
 def test_facekits_folders_that_are_wrong_are_refused_by_name(small, tmp_path):
-    with pytest.raises(InputError, match=r"nowhere: no such folder"):
-        ict.read_folder(tmp_path / "nowhere")
-    with pytest.raises(InputError, match=r"no generic_neutral_mesh\.obj in it"):
-        ict.read_folder(tmp_path)
+    refused(r"nowhere: no such folder", ict.read_folder, tmp_path / "nowhere")
+    refused(r"no generic_neutral_mesh\.obj in it", ict.read_folder, tmp_path)
     copy = tmp_path / "copy"
     copy.mkdir()
     for file in small.glob("*.obj"):
         (copy / file.name).write_bytes(file.read_bytes())
     (copy / "identity001.obj").unlink()
-    with pytest.raises(InputError, match=r"identity001\.obj: no such file"):
-        ict.read_folder(copy)
+    refused(r"identity001\.obj: no such file", ict.read_folder, copy)
     (copy / "identity001.obj").write_text("v 0 0 zero\n")
-    with pytest.raises(InputError, match=r"identity001\.obj: line 1 is none of an OBJ file"):
-        ict.read_folder(copy)
+    refused(r"identity001\.obj: line 1 is none of an OBJ file", ict.read_folder, copy)
     text = (copy / "jawOpen.obj").read_text()
     (copy / "jawOpen.obj").write_text(text[: text.rindex("f ")])
-    with pytest.raises(InputError, match=r"jawOpen\.obj: another topology than generic_neutral_mesh\.obj"):
-        ict.read_folder(copy)
+    refused(r"jawOpen\.obj: another topology than generic_neutral_mesh\.obj", ict.read_folder, copy)
     (copy / "jawOpen.obj").write_text(text.replace("v ", "v nan ", 1))
-    with pytest.raises(InputError, match=r"jawOpen\.obj: vertices: 1 rows are not finite"):
-        ict.read_folder(copy)
+    refused(r"jawOpen\.obj: vertices: 1 rows are not finite", ict.read_folder, copy)
 
 
 def test_another_model_is_told_by_its_size(facekit):
-    with pytest.raises(InputError, match=r"expected 26719 vertices and 52220 triangles, found"):
-        ict.read_folder(facekit[0])
+    refused(r"expected 26719 vertices and 52220 triangles, found", ict.read_folder, facekit[0])
 
 
 def parts_of_a_body():
@@ -163,13 +158,10 @@ def test_bodies_that_lack_parts_or_are_damaged_are_named(body, command, tmp_path
     ended = command("head", "import", "bodyparts3d", body, "--out", tmp_path / "bones.npz")
     assert ended.status == 0 and "without vomer" in ended.out
     file.write_text(text.replace("f 1/1", "f 99/1"))
-    with pytest.raises(InputError, match=rf"{file.name}: triangles: 1 refer to vertices outside"):
-        bodyparts.read_folder(body)
+    refused(rf"{file.name}: triangles: 1 refer to vertices outside", bodyparts.read_folder, body)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no OBJ file of a head's part in it"):
-        bodyparts.read_folder(tmp_path / "empty")
-    with pytest.raises(InputError, match="no such folder"):
-        bodyparts.read_folder(tmp_path / "nowhere")
+    refused("no OBJ file of a head's part in it", bodyparts.read_folder, tmp_path / "empty")
+    refused("no such folder", bodyparts.read_folder, tmp_path / "nowhere")
     file.write_text(text)
     for file in body.glob("*.obj"):
         if "FMA52748" in file.stem or "FMA52748\n" in file.read_text():

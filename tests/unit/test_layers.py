@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, MeshError
+from softdeca.lhm import MeshError
 from softdeca.lhm.base.geometry.tets import untangle
 from softdeca.lhm.base.mesh import tet_volumes
 from softdeca.lhm.layers import prism_tets, stack_wraps
 from softdeca.reference.face.tissue import Stack
+
+from ..refusals import refused
 
 
 def outer_faces(tets):
@@ -39,8 +41,7 @@ def test_sub_layers_fill_the_same_space(sphere_head, counts):
 
 @pytest.mark.parametrize("counts", [(0, 1), (1, -1)])
 def test_counts_below_one_are_refused(sphere_head, counts):
-    with pytest.raises(InputError, match="from 1 to 32"):
-        sphere_head.sub_layers(*counts)
+    refused("from 1 to 32", sphere_head.sub_layers, *counts)
 
 
 def test_sub_layers_of_twisted_prisms_are_upright(spheres):
@@ -65,8 +66,7 @@ def test_sub_layers_of_twisted_prisms_are_upright(spheres):
 def test_a_tet_that_nothing_may_move_stays_and_is_told():
     x, tet = np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 2, 1, 3]])
     assert tet_volumes(x, tet) < 0
-    with pytest.raises(MeshError, match="1 stay inverted"):
-        untangle(x, tet, np.zeros(4, dtype=bool), np.array([0.1]))
+    refused("1 stay inverted", untangle, x, tet, np.zeros(4, dtype=bool), np.array([0.1]), error=MeshError)
     # With one corner free the tet reaches the volume asked for, and the others stay.
     moved = untangle(x, tet, np.arange(4) == 3, np.array([0.1]))
     assert tet_volumes(moved, tet) == pytest.approx([0.1], rel=1e-3) and np.array_equal(moved[:3], x[:3])

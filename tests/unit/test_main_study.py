@@ -52,11 +52,6 @@ def test_a_study_that_cannot_be_run_is_told_and_the_rest_is_complete(tmp_path, m
     assert (tmp_path / "verification" / "rows.jsonl").read_text() == rows
 
 
-def test_an_expression_that_there_is_not_ends_it_before_anything_is_run(tmp_path, command):
-    ended = command("study", "--expressions", "jawOpenn", "--out", tmp_path / "out")
-    assert ended.status == 1 and "jawOpenn" in ended.errors[0] and not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize("people", ["test", "all"])
 def test_the_surrogate_needs_a_corpus_that_is_there(tmp_path, people):
     with pytest.raises(main_study.SoftdecaError, match="corpus|manifest"):

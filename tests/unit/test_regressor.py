@@ -16,6 +16,8 @@ from softdeca.lhm.regressor.pairs import inward_normals, measure_depths, move_wr
 from softdeca.lhm.regressor.prior import default_regressor, prior_pairs
 from softdeca.lhm.wraps import depth
 
+from ..refusals import refused
+
 BALL = trimesh.creation.icosphere(3)
 UNIT, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces)
 
@@ -159,31 +161,23 @@ def test_it_is_read_as_it_was_written_and_refused_for_another_template(tmp_path)
     read = DepthRegressor.load(file, ball(100.0))
     assert (read.label, read.pairs, read.ridge) == ("ellipsoids", 10, regressor.ridge)
     np.testing.assert_array_equal(read.predict(90 * UNIT), regressor.predict(90 * UNIT))
-    with pytest.raises(InputError, match=r"d\.npz: depth regressor \(ellipsoids\): .*another template"):
-        DepthRegressor.load(file, ball(101.0))
+    refused(r"d\.npz: depth regressor \(ellipsoids\): .*another template", DepthRegressor.load, file, ball(101.0))
     np.savez(file, **regressor.arrays() | {"coefficients": regressor.coefficients[:, 1:]})
-    with pytest.raises(InputError, match=r"d\.npz: coefficients: expected shape \(3, 642\)"):
-        DepthRegressor.load(file, ball(100.0))
+    refused(r"d\.npz: coefficients: expected shape \(3, 642\)", DepthRegressor.load, file, ball(100.0))
     np.savez(file, **regressor.arrays() | {"mean_log": np.full(len(UNIT), np.nan)})
-    with pytest.raises(InputError, match=r"d\.npz: mean_log: 642 values are not finite"):
-        DepthRegressor.load(file, ball(100.0))
+    refused(r"d\.npz: mean_log: 642 values are not finite", DepthRegressor.load, file, ball(100.0))
     file.write_bytes(file.read_bytes()[:200])
-    with pytest.raises(InputError, match=r"d\.npz"):
-        DepthRegressor.load(file, ball(100.0))
+    refused(r"d\.npz", DepthRegressor.load, file, ball(100.0))
 
 
 def test_bad_wraps_and_pairs_are_refused():
     regressor = DepthRegressor.fit(ellipsoids(5, noise=0.1), ball(100.0))
-    with pytest.raises(InputError, match=r"expects shape \(642, 3\), got \(641, 3\)"):
-        regressor.predict(100 * UNIT[1:])
-    with pytest.raises(InputError, match="not finite"):
-        regressor.predict(np.nan * UNIT)
+    refused(r"expects shape \(642, 3\), got \(641, 3\)", regressor.predict, 100 * UNIT[1:])
+    refused("not finite", regressor.predict, np.nan * UNIT)
     with pytest.raises(InputError, match="pair b: .*positive"):
         DepthPairs("x", ("a", "b"), np.stack([UNIT, UNIT]), np.stack([UNIT[:, 0] ** 0, UNIT[:, 0]]))
-    with pytest.raises(InputError, match="1 pairs"):
-        DepthPairs("x", ("a",), UNIT[None], np.ones((1, len(UNIT))))
-    with pytest.raises(InputError, match="the template's has 12"):
-        DepthRegressor.fit(ellipsoids(5, noise=0.1), Surface(*_icosahedron()))
+    refused("1 pairs", DepthPairs, "x", ("a",), UNIT[None], np.ones((1, len(UNIT))))
+    refused("the template's has 12", DepthRegressor.fit, ellipsoids(5, noise=0.1), Surface(*_icosahedron()))
 
 
 def _icosahedron():
@@ -302,8 +296,7 @@ def _moved(surface, scale, shift=0.0):
 )
 def test_a_folder_that_is_wrong_is_refused_by_the_pairs_name(folder, template, space, change, message):
     change(folder, *head(template, space, 1))
-    with pytest.raises(InputError, match=message):
-        read_pairs(folder, template, space)
+    refused(message, read_pairs, folder, template, space)
 
 
 def test_skins_of_another_topology_are_registered(folder, template, space, monkeypatch):
@@ -326,8 +319,7 @@ def test_skins_of_another_topology_are_registered(folder, template, space, monke
         raise FitError("skin: no face found in it")
 
     monkeypatch.setattr("softdeca.lhm.regressor.pairs.register", failing)
-    with pytest.raises(InputError, match=r"p1_skin\.npz: skin: no face found"):
-        read_pairs(folder, template, space)
+    refused(r"p1_skin\.npz: skin: no face found", read_pairs, folder, template, space)
 
 
 def test_a_folder_in_centimetres(folder, template, space):
@@ -339,5 +331,4 @@ def test_a_folder_in_centimetres(folder, template, space):
 
 
 def test_a_folder_that_is_not_there(tmp_path, template, space):
-    with pytest.raises(InputError, match="no such folder"):
-        read_pairs(tmp_path / "nowhere", template, space)
+    refused("no such folder", read_pairs, tmp_path / "nowhere", template, space)

@@ -7,11 +7,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from softdeca.lhm import InputError, TetMesh
+from softdeca.lhm import TetMesh
 from softdeca.lhm.base.errors import MeshError, MissingDependencyError
 from softdeca.lhm.base.geometry.tets import smallest_dihedrals
 from softdeca.lhm.remesh import refine_head, refine_tets, remesh
 from softdeca.reference import Parameters, facial_scene, solve, terms
+
+from ..refusals import refused
 
 
 def test_a_tet_is_split_into_eight_of_its_volume():
@@ -63,8 +65,7 @@ def test_a_head_of_twisted_prisms_is_refined_all_the_same(spheres):
     rough = 6.0 * np.random.default_rng(8).normal(size=head.skull_wrap.vertices.shape)
     twisted = replace(head, skull_wrap=head.skull_wrap.with_vertices(head.skull_wrap.vertices + rough))
     finer = refine_head(twisted)
-    with pytest.raises(MeshError, match="inverted"):
-        replace(finer, volume=None)
+    refused("inverted", replace, finer, volume=None, error=MeshError)
     assert len(finer.tets) == 8 * len(twisted.tets)
     for new, old in ((finer.soft, twisted.soft), (finer.muscle, twisted.muscle)):
         assert new.volumes.min() >= 0.999 * old.volumes.min() / 8
@@ -81,8 +82,7 @@ def test_a_head_of_twisted_prisms_is_refined_all_the_same(spheres):
 def test_a_volume_must_start_with_the_wraps(sphere_head):
     soft, muscle = sphere_head.soft, sphere_head.muscle
     moved = TetMesh(1.01 * soft.vertices, soft.tets)
-    with pytest.raises(MeshError, match="volume"):
-        replace(sphere_head, volume=(moved, muscle))
+    refused("volume", replace, sphere_head, volume=(moved, muscle), error=MeshError)
     assert replace(sphere_head, volume=(soft, muscle)).soft is soft
 
 
@@ -123,8 +123,7 @@ def test_a_scene_on_it_moves_as_on_prisms(gmsh, sphere_head):
 
 def test_what_cannot_be_meshed_is_told_in_a_line(gmsh, sphere_head):
     for size in (0.0, 0.1, np.nan, 2000.0):
-        with pytest.raises(InputError, match="size: expected 0.2 to 1000 mm"):
-            remesh(sphere_head, size)
+        refused("size: expected 0.2 to 1000 mm", remesh, sphere_head, size)
     # A muscle wrap that comes out of the skin; its prisms would be inverted, so a head must be told a volume.
     crossing = sphere_head.muscle_wrap.with_vertices(sphere_head.muscle_wrap.vertices + [0.0, 0.0, 20.0])
     stack = np.vstack([sphere_head.skin_wrap.vertices, crossing.vertices, sphere_head.skull_wrap.vertices])
@@ -138,5 +137,4 @@ def test_what_cannot_be_meshed_is_told_in_a_line(gmsh, sphere_head):
 
 def test_without_gmsh_the_extra_is_named(monkeypatch, sphere_head):
     monkeypatch.setitem(sys.modules, "gmsh", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install softdeca\[mesh\]"):
-        remesh(sphere_head, 10.0)
+    refused(r"pip install softdeca\[mesh\]", remesh, sphere_head, 10.0, error=MissingDependencyError)

@@ -10,6 +10,8 @@ from softdeca.lhm.base.geometry.topology import close_openings, find_openings, i
 from softdeca.lhm.registration.registration import find_face
 from softdeca.lhm.scans.repair import repair_scan
 
+from ..refusals import refused
+
 X, TRIANGLES = geodesic_sphere(4)
 
 
@@ -51,10 +53,8 @@ def test_a_moebius_strip_and_a_mesh_of_nothing_are_refused():
     up, down = a + 0, a + 12
     next_up, next_down = np.where(b == 0, 12, b), np.where(b == 0, 0, b + 12)
     triangles = np.vstack([np.stack([up, down, next_up], 1), np.stack([down, next_down, next_up], 1)])
-    with pytest.raises(MeshError, match="one side only"):
-        repair_scan(Scan(x.reshape(-1, 3), triangles))
-    with pytest.raises(MeshError, match="none of its triangles has an area"):
-        repair_scan(Scan(np.zeros((3, 3)), [[0, 1, 2]]))
+    refused("one side only", repair_scan, Scan(x.reshape(-1, 3), triangles), error=MeshError)
+    refused("none of its triangles has an area", repair_scan, Scan(np.zeros((3, 3)), [[0, 1, 2]]), error=MeshError)
 
 
 def test_openings_are_closed_where_the_boundary_touches_itself_too():
@@ -129,8 +129,7 @@ def test_what_is_said_of_axes_and_unit_is_taken_or_refused(face, person):
 
 
 def test_a_sphere_has_no_face(face):
-    with pytest.raises(FitError, match="no face found"):
-        scans.find_placement(Surface(100 * X, TRIANGLES), face)
+    refused("no face found", scans.find_placement, Surface(100 * X, TRIANGLES), face, error=FitError)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 1e-3), ("cm", 0.1), ("in", 1 / 25.4)])
