@@ -73,7 +73,7 @@ WRONG = [
     ("head mesh head.npz --layers 2,2 --size 3", "give one"),
     ("head mesh head.npz --out head.obj", "expected one of .msh"),
     ("bench verification --solver abaqus", "unknown solver 'abaqus'"),
-    ("bench effects --effect slimming", "unknown effect 'slimming'"),
+    ("bench agreement --cases effects --effect slimming", "unknown effect 'slimming'"),
     ("bench mesh --expression grin", "grin"),
     ("bench heads --cases registration --upon nobody", "nobody"),
     ("bench heads --cases registration", "--upon is missing"),
