@@ -83,9 +83,7 @@ ELSEWHERE = {
     "softdeca bench scaling": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench scaling --cases pieces": "test_studies.py::test_a_study_of_a_sphere_from_its_tasks_to_its_page",
     "softdeca bench verification --cases hard": "test_hard_cases.py::test_bench_hard_prints_a_row_per_case_and_solver",
-    "softdeca bench verification --cases hard --laws": (
-        "test_laws_recovery.py::test_a_collapsed_or_inverted_block_of_the_stable_law_comes_back"
-    ),
+    "softdeca bench verification --cases hard --laws": "test_hard_cases.py::test_hard_case",
     "softdeca bench mesh": "test_bench_convergence.py::test_every_mesh_is_solved_and_the_finest_is_nearest",
     "softdeca bench agreement --cases motion": "test_bench_dynamics.py::test_what_the_study_shows_on_a_small_sphere",
     "softdeca bench heads --cases closures --dynamic": "test_animate.py::test_gaps_of_lids_and_lips_are_drawn",
