@@ -14,7 +14,9 @@ has seen are told as well.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain, repeat
 from typing import Literal
 
 import numpy as np
@@ -26,8 +28,9 @@ from ..lhm.head import LayeredHead
 from ..lhm.identities import Anny
 from ..reference import Parameters
 from ..reference.face.correction import Correction, FaceFrames
-from ..reference.face.derivatives import differentiate_head
+from ..reference.face.derivatives import Analysis, differentiate_head
 from ..reference.face.settle import carry_skin
+from ..reference.solution import OnIteration
 from .codes import nearest_code
 from .local import on_wraps
 from .rig import FaceModes, check_shapes, check_weights
@@ -62,18 +65,25 @@ RIDGE = 1e-6
 class CertifiedFrame:
     """A frame and its error.
 
-    skin (n, 3) [mm]. error [mm]: the estimated mean distance to the converged simulator; see the module. certain: False
-    where the estimate may be far off. seconds: what it took. weights (52,) and positions (tets' vertices, 3) [mm] are
+    skin (n, 3) [mm]. error [mm]: the estimated mean distance to the converged simulator; see the module. errors (n,)
+    [mm] are each vertex' own, whether it counts or not. certain: False where the estimate may be far off. seconds: what
+    it took. weights (52,) and positions (tets' vertices, 3) [mm] are
     where the next frame of a take begins.
     """
 
     skin: Floats32
     error: float
+    errors: Floats32
     certain: bool
     method: Method
     seconds: float
     weights: Floats
     positions: Floats
+
+    @property
+    def bound(self) -> float:
+        """What the error [mm] is at most, but for some in a hundred."""
+        return self.error if self.certain else DOUBT * self.error
 
 
 class CertifiedFace:
@@ -96,18 +106,21 @@ class CertifiedFace:
         parameters: Parameters | None = None,
         *,
         surrogate: Surrogate | None = None,
+        like: Analysis | None = None,
+        on_iteration: OnIteration | None = None,
     ) -> CertifiedFace:
         """Settle a head under p and differentiate it.
 
         expressions: what the 52 weights add to its skin [mm], shape (52, n, 3); parameters: local values are one per
         face of the skin. The surrogate adds what is not linear where it knows the head's triangles and these
-        parameters; elsewhere it is left out. Raises InputError for other shapes and for a face that does not settle,
+        parameters; elsewhere it is left out. `like` and `on_iteration` are those of `differentiate_head`. Raises InputError
+        for other shapes and for a face that does not settle,
         and what the simulator raises.
         """
         chosen = Parameters() if parameters is None else parameters
         shapes = check_shapes(expressions, len(head.skin.vertices))
         on_head = on_wraps(chosen, head)
-        linear = differentiate_head(head, on_head)
+        linear = differentiate_head(head, on_head, like=like, on_iteration=on_iteration)
         frames = FaceFrames.from_face(linear, shapes)
         offset = (linear.offset + linear.face.displacement).astype(np.float32)
         responses = (linear.skin_by_shapes(frames.deltas, frames.first_order) - frames.deltas).astype(np.float32)
@@ -149,20 +162,26 @@ class CertifiedFace:
         alone. Weights outside [0, 1] are clipped with a warning. InputError for weights and numbers out of range.
         """
         accuracy = number("accuracy", accuracy, least=FINEST, unit="mm")
+        for frame in self.improve(weights, after=after):
+            if frame.bound <= accuracy or (seconds is not None and frame.seconds >= seconds):
+                break
+        return frame
+
+    def improve(self, weights, *, after: CertifiedFrame | None = None) -> Iterator[CertifiedFrame]:
+        """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
+
+        Arguments and errors are those of `frame`.
+        """
         begin = time.perf_counter()
         known = check_weights(weights).astype(np.float64)
         correction = self.frames.begin(known, self._start(known, after))
         stepping = True
-        for rounds in SMOOTHING:
+        for rounds in chain(SMOOTHING, repeat(SMOOTHING[-1])):
             correction.smooth(rounds)
-            frame = self._tell(correction, begin)
-            is_within = (1.0 if frame.certain else DOUBT) * frame.error <= accuracy
-            if is_within or (seconds is not None and frame.seconds >= seconds):
-                return frame
+            yield self._tell(correction, begin)
+            if correction.residual <= CONVERGED or correction.solves >= MOST_SOLVES:
+                return
             stepping = stepping and correction.take_step()
-        while correction.residual > CONVERGED and correction.solves < MOST_SOLVES:
-            correction.smooth(SMOOTHING[-1])
-        return self._tell(correction, begin)
 
     def _start(self, weights: Floats, after: CertifiedFrame | None) -> Floats | None:
         """Return the first order, and on it the correction of the frame before."""
@@ -182,18 +201,19 @@ class CertifiedFace:
         moves = np.linalg.norm(answer - expression - self.carried, axis=1) > MOVES
         counted = moves if moves.any() else np.ones_like(moves)
         is_first = correction.iterations <= SMOOTHING[0]
-        error, certain = _estimate(left[counted], FIRST_SCALE if is_first else LATER_SCALE)
+        errors, certain = _estimate(left, counted, FIRST_SCALE if is_first else LATER_SCALE)
         method: Method = "converged" if correction.residual <= CONVERGED else "corrected"
         if is_first:
             guess = self.rig.frame(correction.weights.astype(np.float32))
-            other = _estimate((guess - answer)[counted], RIG_SCALE)
-            if other[0] < error:
-                skin, (error, certain) = guess, other
+            other = _estimate(guess - answer, counted, RIG_SCALE)
+            if other[0][counted].mean() < errors[counted].mean():
+                skin, (errors, certain) = guess, other
                 method = "network" if self.has_network else "derivatives"
         certain = certain and self.frames.linear.is_exact
         return CertifiedFrame(
             skin.astype(np.float32),
-            error,
+            float(errors[counted].mean()),
+            errors.astype(np.float32),
             certain,
             method,
             time.perf_counter() - begin,
@@ -202,13 +222,14 @@ class CertifiedFace:
         )
 
 
-def _estimate(left: Floats, scale: float) -> tuple[float, bool]:
-    """Return the mean length [mm] of displacements (k, 3) that are left, and whether no few of them decide it."""
+def _estimate(left: Floats, counted: np.ndarray, scale: float) -> tuple[Floats, bool]:
+    """Return the lengths [mm] of displacements (n, 3) that are left, and whether no few of the counted decide them."""
     lengths = np.linalg.norm(left, axis=1)
-    clipped = np.minimum(lengths, CLIP * np.percentile(lengths, 95.0))
-    few = max(1, int(WORST * len(lengths)))
-    worst = np.partition(lengths, len(lengths) - few)[-few:].sum()
-    return scale * float(clipped.mean()), bool(worst <= DOUBTED_SHARE * lengths.sum())
+    those = lengths[counted]
+    few = max(1, int(WORST * len(those)))
+    worst = np.partition(those, len(those) - few)[-few:].sum()
+    clipped: Floats = scale * np.minimum(lengths, CLIP * np.percentile(those, 95.0))
+    return clipped, bool(worst <= DOUBTED_SHARE * those.sum())
 
 
 def _bind(surrogate: Surrogate, head: LayeredHead, shapes: Floats32, parameters: Parameters) -> BoundSurrogate | None:

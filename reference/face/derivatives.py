@@ -143,25 +143,39 @@ class FaceDerivatives:
 
 @check_arguments
 def differentiate(
-    face: SettledFace, *, accuracy: float = TIGHT_ACCURACY, like: FaceDerivatives | Analysis | None = None
+    face: SettledFace,
+    *,
+    accuracy: float = TIGHT_ACCURACY,
+    like: FaceDerivatives | Analysis | None = None,
+    on_iteration: OnIteration | None = None,
 ) -> FaceDerivatives:
     """Prepare a settled face's scenes, solve the neutral one and factor its Hessian.
 
     accuracy is the gradient norm of the neutral answer, relative to that of the targets' springs each 1 mm long: one
     factor does for QUICK_ACCURACY and above, below it takes two. `like`, another of the same template and choices,
-    lends its symbolic work. Raises SceneError for choices with contact.
+    lends its symbolic work. `on_iteration` sees the neutral solve; what it raises ends all. Raises SceneError for
+    choices with contact.
     """
     scene = face.scene(face.head.skin.vertices)
     analysis = like.analysis if isinstance(like, FaceDerivatives) else like
-    return FaceDerivatives(face, *_solve_neutral(scene, face.positions, analysis, accuracy))
+    return FaceDerivatives(face, *_solve_neutral(scene, face.positions, analysis, accuracy, on_iteration))
 
 
-def differentiate_head(head: LayeredHead, parameters: Parameters) -> FaceDerivatives:
-    """Settle a head under p and differentiate it; some seconds. InputError for one that does not come to rest."""
-    face = settle(head, parameters, **TARGET_OPTIONS)
+def differentiate_head(
+    head: LayeredHead,
+    parameters: Parameters,
+    *,
+    like: FaceDerivatives | Analysis | None = None,
+    on_iteration: OnIteration | None = None,
+) -> FaceDerivatives:
+    """Settle a head under p and differentiate it; some seconds. InputError for one that does not come to rest.
+
+    `like` and `on_iteration`, which also sees how the face settles, as of `differentiate`.
+    """
+    face = settle(head, parameters, on_iteration=on_iteration, **TARGET_OPTIONS)
     if not face.converged:
         raise InputError(f"the face does not settle under these parameters ({face.reason})")
-    return differentiate(face, accuracy=QUICK_ACCURACY)
+    return differentiate(face, accuracy=QUICK_ACCURACY, like=like, on_iteration=on_iteration)
 
 
 def spring_norm(scene: Scene) -> float:
@@ -171,18 +185,24 @@ def spring_norm(scene: Scene) -> float:
 
 
 def _solve_neutral(
-    scene: Scene, start: Floats, like: Analysis | None, accuracy: float = TIGHT_ACCURACY
+    scene: Scene,
+    start: Floats,
+    like: Analysis | None,
+    accuracy: float = TIGHT_ACCURACY,
+    on_iteration: OnIteration | None = None,
 ) -> tuple[ProjectivePrepared, Solution, Tangent]:
     """Prepare a scene, solve it by the PD matrix and, where need be, the tangent; factor the tangent there."""
     linear_solver: LinearSolver | None = "cholmod" if cholesky.has_cholmod() else None
     prepared = prepare(scene, linear_solver=linear_solver, like=None if like is None else like.prepared)
     norm, is_quick = spring_norm(scene), accuracy >= QUICK_ACCURACY
     first = (accuracy if is_quick else FRAME_ACCURACY) * norm
-    near = prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX)
+    near = prepared.solve(start=start, absolute=first, max_iterations=BY_MATRIX, on_iteration=on_iteration)
     tangent = prepared.tangent(near, like=None if like is None else like.pattern)
     if is_quick and near.converged:
         return prepared, near, tangent
-    answer = prepared.solve(start=near.positions, absolute=accuracy * norm, metric=tangent, untangle=False)
+    answer = prepared.solve(
+        start=near.positions, absolute=accuracy * norm, metric=tangent, untangle=False, on_iteration=on_iteration
+    )
     if answer.iterations:
         pattern = tangent.pattern
         del tangent  # before another factor is made: each is an eighth of a gigabyte

@@ -26,7 +26,7 @@ from ...lhm.wraps.columns import fill_harmonically
 from .. import terms
 from ..added import all_solvers
 from ..scene import Scene
-from ..solution import Reason, Solution
+from ..solution import OnIteration, Reason, Solution
 from ..solve import prepare
 from .bones import scale_skull
 from .facial import PD_ENERGY, FaceLaw, apply_law, check_targets, facial_scene
@@ -112,6 +112,7 @@ def settle(
     solver: str | None = None,
     tolerance: float = TOLERANCE,
     max_iterations: int | None = None,
+    on_iteration: OnIteration | None = None,
     **choices: Any,
 ) -> SettledFace:
     """Settle the neutral face under p by a law; solve only where p changes it.
@@ -120,7 +121,8 @@ def settle(
     Lamé's moduli (see `apply_law`). `solver` is by default "projective" for PD's energy and "fenicsx" for
     another law, which starts at PD's answer, or where bones carry the tets if PD's answer has inverted ones.
     `choices` go to `facial_scene`. A head without the regions that tell where it has flesh is held everywhere. An
-    answer that has not converged says so by `reason`. Raises what `facial_scene`, `apply_law` and the solver raise.
+    answer that has not converged says so by `reason`. `on_iteration` may interrupt it; see `solve`. Raises what
+    `facial_scene`, `apply_law` and the solver raise.
     """
     if not 0.0 < tolerance < 1.0:
         raise SceneError(f"tolerance: expected a number in (0, 1), got {tolerance}")
@@ -136,7 +138,9 @@ def settle(
     start[: len(stack.vertices)] = carry_by_bones(head, parameters, stack)
     if law != PD_ENERGY:
         start, scene = _start_of_law(scene, start), apply_law(scene, law)
-    solution = prepare(scene, solver=by).solve(start=start, tolerance=tolerance, max_iterations=max_iterations)
+    solution = prepare(scene, solver=by).solve(
+        start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=on_iteration
+    )
     moved = solution.positions[: len(head.bone)] - head.skin_wrap.vertices
     return SettledFace(head, parameters, solution.positions, head.skin_from_wrap @ moved, solution, choices, law)
 
