@@ -96,7 +96,11 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
         # What is timed is run by itself: nothing of ours runs beside it.
         for asked in ([each for each in found if not each.study.timed], *([e] for e in found if e.study.timed)):
             if any(isinstance(each.study, SurrogateOnCorpus) for each in asked):
-                _simulate(agreement.identities, template, corpus, progress)
+                space = identities.from_text(agreement.identities)
+                people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
+                made_with = {"identities": agreement.identities, "level": DEFAULT_LEVEL}
+                schedule = make_schedule(min(2, count_processors()))
+                Corpus(corpus, PLAN, people, made_with).generate(on=schedule, on_progress=progress)
             for each, results in zip(asked, run_together(asked, only=only, progress=progress), strict=True):
                 if isinstance(results, SoftdecaError):
                     failed.append((each.study.name, str(results)))
@@ -108,12 +112,3 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
         )
         written = write_report(made, out, TITLE, failed, spent)
     return Done([each.results for each in made], failed, written, spent)
-
-
-def _simulate(whose: str, template, folder: Path, progress: OnProgress) -> None:
-    """What is missing of the corpus."""
-    space = identities.from_text(whose)
-    people = OfSpace(space, space.mean, partial(fit_head, template), template.digest)
-    Corpus(folder, PLAN, people, {"identities": whose, "level": DEFAULT_LEVEL}).generate(
-        on=make_schedule(min(2, count_processors())), on_progress=progress
-    )

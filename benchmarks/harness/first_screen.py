@@ -90,19 +90,15 @@ def _timed(of: Sequence[Mapping]) -> Point | None:
     if "mean_mm" in of[0]:
         each = float(np.median([np.median(values["solve_s"]) for values in of]))
         return Point(ready + each, each, float(np.mean([values["mean_mm"] for values in of])))
-    reached = [_reached(values) for values in of]
-    if None in reached:
-        return None
-    each = float(np.median([seconds for seconds in reached if seconds is not None]))
+    reached = []
+    for values in of:
+        late = np.flatnonzero(np.array(values["error_mm"]) > ACCURACY)
+        after = 0 if len(late) == 0 else int(late[-1]) + 1
+        if after == len(values["error_mm"]):
+            return None
+        reached.append(float(values["seconds"][after]))
+    each = float(np.median(reached))
     return Point(ready + each, each, ACCURACY)
-
-
-def _reached(values: Mapping) -> float | None:
-    """Seconds [s] from which on a solve is within 0.01 mm of the answer."""
-    errors = np.array(values["error_mm"])
-    late = np.flatnonzero(errors > ACCURACY)
-    after = 0 if len(late) == 0 else int(late[-1]) + 1
-    return float(values["seconds"][after]) if after < len(errors) else None
 
 
 def _scores(rows: Rows) -> dict[str, dict[str, Mapping]]:

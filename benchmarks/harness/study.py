@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
@@ -43,6 +43,11 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[Any]]
     note: str = ""
+
+    @classmethod
+    def of(cls, caption: str, titles: Mapping[str, str], lines: Iterable[Values], note: str = "") -> Table:
+        """Tabulate the values of lines, whose titles are given by key."""
+        return cls(caption, [*titles.values()], [tuple(line.get(key) for key in titles) for line in lines], note)
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class Trace:
     error: Sequence[float]
     gradient: Sequence[float]
 
-    def settled(self, bound: float) -> int | None:
+    def iterations_to(self, bound: float) -> int | None:
         """The iteration from which on the error stays at most `bound` [mm]; None if the last one is above."""
         above = np.flatnonzero(~(np.asarray(self.error) <= bound))
         first = int(above[-1]) + 1 if above.size else 0
@@ -74,16 +74,16 @@ class Trace:
 
     def seconds_to(self, bound: float) -> float | None:
         """Time [s] from which on the error stays at most `bound` [mm], None if it does not."""
-        at = self.settled(bound)
+        at = self.iterations_to(bound)
         return None if at is None else float(self.seconds[at])
 
     def tolerance_for(self, bound: float) -> float | None:
         """The tolerance with which this solve stops at the first iteration from which its error is at most `bound`."""
-        at = self.settled(bound)
+        at = self.iterations_to(bound)
         return None if at is None else float(np.min(self.gradient[: at + 1]))
 
 
-def traced(
+def trace_solve(
     prepared: Prepared,
     truth: Floats,
     *,
@@ -99,14 +99,14 @@ def traced(
     error: list[float] = []
 
     def see(iteration: int, positions: Floats, energy: float, gradient_norm: float) -> bool:
-        error.append(farthest(positions, truth))
+        error.append(largest_distance(positions, truth))
         return error[-1] <= enough
 
     solution = prepared.solve(start=start, tolerance=tolerance, max_iterations=max_iterations, on_iteration=see)
     return solution, _trace(solution, error)
 
 
-def traced_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
+def trace_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: float = TIGHT) -> tuple[Solution, Trace]:
     """A tight solve as seen from its own end, to 1e-5 mm: positions on the way are kept in float32."""
     visited: list[np.ndarray] = []
 
@@ -115,7 +115,7 @@ def traced_to_itself(prepared: Prepared | ProjectivePrepared, *, tolerance: floa
         return False
 
     solution = prepared.solve(tolerance=tolerance, on_iteration=see)
-    return solution, _trace(solution, [farthest(x, solution.positions) for x in visited])
+    return solution, _trace(solution, [largest_distance(x, solution.positions) for x in visited])
 
 
 def _trace(solution: Solution, error: Sequence[float]) -> Trace:
@@ -123,7 +123,7 @@ def _trace(solution: Solution, error: Sequence[float]) -> Trace:
     return Trace(solution.history.time.tolist(), error, (norms / max(norms[0], 1e-300)).tolist())
 
 
-def farthest(a: Floats, b: Floats) -> float:
+def largest_distance(a: Floats, b: Floats) -> float:
     """The largest distance [mm] of two arrays of points, both (n, 3)."""
     return float(np.linalg.norm(a - b, axis=1).max())
 
@@ -161,7 +161,9 @@ ENDED = Column("reason", "ended")
 MEMORY = Column("scene_mb", "scene and solver [MB]", cost=True)
 
 
-def timed(make: Callable[[], Scene], tolerance: float, *, start: Floats | None = None, **how) -> tuple[Solution, dict]:
+def time_solve(
+    make: Callable[[], Scene], tolerance: float, *, start: Floats | None = None, **how
+) -> tuple[Solution, dict]:
     """Make, prepare and solve a scene, by `how` as `prepare` takes it; the solution, and the values of the columns."""
     watch = Stopwatch()
     scene = make()
@@ -171,10 +173,10 @@ def timed(make: Callable[[], Scene], tolerance: float, *, start: Floats | None =
     solution = prepared.solve(tolerance=tolerance, start=start)
     laps.append(watch.lap())
     walls = dict(zip(("scene_s", "prepare_s", "solve_s"), (wall for wall, _ in laps), strict=True))
-    return solution, {**walls, "cpu_s": float(np.sum([cpu for _, cpu in laps])), **counts(solution)}
+    return solution, {**walls, "cpu_s": float(np.sum([cpu for _, cpu in laps])), **count_work(solution)}
 
 
-def again(work: Callable[[], Result], repeats: int) -> list[Result]:
+def repeat_work(work: Callable[[], Result], repeats: int) -> list[Result]:
     """What `work` returns, so often, after one call that is not counted; less often where that takes over BUDGET."""
     work()
     found: list[Result] = []
@@ -184,7 +186,7 @@ def again(work: Callable[[], Result], repeats: int) -> list[Result]:
     return found
 
 
-def counts(solution: Solution) -> dict:
+def count_work(solution: Solution) -> dict:
     """How often a solver iterated, its linear solver where it counts, and why it ended."""
     return {
         "iterations": solution.iterations,
@@ -194,24 +196,24 @@ def counts(solution: Solution) -> dict:
     }
 
 
-def repeated(rows: Sequence[Values]) -> dict:
+def merge_repeats(rows: Sequence[Values]) -> dict:
     """Rows of one measure, repeated, as one: times as lists, what does not differ as it is."""
     return {key: [row[key] for row in rows] if key.endswith("_s") else value for key, value in rows[0].items()}
 
 
-def unfinished(rows: Sequence[Values]) -> int:
+def count_unfinished(rows: Sequence[Values]) -> int:
     """How many solves of the rows' values did not reach what was asked."""
     return sum(not values["converged"] for values in rows)
 
 
-def slope(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
+def fit_slope(sizes: Sequence[float], values: Sequence[float | None]) -> float | None:
     """The exponent of a figure over sizes, by least squares of logarithms; None where it is not there, or one only."""
     if len(set(sizes)) < 2 or not all(values):
         return None
     return float(np.polyfit(np.log(sizes), np.log(np.asarray(values, dtype=np.float64)), 1)[0])
 
 
-def megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> float:
+def measure_megabytes(make: Callable[[], Scene], *, iterations: int = 20, **how) -> float:
     """The most memory [MB] that making, preparing and solving a scene takes beside what this process holds.
 
     To be called in a process of its own, before other scenes: what is freed is used again unseen.

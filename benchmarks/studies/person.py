@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,16 +19,32 @@ from ...reference.added import all_solvers
 from ..harness.study import Study
 
 
-def solvers_asked(solvers: Sequence[str]) -> tuple[str, ...]:
-    """These, or all where none is named; InputError for an unknown one."""
-    for solver in solvers:
-        if solver not in all_solvers():
-            raise InputError(f"unknown solver {solver!r}; there are {', '.join(all_solvers())}")
+def check_known(name: str, values: Sequence[str], known: Iterable[str]) -> None:
+    """Refuse a value that is none of the known ones by an InputError that lists them."""
+    for value in values:
+        if value not in known:
+            raise InputError(f"unknown {name} {value!r}; there are {', '.join(known)}")
+
+
+def parse_poisson(text: str, most: float = 0.5) -> float:
+    """Read a Poisson's ratio between 0 and `most`; InputError for another text."""
+    try:
+        ratio = float(text)
+    except ValueError:
+        ratio = -1.0
+    if not 0.0 < ratio < most:
+        raise InputError(f"Poisson's ratio {text!r}: expected a number between 0 and {most:g}")
+    return ratio
+
+
+def parse_solvers(solvers: Sequence[str]) -> tuple[str, ...]:
+    """Give these solvers, or all where none is named; InputError for an unknown one."""
+    check_known("solver", solvers, all_solvers())
     return tuple(solvers) or all_solvers()
 
 
 def check_person(seed: int, level: int) -> None:
-    """InputError for a negative seed, and for a level that the default template has not."""
+    """Refuse a negative seed, and a level that the default template has not, by an InputError."""
     if seed < 0:
         raise InputError(f"seed: must be at least 0, got {seed}")
     if level not in LEVELS:
@@ -65,7 +81,7 @@ class OfPerson(Study):
         return person(self.identities, self.seed if seed is None else seed, level or self.level)
 
     def check(self, texts: Sequence[str] = ()) -> None:
-        """InputError for a space that cannot be read, a seed or level out of range, and expressions likewise."""
+        """Refuse a space that cannot be read, a seed or level out of range, and expressions likewise."""
         identities.from_text(self.identities)
         check_person(self.seed, self.level)
         for text in texts:

@@ -19,8 +19,8 @@ from ...lhm.base.mesh import Floats, Ints
 from ...lhm.base.option import option
 from ...reference import Parameters, Scene, apply_law, facial_scene, materials, problems, solve, terms
 from ..harness.study import Column, Row, Study, Table, Task, Values, at_most
-from .measures import farthest
-from .person import person, solvers_asked
+from .measures import largest_distance
+from .person import parse_solvers, person
 
 HEAD, FELUPE = "neo-Hookean head", "felupe"
 HEAD_EXPRESSION, HEAD_LEVEL, HEAD_BOUND = "mouthSmileLeft*0.3", 1, 1e-8
@@ -50,7 +50,7 @@ class Verification(Study):
 
     def tasks(self) -> Sequence[Task]:
         """Each problem by each solver."""
-        solvers = solvers_asked(self.solvers)
+        solvers = parse_solvers(self.solvers)
         posed = (*_posed(), *problems.FINE) if self.fine else _posed()
         found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
         if "fenicsx" not in solvers:
@@ -65,7 +65,7 @@ class Verification(Study):
             scene = facial_scene(
                 of.head, Parameters(), of.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
             )
-            return {"outcomes": [asdict(felupe_beside_fenicsx(apply_law(scene, "neo-Hookean")))]}
+            return {"outcomes": [asdict(compare_felupe(apply_law(scene, "neo-Hookean")))]}
         fine = _fine().get(task.case)
         if fine is not None:
             return {"outcomes": [asdict(outcome) for outcome in fine()]}
@@ -91,14 +91,14 @@ class Verification(Study):
         return f"{within} of {len(outcomes)} values by {', '.join(solvers)} are within their bounds."
 
 
-def felupe_beside_fenicsx(scene: Scene) -> problems.Outcome:
+def compare_felupe(scene: Scene) -> problems.Outcome:
     """The largest displacement [mm] by FElupe, and the largest distance to FEniCSx' answer over it."""
     begin = time.perf_counter()
     positions, iterations = solve_by_felupe(scene)
     seconds = time.perf_counter() - begin
     truth = solve(scene, solver="fenicsx", tolerance=1e-10)
-    value, reference = farthest(positions, scene.vertices), farthest(truth.positions, scene.vertices)
-    error = farthest(positions, truth.positions) / reference
+    value, reference = largest_distance(positions, scene.vertices), largest_distance(truth.positions, scene.vertices)
+    error = largest_distance(positions, truth.positions) / reference
     return problems.Outcome(
         HEAD, "an independent code: FElupe (PyPI); reference: FEniCSx", FELUPE, value, reference, error, HEAD_BOUND,
         truth.converged and error <= HEAD_BOUND, truth.reason.name, seconds, iterations,
@@ -136,7 +136,7 @@ class Hard(Study):
 
     def tasks(self) -> Sequence[Task]:
         """Each case by each solver, and element, that it is for."""
-        solvers = solvers_asked(self.solvers)
+        solvers = parse_solvers(self.solvers)
         return [task for task, (_, solver, _) in self._ways().items() if solver in solvers]
 
     def _ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
@@ -173,7 +173,7 @@ class Hard(Study):
         for row in rows:
             kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
             found.setdefault(kind, {}).setdefault(row.method, []).append(row)
-        lines = [[kind, *(_told(by.get(way, [])) for way in ways)] for kind, by in found.items()]
+        lines = [[kind, *(_describe_runs(by.get(way, [])) for way in ways)] for kind, by in found.items()]
         note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
         return [
             Table("By solver and element", ["solver and element", *KINDS], counts),
@@ -188,7 +188,7 @@ def _kind(row: Row) -> str:
     return KINDS[0] if row.values["outcome"] == "passed" else KINDS[1] if row.values["passed"] else KINDS[2]
 
 
-def _told(rows: Sequence[Row]) -> str | None:
+def _describe_runs(rows: Sequence[Row]) -> str | None:
     """As "20 right, 8 to 31 iterations"."""
     if not rows:
         return None
@@ -205,29 +205,36 @@ MOST, STEPS = 30, 4
 """Iterations of a step of the load, and such steps."""
 
 
-def felupe_installed() -> bool:
-    """Whether FElupe is there."""
-    return importlib.util.find_spec("felupe") is not None
-
-
 def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
     """Positions [mm], shape (n, 3), by FElupe's elements, law and Newton's method from rest, and its iterations.
 
     Raises MissingDependencyError without FElupe, SceneError for a term that is not modelled here, and SoftdecaError
     where it does not converge.
     """
-    if not felupe_installed():
+    if importlib.util.find_spec("felupe") is None:
         raise MissingDependencyError("FElupe is not installed (softdeca[bench])")
     import felupe
 
-    bodies, springs = _parts(scene)
+    for term in scene.terms:
+        if not isinstance(term, (terms.Hyperelastic, terms.Target, terms.Fixed)):
+            raise SceneError(f"FElupe: {type(term).__name__} is not modelled here")
+    bodies: list[tuple[materials.NeoHookean, Ints]] = []
+    for solid in scene.of(terms.Hyperelastic):
+        if not isinstance(solid.material, materials.NeoHookean) or np.any(solid.growth != 1.0):
+            raise SceneError(f"FElupe: {solid.material.name} with growth {solid.growth} is not modelled here")
+        bodies.append((solid.material, scene.tets[scene.tets_of(solid)]))
+
+    def solve_linear(matrix: Any, right: Floats) -> Floats:
+        # Symmetric: a quarter of the fill of the order that SciPy takes by itself.
+        return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right.ravel())
+
     field = _field(felupe, scene.vertices, scene.tets)
     # A body of its own for each term: FElupe links their fields, which have the same vertices.
     items: list[Any] = [
         felupe.SolidBody(felupe.NeoHookeCompressible(law.mu, law.lmbda), _field(felupe, scene.vertices, tets))
         for law, tets in bodies
     ]
-    items += [_Springs(field, each) for each in springs]
+    items += [_Springs(field, each) for each in scene.of(terms.Target)]
     held, places = scene.dirichlet()
     loose = np.setdiff1d(np.arange(len(scene.vertices)), scene.tets)
     fixed = held.copy()
@@ -242,7 +249,7 @@ def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
             each.share = step / STEPS
         found = felupe.newtonraphson(
             items=items, x0=field, dof0=dof0, dof1=dof1, ext0=target * step / STEPS, tol=TOLERANCE, maxiter=MOST,
-            solver=_solve, verbose=0,
+            solver=solve_linear, verbose=0,
         )  # fmt: skip
         if not found.success:
             raise SoftdecaError(f"FElupe: step {step} of {STEPS} not converged after {MOST} iterations")
@@ -252,24 +259,6 @@ def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
 
 def _field(felupe: Any, vertices: Floats, tets: Ints) -> Any:
     return felupe.FieldContainer([felupe.Field(felupe.RegionTetra(felupe.Mesh(vertices, tets, "tetra")), dim=3)])
-
-
-def _solve(matrix: Any, right: Floats) -> Floats:
-    # Symmetric: a quarter of the fill of the order that SciPy takes by itself.
-    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right.ravel())
-
-
-def _parts(scene: Scene) -> tuple[list[tuple[materials.NeoHookean, Ints]], list[terms.Target]]:
-    """Each law with its tets (k, 4), and the springs."""
-    for term in scene.terms:
-        if not isinstance(term, (terms.Hyperelastic, terms.Target, terms.Fixed)):
-            raise SceneError(f"FElupe: {type(term).__name__} is not modelled here")
-    bodies = []
-    for solid in scene.of(terms.Hyperelastic):
-        if not isinstance(solid.material, materials.NeoHookean) or np.any(solid.growth != 1.0):
-            raise SceneError(f"FElupe: {solid.material.name} with growth {solid.growth} is not modelled here")
-        bodies.append((solid.material, scene.tets[scene.tets_of(solid)]))
-    return bodies, list(scene.of(terms.Target))
 
 
 class _Springs:

@@ -18,7 +18,7 @@
 # %%
 import numpy as np
 
-from softdeca.benchmarks.studies.measures import traced
+from softdeca.benchmarks.studies.measures import trace_solve
 from softdeca.benchmarks.studies.verification import Hard, Verification
 from softdeca.benchmarks.studies.work_precision.arap import Handles
 from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
@@ -85,7 +85,7 @@ scene = Handles.of(head, face, shape).scene(face)
 truth = prepare(scene).solve(tolerance=1e-10).positions
 figure, axis = plt.subplots(figsize=(6, 3.2))
 for solver in ("projective", NAME):
-    _, trace = traced(prepare(scene, solver=solver), truth, enough=1e-3)
+    _, trace = trace_solve(prepare(scene, solver=solver), truth, enough=1e-3)
     axis.loglog(trace.seconds[1:], trace.error[1:], label=solver)
     print(f"{solver:<13} to 0.01 mm in {trace.seconds_to(0.01):.2f} s")
 axis.set(xlabel="time of the solve [s]", ylabel="largest error of a vertex [mm]")

@@ -13,7 +13,7 @@ import pytest
 
 from softdeca.benchmarks.harness import Row, run
 from softdeca.benchmarks.studies.heads import fit as study
-from softdeca.benchmarks.studies.heads.fit import FITTED, Heads, fitted, sample
+from softdeca.benchmarks.studies.heads.fit import FITTED, Heads, sample, try_fit
 from softdeca.lhm import FitError, InputError, check_head, fit_head, identities, load_template
 
 COMMAND = (sys.executable, "-c", "from softdeca.cli import main; main()", "bench", "heads", "--level", "1")
@@ -33,7 +33,7 @@ def test_each_head_is_that_of_its_seed(two):
     report = check_head(fit_head(load_template(space, level=1), skin))
     assert results.passed and results.rows[1].case == "seed 1"
     assert results.rows[1].values["figures"]["smallest_dihedral"] == report.smallest_dihedral
-    found = {figure.name: [value for value, _ in values] for figure, values in study.distributions(results.rows[:2])}
+    found = {figure.name: [value for value, _ in values] for figure, values in study.collect_figures(results.rows[:2])}
     assert report.lip_path in found["lip_path"] and len(set(found["lip_path"])) == 2 and min(found["fit_s"]) > 0
 
 
@@ -71,9 +71,9 @@ def test_what_cannot_be_fitted_has_a_reason(monkeypatch):
         raise FitError("layers: 3 tets are flat")
 
     monkeypatch.setattr(study, "fit_head", flat)
-    assert fitted(None, None)["error"] == "layers: 3 tets are flat"
+    assert try_fit(None, None)["error"] == "layers: 3 tets are flat"
     monkeypatch.setattr(study, "fit_head", lambda template, skin: 1 / 0)
-    assert fitted(None, None)["error"] == "ZeroDivisionError: division by zero"
+    assert try_fit(None, None)["error"] == "ZeroDivisionError: division by zero"
 
 
 def test_one_failure_in_a_thousand_passes_and_two_do_not(two):

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.scaling.mixed import Mixed, around_vertices, solved, volumes_kept
+from softdeca.benchmarks.studies.scaling.mixed import Mixed, around_vertices, solve_mixed, volumes_kept
 from softdeca.lhm import InputError
 from softdeca.reference import Scene
 
@@ -17,7 +17,7 @@ def test_a_sphere_keeps_its_volume(spheres, law):
     head = spheres(1)
     push = 2.0 * np.exp(-np.sum((head.skin.vertices - head.skin.vertices[0]) ** 2, axis=1) / 30.0**2)
     shape = head.skin.vertices + push[:, None] * [0.0, 0.0, 1.0]
-    values = solved(head, shape, law, 1e-6)
+    values = solve_mixed(head, shape, law, 1e-6)
     assert values["reason"] == "CONVERGED" and values["factorisations"] > 0
     assert values["volume"] == pytest.approx(1.0, abs=5e-3)
     # Around each vertex a compressible law keeps volume less well.

@@ -109,5 +109,5 @@ def test_where_a_rival_wins_the_words_say_so():
 
 @pytest.mark.parametrize("option", ["effects", "refined"])
 def test_an_unknown_effect_is_named(option):
-    with pytest.raises(InputError, match="effect 'zombie': there are defaults"):
+    with pytest.raises(InputError, match="effect 'zombie'; there are defaults"):
         Split(**{option: ("zombie",)}).tasks()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softdeca.benchmarks.studies.agreement.effect_cases import named_effects, run_effect
+from softdeca.benchmarks.studies.agreement.effect import parse_effects, run_effect
 from softdeca.lhm import FitError, MeshError, expressions, fit_head, identities, load_template
 from softdeca.lhm.check import check_layers
 from softdeca.reference import Parameters, facial_scene, solve
@@ -21,7 +21,7 @@ def head():
 
 @pytest.mark.parametrize("name", ["weight-20", "weight-40", "jaw", "gravity-3"])
 def test_an_effect_ends_in_the_minimum_that_another_start_finds(head, name):
-    (effect,) = named_effects(name)
+    (effect,) = parse_effects(name)
     expression = expressions.blend(SPACE, np.zeros(SPACE.code_size), expressions.weights_of(effect.expression))[0]
     record = run_effect(head, effect, expression).record
     for run in record["runs"].values():

@@ -204,7 +204,7 @@ def test_where_fenicsx_ends_in_another_minimum_it_is_started_at_the_answer_it_ch
 
     monkeypatch.setattr(faces, "solve", elsewhere)
     face = sphere.make("gravity 3 g")
-    row = face.solved(FENICSX)
+    row = face.solve_by(FENICSX)
     assert starts[0] is None and np.array_equal(starts[1], face.pd[0].positions) and len(starts) == 2
     assert row["another_minimum_mm"] == pytest.approx(0.5, rel=1e-3) and row["start"] == "PD's answer"
     assert row["compared"][0]["relative"] < 1e-6

@@ -8,7 +8,7 @@ import pytest
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.harness.processes import held_megabytes, peak_megabytes
-from softdeca.benchmarks.studies.measures import Trace, farthest, timed, traced, traced_to_itself
+from softdeca.benchmarks.studies.measures import Trace, largest_distance, time_solve, trace_solve, trace_to_itself
 from softdeca.benchmarks.studies.scaling import floor
 from softdeca.benchmarks.studies.scaling.throughput import (
     COLD,
@@ -27,8 +27,8 @@ from softdeca.benchmarks.studies.work_precision.study import (
     NEWTON,
     OURS,
     WorkPrecision,
-    lead,
-    medians,
+    find_medians,
+    measure_lead,
 )
 from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters, facial_scene, prepare, terms
@@ -43,9 +43,9 @@ def targets(sphere_head):
 
 def test_a_trace_counts_from_where_the_error_stays_below():
     trace = Trace([0.0, 1.0, 2.0, 3.0], [5.0, 0.009, 0.02, 0.008], [1.0, 0.1, 0.2, 0.01])
-    assert trace.settled(0.01) == 3 and trace.seconds_to(0.01) == 3.0
-    assert trace.settled(0.5) == 1 and trace.seconds_to(5.0) == 0.0
-    assert trace.settled(1e-3) is None and trace.seconds_to(1e-3) is None and trace.tolerance_for(1e-3) is None
+    assert trace.iterations_to(0.01) == 3 and trace.seconds_to(0.01) == 3.0
+    assert trace.iterations_to(0.5) == 1 and trace.seconds_to(5.0) == 0.0
+    assert trace.iterations_to(1e-3) is None and trace.seconds_to(1e-3) is None and trace.tolerance_for(1e-3) is None
     # A solve with this tolerance goes on past iteration 1, whose gradient is 0.1.
     assert trace.tolerance_for(0.03) == 0.1 and trace.tolerance_for(0.01) == 0.01
     assert Trace([0.0, 1.0], [1.0, float("nan")], [1.0, 1.0]).settled(2.0) is None
@@ -53,16 +53,16 @@ def test_a_trace_counts_from_where_the_error_stays_below():
 
 def test_a_solve_seen_from_its_end_is_seen_from_the_truth(sphere_head, targets):
     prepared = prepare(facial_scene(sphere_head, Parameters(), targets))
-    solution, own = traced_to_itself(prepared)
-    again, trace = traced(prepared, solution.positions)
+    solution, own = trace_to_itself(prepared)
+    again, trace = trace_solve(prepared, solution.positions)
     assert again.converged and trace.error[-1] == 0.0
     assert np.allclose(own.error, trace.error, atol=2e-5) and own.gradient == pytest.approx(trace.gradient)
-    stopped, short = traced(prepared, solution.positions, enough=0.1)
+    stopped, short = trace_solve(prepared, solution.positions, enough=0.1)
     assert not stopped.converged and short.error[-1] <= 0.1 < short.error[-2]
     # The tolerance that a trace names leads a solve of its own to that accuracy.
-    answer, cost = timed(lambda: facial_scene(sphere_head, Parameters(), targets), trace.tolerance_for(0.01))
-    assert farthest(answer.positions, solution.positions) <= 0.01
-    assert cost["iterations"] >= trace.settled(0.01)
+    answer, cost = time_solve(lambda: facial_scene(sphere_head, Parameters(), targets), trace.tolerance_for(0.01))
+    assert largest_distance(answer.positions, solution.positions) <= 0.01
+    assert cost["iterations"] >= trace.iterations_to(0.01)
     assert min(cost[f"{part}_s"] for part in ("scene", "prepare", "solve", "cpu")) > 0
 
 
@@ -75,14 +75,14 @@ def curve(label: str, energy: str, prepare_s: float, seconds: float | None) -> R
 
 def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
     assert ACCURACIES[0] == 1.0 and ACCURACIES[-1] == 1e-6 and 0.1 in ACCURACIES
-    rows = medians([curve(OURS, FACE, 1.0, 1.0), curve(NEWTON, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)])
+    rows = find_medians([curve(OURS, FACE, 1.0, 1.0), curve(NEWTON, FACE, 0.0, 1.5), curve("slow", FACE, 0.0, None)])
     # Prepared: 1 to 1.5 at each; with preparation (1 + k + 1) / 1.5 (k + 1), worst at 0.1 mm, where k = 2.
     assert ACCURACIES[2] == 0.1
-    assert lead(rows, FACE, NEWTON, prepared=True) == (pytest.approx(1 / 1.5), [])
-    assert lead(rows, FACE, NEWTON) == (pytest.approx(4 / 4.5), [])
-    assert lead(rows, FACE, "slow") == (0.0, []) and lead(rows, ARAP, NEWTON) == (None, [])
+    assert measure_lead(rows, FACE, NEWTON, prepared=True) == (pytest.approx(1 / 1.5), [])
+    assert measure_lead(rows, FACE, NEWTON) == (pytest.approx(4 / 4.5), [])
+    assert measure_lead(rows, FACE, "slow") == (0.0, []) and measure_lead(rows, ARAP, NEWTON) == (None, [])
     behind = [curve(OURS, FACE, 0.0, None), curve(NEWTON, FACE, 0.0, 1.0)]
-    worst, where = lead(medians(behind), FACE, NEWTON)
+    worst, where = measure_lead(find_medians(behind), FACE, NEWTON)
     assert worst == np.inf and where == list(ACCURACIES[2:])
     with_preparation, prepared, agreement = WorkPrecision().gates(behind)
     assert (with_preparation["value"], with_preparation["passed"], prepared["answer"]) == (None, False, False)
@@ -93,9 +93,9 @@ def test_a_lead_is_the_worst_ratio_below_a_tenth_of_a_millimetre():
 
 def test_medians_are_missing_where_an_expression_did_not_come_so_far():
     two = [curve(OURS, FACE, 1.0, 1.0), curve(OURS, FACE, 3.0, None)]
-    assert medians(two)[FACE, OURS][0] == [None] * len(ACCURACIES)
+    assert find_medians(two)[FACE, OURS][0] == [None] * len(ACCURACIES)
     three = [curve(OURS, FACE, 1.0, 1.0), curve(OURS, FACE, 3.0, 3.0), curve(OURS, FACE, 2.0, 2.0)]
-    seconds, _, ready = medians(three)[FACE, OURS]
+    seconds, _, ready = find_medians(three)[FACE, OURS]
     assert seconds[0] == 2.0 and ready == 2.0
 
 
@@ -108,9 +108,9 @@ def test_libigl_and_we_minimise_the_same_energy(sphere_head, targets):
     scene = handles.scene(face)
     assert [type(term) for term in scene.terms] == [terms.Strain, terms.Fixed]
     truth = prepare(scene).solve(tolerance=1e-10).positions
-    answer, _, trace, own = arap.solved_by_igl(scene, handles, truth)
-    moved = farthest(truth, scene.vertices)
-    assert moved > 1.0 and farthest(answer, truth) < 2e-3 * moved
+    answer, _, trace, own = arap.solve_by_igl(scene, handles, truth)
+    moved = largest_distance(truth, scene.vertices)
+    assert moved > 1.0 and largest_distance(answer, truth) < 2e-3 * moved
     assert own[-1] == 0.0 and len(own) == len(trace.error) and trace.error[-1] < 0.01 * trace.error[0]
 
 

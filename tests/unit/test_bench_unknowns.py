@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softdeca.benchmarks.harness import Row, Task
-from softdeca.benchmarks.studies.measures import slope
+from softdeca.benchmarks.studies.measures import fit_slope
 from softdeca.benchmarks.studies.scaling.unknowns import (
     CPU_SECONDS,
     FLOORS,
@@ -49,7 +49,11 @@ def test_exponents_are_those_that_the_figures_were_made_with():
     ((law, element, count, found),) = exponents(rows_of(1.3))
     assert (law, element, count) == ("PD", "P1", 3) and found["cpu_s"] == pytest.approx(1.3)
     assert found["peak_mb"] == pytest.approx(1.0) and found["linear_iterations"] == pytest.approx(0.0, abs=1e-12)
-    assert exponents(rows_of(1.0)[:1]) == [] and slope([1.0], [2.0]) is None and slope([1.0, 2.0], [3.0, None]) is None
+    assert (
+        exponents(rows_of(1.0)[:1]) == []
+        and fit_slope([1.0], [2.0]) is None
+        and fit_slope([1.0, 2.0], [3.0, None]) is None
+    )
 
 
 def test_a_solve_that_did_not_converge_is_a_wrong_answer_and_a_slow_one_is_not():

@@ -9,8 +9,19 @@ from scipy.spatial.distance import cdist
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.agreement import fan as fan_module
-from softdeca.benchmarks.studies.agreement.effect_cases import EFFECTS, Effect, named_effects, run_effect, with_effect
-from softdeca.benchmarks.studies.agreement.effect_laws import BLENDED, CARRIED, LAW, PD, compare_laws, rule_skins
+from softdeca.benchmarks.studies.agreement.effect import (
+    BLENDED,
+    CARRIED,
+    EFFECTS,
+    LAW,
+    PD,
+    Effect,
+    apply_rules,
+    compare_laws,
+    parse_effects,
+    run_effect,
+    simulate_expression,
+)
 from softdeca.benchmarks.studies.agreement.effects import STARTS, Effects
 from softdeca.benchmarks.studies.agreement.fan import SUSPECTS, fan
 from softdeca.lhm.base.errors import InputError
@@ -83,10 +94,10 @@ def test_every_effect_builds_its_scene(head, effect):
 
 
 def test_effects_by_name():
-    assert named_effects("") == EFFECTS
-    assert [effect.name for effect in named_effects("jaw, zombie,jaw")] == ["jaw", "zombie"]
+    assert parse_effects("") == EFFECTS
+    assert [effect.name for effect in parse_effects("jaw, zombie,jaw")] == ["jaw", "zombie"]
     with pytest.raises(InputError, match="'slimming'; there are bells-palsy, weight-20"):
-        named_effects("slimming")
+        parse_effects("slimming")
 
 
 def test_wraps_are_carried_by_a_scaled_mandible(head):
@@ -174,10 +185,10 @@ def test_an_expression_under_an_effect_starts_from_its_neutral_face(head, monkey
     monkeypatch.setattr("softdeca.reference.face.settle.flesh_share", lambda head: np.ones(len(head.bone)))
     toothless = replace(head, bone=np.where(head.bone == 1, 1, 0))
     effect = Effect("heavy", "", {}, lambda head: Parameters(gravity=3.0))
-    at_rest, ended = with_effect(toothless, effect, head.skin.vertices)
+    at_rest, solution = simulate_expression(toothless, effect, head.skin.vertices)
     first = solve(facial_scene(toothless, Parameters(gravity=3.0), head.skin.vertices, bones="rigid"), max_iterations=0)
     assert at_rest.converged and at_rest.solution.converged
-    assert ended.solution.history.gradient_norm[0] < 1e-5 * first.history.gradient_norm[0]
+    assert solution.history.gradient_norm[0] < 1e-5 * first.history.gradient_norm[0]
 
 
 def test_palsy_is_measured(head):
@@ -295,7 +306,7 @@ def test_an_effect_by_both_laws(head):
     effect = Effect("weight", "", {}, lambda head: Parameters(soft_volume=1.3))
     shape = head.skin.vertices + [0.0, 1.0, 0.0]
     result = run_effect(head, effect, shape)
-    others = rule_skins(head, shape, result.at_rest)
+    others = apply_rules(head, shape, result.at_rest)
     np.testing.assert_allclose(others[CARRIED], shape)
     np.testing.assert_allclose(others[BLENDED], shape + result.at_rest.displacement)
     found = compare_laws(head, effect, shape, result, "fenicsx", others)
@@ -313,7 +324,8 @@ def test_an_effect_by_both_laws(head):
 
 
 @pytest.mark.parametrize(
-    "options, says", [({"effects": ("x",)}, "'x'"), ({"reference": "projective"}, "expected"), ({"fan": -1}, "fan")]
+    "options, says",
+    [({"effects": ("x",)}, "'x'"), ({"reference": "projective"}, "unknown reference"), ({"fan": -1}, "fan")],
 )
 def test_options_are_checked(options, says):
     with pytest.raises(InputError, match=says):

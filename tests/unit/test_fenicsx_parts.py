@@ -16,7 +16,7 @@ import h5py
 from mpi4py import MPI
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.scaling.parts import Parts, compared
+from softdeca.benchmarks.studies.scaling.parts import Parts, compare_counts
 from softdeca.lhm.base.errors import InputError, SceneError
 from softdeca.reference import Scene, march, prepare, solve, terms, write_solution
 from softdeca.reference.fenicsx import dolfinx_version as seam
@@ -174,7 +174,7 @@ def test_unlike_terms_are_told_once(file, tmp_path):
 
 @needs_mpirun
 def test_the_study_of_parts_compares_answers_and_memory():
-    rows = compared((1, 2), 4000, each=False)
+    rows = compare_counts((1, 2), 4000, each=False)
     one, two = rows
     assert (one["processes"], two["processes"]) == (1, 2) and one["unknowns"] == two["unknowns"] == 3993
     assert one["off"] == 0.0 and two["off"] <= 1e-10

@@ -10,7 +10,7 @@ import pytest
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies import verification
 from softdeca.benchmarks.studies.agreement.material import Material
-from softdeca.benchmarks.studies.verification import felupe_beside_fenicsx
+from softdeca.benchmarks.studies.verification import compare_felupe
 from softdeca.lhm import InputError
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
 
@@ -73,7 +73,7 @@ def test_felupe_finds_what_fenicsx_finds(sphere_head):
     pytest.importorskip("dolfinx", reason="FEniCSx is not installed")
     skin = sphere_head.skin.vertices
     scene = facial_scene(sphere_head, Parameters(), skin * [1.02, 1.0, 1.0], bones="prescribed", without=("skin",))
-    outcome = felupe_beside_fenicsx(apply_law(scene, "neo-Hookean"))
+    outcome = compare_felupe(apply_law(scene, "neo-Hookean"))
     assert outcome.passed and outcome.error < 1e-8 and outcome.value > 1.0
     with pytest.raises(SceneError, match="Strain is not modelled"):
         verification.solve_by_felupe(scene)

@@ -246,6 +246,10 @@ def _steps(runs: Mapping[str, Trajectory]) -> list[dict]:
     rows = []
     for scheme in SCHEMES:
         series = [found[_label(scheme, count)] for count in PER_FRAME]
+        coarse, middle, fine = series
+        order = None
+        if coarse is not None and middle is not None and fine is not None:
+            order = float(np.log2(_rms(coarse - middle) / _rms(middle - fine)))
         for count, positions in zip(PER_FRAME, series, strict=True):
             off = None if positions is None or exact is None else positions - exact
             rows.append(
@@ -254,18 +258,10 @@ def _steps(runs: Mapping[str, Trajectory]) -> list[dict]:
                     "per_frame": count,
                     "rms_mm": None if off is None else _rms(off),
                     "peak_mm": None if off is None else float(np.linalg.norm(off, axis=2).max()),
-                    "order": _order(series) if count == PER_FRAME[-1] else None,
+                    "order": order if count == PER_FRAME[-1] else None,
                 }
             )
     return rows
-
-
-def _order(series: Sequence[Floats | None]) -> float | None:
-    """The observed order of three answers, each by half the step of the one before; None where one is missing."""
-    coarse, middle, fine = series
-    if coarse is None or middle is None or fine is None:
-        return None
-    return float(np.log2(_rms(coarse - middle) / _rms(middle - fine)))
 
 
 def _rms(difference: Floats) -> float:

@@ -12,23 +12,28 @@ from ....lhm.base.option import option
 from ....lhm.expressions import weights_of
 from ....reference import SOLVERS, Parameters
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..person import OfPerson
-from .effect_cases import BROAD_SMILE, EFFECTS, TOLERANCE, EffectResult, named_effects, run_effect
-from .effect_laws import (
+from ..person import OfPerson, check_known
+from .effect import (
     BLENDED,
+    BROAD_SMILE,
     CARRIED,
+    EFFECTS,
     LAW,
     PD,
     SAME,
     SURROGATE,
+    TOLERANCE,
+    EffectResult,
+    apply_rules,
     compare_laws,
-    distances_by_method,
-    rule_skins,
-    surrogate_skin,
+    draw_effect,
+    measure_skins,
+    parse_effects,
+    predict_skin,
+    run_effect,
 )
-from .effect_pictures import effect_pictures
 from .fan import ONE_MINIMUM, fan
-from .insides import loads_on_mandible, vertices_and_stress
+from .insides import tabulate_insides
 
 ACCURACY = 0.01
 """How near [mm] answers must be to a tight run's, and to another solver's.
@@ -84,27 +89,28 @@ class Effects(OfPerson):
         """Each effect, and the fan; InputError for an unknown effect or solver, and fewer starts than none."""
         self.check()
         known = [*(solver for solver in SOLVERS if solver != "projective"), NO_REFERENCE]
-        if self.reference not in known:
-            raise InputError(f"reference {self.reference!r}: expected one of {', '.join(known)}")
+        check_known("reference", [self.reference], known)
         if self.fan < 0:
             raise InputError(f"fan: must be at least 0, got {self.fan}")
-        methods = (PD,) if self.reference == NO_REFERENCE else (PD, self._laws)
-        tasks = [Task(effect.name, method) for effect in named_effects(",".join(self.effects)) for method in methods]
+        methods = (PD,) if self.reference == NO_REFERENCE else (PD, f"both laws by {self.reference}")
+        tasks = [Task(effect.name, method) for effect in parse_effects(",".join(self.effects)) for method in methods]
         return tasks + ([Task(STARTS, f"PD, {self.fan} of them")] if self.fan else [])
-
-    @property
-    def _laws(self) -> str:
-        return f"both laws by {self.reference}"
 
     def measure(self, task: Task) -> Values:
         """An effect's solves by PD and its pictures; its laws by finite elements; or the random starts."""
+        of = self.person()
         if task.case == STARTS:
-            of = self.person()
             return fan(of.head, Parameters(), of.blend(weights_of(BROAD_SMILE)[None])[0], self.fan)
-        return self._by_pd(task.case) if task.method == PD else self._by_laws(task.case)
-
-    def _by_pd(self, name: str) -> Values:
-        result, shape, others = _solved(self, name)
+        result, shape, others = _solve(self, task.case)
+        if task.method != PD:
+            (effect,) = parse_effects(task.case)
+            comparison = compare_laws(of.head, effect, shape, result, self.reference, others)
+            law, inside = comparison["to_pd"][LAW], comparison["inside"]["vertices"]["max"]
+            return comparison | {
+                "law_mean_mm": law["skin_mean"],
+                "law_max_mm": law["skin_max"],
+                "law_inside_mm": inside,
+            }
         record, run = result.record, result.record["runs"]["with"]
         return {
             **record,
@@ -112,17 +118,9 @@ class Effects(OfPerson):
             "max_mm": record["change_mm"]["max"],
             "iterations": run["iterations"],
             "solve_s": run["seconds"],
-            "to_pd": distances_by_method(others, result.with_it, others[CARRIED]),
-            **effect_pictures(self.person().head, result, shape, others.get(SURROGATE)),
+            "to_pd": measure_skins(others, result.with_it, others[CARRIED]),
+            **draw_effect(of.head, result, shape, others.get(SURROGATE)),
         }
-
-    def _by_laws(self, name: str) -> Values:
-        (effect,) = named_effects(name)
-        result, shape, others = _solved(self, name)
-        compared = compare_laws(self.person().head, effect, shape, result, self.reference, others)
-        law = compared["to_pd"][LAW]
-        shown = {"law_mean_mm": law["skin_mean"], "law_max_mm": law["skin_max"]}
-        return compared | shown | {"law_inside_mm": compared["inside"]["vertices"]["max"]}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge to one minimum, whose energy falls, and which another solver finds."""
@@ -148,86 +146,75 @@ class Effects(OfPerson):
         return gates + [at_most(spread, values["spread_mm"], ONE_MINIMUM) for values in fans]
 
     def words(self, rows: Sequence[Row]) -> str:
-        """What changes most, and how sure that is."""
+        """Tell what changes most and how sure that is, how far the law is from PD, and the others from the law."""
         records, laws, fans = _apart(rows)
-        said = ""
+        said = []
         if records:
             most = max(records, key=lambda record: record["max_mm"])
             off = max(record["to_other_start_mm"] for record in records)
-            said = (
+            said.append(
                 f"Of {len(records)} effects {most['name']} changes the expression most, by {most['max_mm']:.1f} mm; "
-                f"from other starts all end within {off:.1e} mm. "
+                f"from other starts all end within {off:.1e} mm."
             )
-        said += _words_of_laws(laws) if laws else ""
-        return said + "".join(
+        if laws:
+            vertices = [law["inside"]["vertices"] for law in laws]
+            said.append(
+                "With the neutral face settled by each law itself, the neo-Hookean law moves the skin by "
+                f"{_range(law['law_mean_mm'] for law in laws)} mm on average and "
+                f"{_range(law['law_max_mm'] for law in laws)} mm at most, all vertices by "
+                f"{_range(each['mean'] for each in vertices)} mm on average and "
+                f"{_range(each['max'] for each in vertices)} mm at most."
+            )
+        for method in (SURROGATE, CARRIED, BLENDED):
+            means = [law["to_law"][method]["skin_mean"] for law in laws if method in law["to_law"]]
+            said += [f"From that law's skin, {method}: {_range(means)} mm on average."] if means else []
+        said += [
             f"{len(values['starts'])} random starts of a broad smile end within {values['spread_mm']:.1e} mm."
             for values in fans
-        )
+        ]
+        return " ".join(said)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Each method beside PD and beside the law, what lies inside, every scene, and every start."""
         records, laws, fans = _apart(rows)
-        keys = (
-            "iterations seconds gradient_ratio monotone largest_rise inverted_tets smallest_volume_ratio "
-            "soft_volume_percent"
-        ).split()
-        titles = [
-            "effect", "scene", "iterations", "prepare and solve [s]", "gradient over its start's", "energy falls",
-            "largest rise", "inverted tets", "smallest volume ratio", "soft tissue's volume [%]",
-        ]  # fmt: skip
+        columns = {
+            "effect": "effect", "scene": "scene", "iterations": "iterations", "seconds": "prepare and solve [s]",
+            "gradient_ratio": "gradient over its start's", "monotone": "energy falls", "largest_rise": "largest rise",
+            "inverted_tets": "inverted tets", "smallest_volume_ratio": "smallest volume ratio",
+            "soft_volume_percent": "soft tissue's volume [%]",
+        }  # fmt: skip
         scenes = [
-            (record["name"], name, *(run[key] for key in keys))
+            {"effect": record["name"], "scene": name, **run}
             for record in records
             for name, run in record["runs"].items()
         ]
-        found = [_table_of_methods(rows)] if records or laws else []
-        found += _tables_inside(rows) if laws else []
-        found += [Table("Scenes", titles, scenes, "A rise by a share of 1e-12 is rounding.")] if scenes else []
-        keys = "seed moved jitter_mm iterations converged energy inverted_tets to_lowest_mm".split()
-        titles = [
-            "start",
-            "moved",
-            "by [mm]",
-            "iterations",
-            "converged",
-            "energy [mN mm]",
-            "inverted",
-            "to lowest [mm]",
-        ]
+        found = [_tabulate_methods(rows)] if records or laws else []
+        found += tabulate_insides(rows, PD, LAW)
+        if scenes:
+            found.append(Table.of("Scenes", columns, scenes, "A rise by a share of 1e-12 is rounding."))
+        columns = {
+            "seed": "start", "moved": "moved", "jitter_mm": "by [mm]", "iterations": "iterations",
+            "converged": "converged", "energy": "energy [mN mm]", "inverted_tets": "inverted",
+            "to_lowest_mm": "to lowest [mm]",
+        }  # fmt: skip
         for values in fans:
-            starts = [tuple(row[key] for key in keys) for row in values["starts"]]
-            found.append(Table("Random starts", titles, starts))
+            found.append(Table.of("Random starts", columns, values["starts"]))
             if values["suspects"]:
-                traced = sorted(values["suspects"].items(), key=lambda pair: pair[1])
+                suspects = sorted(values["suspects"].items(), key=lambda pair: pair[1])
                 caption = "The two starts that end farthest apart, solved again with one term changed"
-                found.append(Table(caption, ["changed", "apart [mm]"], traced))
+                found.append(Table(caption, ["changed", "apart [mm]"], suspects))
         return found
 
 
 @lru_cache(maxsize=1)
-def _solved(study: Effects, name: str) -> tuple[EffectResult, Floats, dict[str, Floats]]:
+def _solve(study: Effects, name: str) -> tuple[EffectResult, Floats, dict[str, Floats]]:
     """PD's answer to an effect, its expression's blendshapes [mm], and the skins [mm] of methods without a solver."""
-    of, (effect,) = study.person(), named_effects(name)
-    shape = of.blend(weights_of(dict(effect.expression))[None])[0]
+    of, (effect,) = study.person(), parse_effects(name)
+    shape = of.blend(effect.weights()[None])[0]
     result = run_effect(of.head, effect, shape)
-    skins = rule_skins(of.head, shape, result.at_rest)
-    network = surrogate_skin(of.space, of.code, of.head, effect)
+    skins = apply_rules(of.head, shape, result.at_rest)
+    network = predict_skin(of.space, of.code, of.head, effect)
     return result, shape, skins if network is None else {SURROGATE: network, **skins}
-
-
-def _words_of_laws(laws: Sequence[Values]) -> str:
-    """How far the law is from PD, and the methods without a solver from the law."""
-    vertices = [law["inside"]["vertices"] for law in laws]
-    said = (
-        "With the neutral face settled by each law itself, the neo-Hookean law moves the skin by "
-        f"{_range(law['law_mean_mm'] for law in laws)} mm on average and {_range(law['law_max_mm'] for law in laws)} "
-        f"mm at most, all vertices by {_range(each['mean'] for each in vertices)} mm on average and "
-        f"{_range(each['max'] for each in vertices)} mm at most. "
-    )
-    for method in (SURROGATE, CARRIED, BLENDED):
-        means = [law["to_law"][method]["skin_mean"] for law in laws if method in law["to_law"]]
-        said += f"From that law's skin, {method}: {_range(means)} mm on average. " if means else ""
-    return said
 
 
 def _range(values: Iterable[float]) -> str:
@@ -235,7 +222,7 @@ def _range(values: Iterable[float]) -> str:
     return f"{min(numbers):.3f}" if len(numbers) == 1 else f"{min(numbers):.3f} to {max(numbers):.3f}"
 
 
-def _table_of_methods(rows: Sequence[Row]) -> Table:
+def _tabulate_methods(rows: Sequence[Row]) -> Table:
     """An effect's methods, each beside PD's skin and beside the neo-Hookean law's."""
     titles = ["effect", "method"]
     for truth in ("PD", "neo-Hookean"):
@@ -255,12 +242,6 @@ def _table_of_methods(rows: Sequence[Row]) -> Table:
                 cells.append((case, method, *figures))
     note = "Mean and max over the skin; shares by the ruler of surrogates, over vertices that more than bones move."
     return Table("Each method beside PD, and beside the neo-Hookean law", titles, cells, note)
-
-
-def _tables_inside(rows: Sequence[Row]) -> list[Table]:
-    """What the law changes inside: all vertices and stress by layer; the mandible's place and load."""
-    inside = {row.case: row.values["inside"] for row in rows if "inside" in row.values}
-    return [vertices_and_stress(inside, PD, LAW), loads_on_mandible(inside, PD, LAW)]
 
 
 def _apart(rows: Sequence[Row]) -> tuple[list[Values], list[Values], list[Values]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 
@@ -13,9 +12,9 @@ from ....lhm.base.mesh import Floats
 from ....reference import Parameters, Scene, SettledFace, Solution, prepare, settle, solve
 from ....reference.face.facial import apply_law
 from ....surrogate import Surrogate
-from ..measures import ACCURACY, TIGHT, Trace, difference, distances, traced, traced_to_itself
+from ..measures import ACCURACY, TIGHT, Trace, difference, distances, trace_solve, trace_to_itself
 from ..person import Person
-from .insides import compare_insides, load_on_mandible
+from .insides import compare_insides
 
 WARM = 1e-9
 """Gradient norm over its start of those that start at PD's answer, where it is smaller already."""
@@ -39,23 +38,26 @@ class SceneFace:
     Here no target holds the skin, so nothing has to settle first; `Face` is of expressions, whose targets do.
     """
 
+    neutral: SettledFace | None = None
+    """The neutral face as PD settles it."""
+
     def __init__(self, of: Person, scene: Scene):
         self.of, self.scene = of, scene
+
+    @property
+    def neutral_by_law(self) -> SettledFace | None:
+        """The neutral face as the law settles it."""
+        return None
 
     @property
     def law_scene(self) -> Scene:
         """The scene under the law."""
         return apply_law(self.scene, LAW)
 
-    @property
-    def law_rest(self) -> Floats | None:
-        """Where the law's solve starts [mm] if PD's answer has inverted tets; None is at rest."""
-        return None
-
     @cached_property
     def pd(self) -> tuple[Solution, Trace]:
         """PD's tight answer, and the way to it."""
-        return traced_to_itself(prepare(self.scene))
+        return trace_to_itself(prepare(self.scene))
 
     @cached_property
     def fenicsx(self) -> tuple[Solution, float | None]:
@@ -69,73 +71,77 @@ class SceneFace:
 
     @cached_property
     def neo(self) -> tuple[Solution, Scene, Floats | None]:
-        """The law's answer by FEniCSx, its scene, and its start: PD's answer, or `law_rest` where that is inverted."""
-        pd, scene = self.pd[0], self.law_scene
-        # Its energy is infinite where a tet is inverted: then PD's answer is no start for it.
-        start = pd.positions if pd.volume_ratio.min() > 0 else self.law_rest
+        """The law's answer by FEniCSx, its scene, and its start.
+
+        That is PD's answer; where it has inverted tets, at which the law is infinite, the settled face, else rest.
+        """
+        pd, scene, start = self.pd[0], self.law_scene, None
+        if pd.volume_ratio.min() > 0:
+            start = pd.positions
+        elif self.neutral_by_law is not None:
+            start = self.neutral_by_law.positions
         return solve(scene, solver="fenicsx", tolerance=WARM, start=start), scene, start
 
     def skin(self, solution: Solution) -> Floats:
-        """The skin [mm] of an answer to PD's scene."""
+        """Give the skin [mm] of an answer to PD's scene."""
         return self.of.head.skin_after(self.of.head.skin.vertices, solution.positions[: len(self.of.head.bone)])
 
     def law_skin(self, solution: Solution) -> Floats:
-        """The skin [mm] of an answer to the law's scene."""
+        """Give the skin [mm] of an answer to the law's scene."""
         return self.skin(solution)
 
-    def solved(self, method: str) -> dict:
-        """What a solver did, and how far its answer is from the others'."""
+    def solve_by(self, method: str) -> dict:
+        """Solve by a method: what it did, and how far its answer is from the others'."""
+        by_pd, trace = self.pd
         if method == PD:
-            solution, trace = self.pd
-            row = _row(solution, "rest", self._between(solution, TO_FENICSX, self.fenicsx[0]))
-            return row | {
-                "to_001_mm": trace.settled(ACCURACY),
-                "least_ratio": float(solution.volume_ratio.min()),
-                **self._left(solution),
-            }
+            least = float(by_pd.volume_ratio.min())
+            row = self._row(by_pd, "rest", TO_FENICSX, self.fenicsx[0])
+            return row | {"to_001_mm": trace.iterations_to(ACCURACY), "least_ratio": least}
         if method == PLAIN:
-            plain, truth = prepare(self.scene, method="plain"), self.pd[0].positions
-            solution, trace = traced(plain, truth, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
-            reached = trace.settled(ACCURACY)
-            row = _row(solution, "rest", self._between(solution, TO_PD, self.pd[0]))
+            plain = prepare(self.scene, method="plain")
+            solution, trace = trace_solve(plain, by_pd.positions, enough=PLAIN_STOP, max_iterations=PLAIN_LIMIT)
+            reached = trace.iterations_to(ACCURACY)
+            row = self._row(solution, "rest", TO_PD, by_pd)
             return row | {"to_001_mm": reached, "done": reached is not None}
         if method == FENICSX:
             solution, another = self.fenicsx
             begun = "rest" if another is None else "PD's answer"
-            return _row(solution, begun, self._between(solution, TO_PD, self.pd[0])) | {"another_minimum_mm": another}
+            return self._row(solution, begun, TO_PD, by_pd) | {"another_minimum_mm": another}
         if method == SKFEM:
             rough = solve(self.scene, tolerance=ROUGH).positions
             solution = solve(self.scene, solver="skfem", tolerance=TIGHT / ROUGH, start=rough)
-            return _row(solution, "PD, stopped early", self._between(solution, TO_FENICSX, self.fenicsx[0]))
-        return self._solved_by_law(method)
-
-    def _solved_by_law(self, method: str) -> dict:
-        (solution, scene, start), by_pd = self.neo, self.pd[0]
+            return self._row(solution, "PD, stopped early", TO_FENICSX, self.fenicsx[0])
+        solution, scene, start = self.neo
         begun = "PD's answer" if start is by_pd.positions else "rest" if start is None else "its own settled face"
         if method == NEO_SKFEM:
             checked = solve(scene, solver="skfem", tolerance=WARM, start=start)
-            return _row(checked, begun, self._between(checked, TO_NEO, solution))
+            return self._row(checked, begun, TO_NEO, solution)
+        row = self._row(solution, begun, TO_PD, by_pd)
         skins = difference(self.law_skin(solution), self.skin(by_pd), self.of.head.skin.vertices)
-        between = self._between(solution, TO_PD, by_pd)
-        row = _row(solution, begun, [*between, {"compared": TO_PD + SKIN, **asdict(skins)}])
-        inside = compare_insides(self.of.head, (PD, self.scene, by_pd), (LAW, scene, solution))
-        return row | {"inside": inside | self._settled_loads(), "done": row["done"] and self._law_settled}
+        row["compared"].append({"compared": TO_PD + SKIN, **asdict(skins)})
+        settled = None
+        if self.neutral is not None and self.neutral_by_law is not None:
+            settled = self.neutral, self.neutral_by_law
+            row["done"] = row["done"] and self.neutral_by_law.converged
+        both = (PD, self.scene, by_pd), (LAW, scene, solution)
+        return row | {"inside": compare_insides(self.of.head, *both, settled=settled)}
 
-    @property
-    def _law_settled(self) -> bool:
-        """Whether the face came to rest under the law; there is none to settle here."""
-        return True
-
-    def _settled_loads(self) -> dict:
-        """The load on the mandible by law where the neutral face has settled; here none has."""
-        return {}
-
-    def _left(self, solution: Solution) -> dict:
-        """How far PD leaves lips from their targets; here there are none."""
-        return {}
+    def _row(self, solution: Solution, start: str, what: str, other: Solution) -> dict:
+        """What a solver did, and how far it is from another's answer over all vertices."""
+        norms = solution.history.gradient_norm
+        apart = difference(solution.positions, other.positions, self.scene.vertices)
+        return {
+            "compared": [{"compared": what + ALL, **asdict(apart)}],
+            "start": start,
+            "iterations": solution.iterations,
+            "linear_iterations": solution.detail.get("linear_iterations"),
+            "gradient": float(norms[-1] / norms[0]) if norms[0] > 0 else 0.0,
+            "reason": solution.reason.name,
+            "done": solution.converged,
+        }
 
     def picture(self) -> bytes:
-        """At rest, simulated, under the law, and the distance of the two: PNG."""
+        """Draw at rest, simulated, under the law, and the distance of the two: PNG."""
         skin = self.of.head.skin
         simulated, law = self.skin(self.pd[0]), self.law_skin(self.neo[0])
         apart = distances(law, simulated)
@@ -148,13 +154,11 @@ class SceneFace:
         ]
         return draw_strip(panels, rest=skin)
 
-    def _between(self, solution: Solution, what: str, other: Solution) -> list[dict]:
-        apart = difference(solution.positions, other.positions, self.scene.vertices)
-        return [{"compared": what + ALL, **asdict(apart)}]
-
 
 class Face(SceneFace):
     """An expression of a face under p, whose neutral face each law settles for its own answer."""
+
+    neutral: SettledFace
 
     def __init__(self, of: Person, weights: Floats, parameters: Parameters, network: Surrogate | None):
         self.weights, self.parameters, self._network = weights, parameters, network
@@ -173,11 +177,6 @@ class Face(SceneFace):
         """The expression's scene under the law, on the face that the law has settled."""
         return self.neutral_by_law.scene(self.shape)
 
-    @property
-    def law_rest(self) -> Floats:
-        """The tets of the face that the law has settled [mm]."""
-        return self.neutral_by_law.positions
-
     @cached_property
     def learned(self) -> Floats:
         """The surrogate's skin [mm]."""
@@ -187,16 +186,25 @@ class Face(SceneFace):
         bound = self._network.bind(of.head.skin, of.code, self.parameters, expressions=shapes)
         return np.asarray(bound.frame(self.weights), dtype=np.float64)
 
+    def solve_by(self, method: str) -> dict:
+        """Solve as a scene without targets; PD's row has how far [mm] lips are from theirs: median, 95 %, largest."""
+        row = super().solve_by(method)
+        if method == PD:
+            head, wrap = self.of.head, self.pd[0].positions[: len(self.of.head.bone)]
+            left = distances(wrap, head.wrap_targets(self.targets))[head.regions["lips"]]
+            row["lips_mm"] = [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())]
+        return row
+
     def skin(self, solution: Solution) -> Floats:
-        """The skin [mm] of an answer to PD's scene."""
+        """Give the skin [mm] of an answer to PD's scene."""
         return self.neutral.skin_after(self.shape, solution.positions)
 
     def law_skin(self, solution: Solution) -> Floats:
-        """The skin [mm] of an answer to the law's scene."""
+        """Give the skin [mm] of an answer to the law's scene."""
         return self.neutral_by_law.skin_after(self.shape, solution.positions)
 
-    def skins_compared(self, method: str) -> dict:
-        """How far the surrogate's skin, or that of blendshapes, is from the solvers'."""
+    def compare_skins(self, method: str) -> dict:
+        """Measure how far the surrogate's skin, or that of blendshapes, is from the solvers'."""
         skin, rest = self.learned if method == SURROGATE else self.shape, self.of.head.skin.vertices
         others = {
             TO_PD: self.skin(self.pd[0]),
@@ -210,7 +218,7 @@ class Face(SceneFace):
         }
 
     def picture(self) -> bytes:
-        """Target, simulated, and the distances of blendshapes, neo-Hookean law and surrogate: PNG."""
+        """Draw target, simulated, and the distances of blendshapes, neo-Hookean law and surrogate: PNG."""
         pd, head = self.skin(self.pd[0]), self.of.head
         simulated = head.skin.with_vertices(pd)
         others = {"blendshapes - PD": self.shape, "neo-Hookean - PD": self.law_skin(self.neo[0])}
@@ -220,31 +228,3 @@ class Face(SceneFace):
         panels = [Panel("target", head.skin.with_vertices(self.shape)), Panel("simulated (PD)", simulated)]
         panels += [Panel(text, simulated, error, top) for text, error in errors.items()]
         return draw_strip([replace(panel, weights=self.weights) for panel in panels], rest=head.skin)
-
-    @property
-    def _law_settled(self) -> bool:
-        return self.neutral_by_law.converged
-
-    def _settled_loads(self) -> dict:
-        faces = (PD, self.neutral), (LAW, self.neutral_by_law)
-        loads = {law: load_on_mandible(self.of.head, face.solution) for law, face in faces if face.solution is not None}
-        return {"prescribed": loads}
-
-    def _left(self, solution: Solution) -> dict:
-        lips = self.of.head.regions["lips"]
-        wrap = solution.positions[: len(self.of.head.bone)]
-        left = distances(wrap, self.of.head.wrap_targets(self.targets))[lips]
-        return {"lips_mm": [float(np.median(left)), float(np.percentile(left, 95)), float(left.max())]}
-
-
-def _row(solution: Solution, start: str, compared: Sequence[dict]) -> dict:
-    norms = solution.history.gradient_norm
-    return {
-        "compared": compared,
-        "start": start,
-        "iterations": solution.iterations,
-        "linear_iterations": solution.detail.get("linear_iterations"),
-        "gradient": float(norms[-1] / norms[0]) if norms[0] > 0 else 0.0,
-        "reason": solution.reason.name,
-        "done": solution.converged,
-    }

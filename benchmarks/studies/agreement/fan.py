@@ -11,7 +11,7 @@ from ....lhm.base.mesh import Floats
 from ....lhm.head import LayeredHead
 from ....reference import Parameters, Prepared, facial_scene, prepare, terms
 from ..measures import distances
-from .effect_cases import TIGHT
+from .effect import TIGHT
 
 JITTERS = (1.0, 2.0, 10.0)
 """How far [mm] the starts' vertices are moved, root mean square of each component, one after the other."""

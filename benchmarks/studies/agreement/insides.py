@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -10,12 +10,13 @@ import numpy as np
 from ....lhm.base.geometry.warp import rigid_motion
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.head import MANDIBLE, LayeredHead
-from ....reference import Scene, Solution, prepare, terms
+from ....reference import Scene, SettledFace, Solution, prepare, terms
 from ....reference.face.free_scenes import jaw_hinge
-from ...harness.study import Table
+from ...harness.study import Row, Table
 from ..measures import difference
 
 LAYERS = ("soft", "muscle")
+LOADS = {"force": "mN", "torque": "mN mm"}
 TOLERANCE = 1e-8
 """Gradient norm relative to its start of the answer with a mandible that is held."""
 
@@ -26,56 +27,58 @@ def compare_insides(
     other: tuple[str, Scene, Solution],
     *,
     solver: str = "fenicsx",
+    settled: tuple[SettledFace, SettledFace] | None = None,
 ) -> dict:
     """Compare two laws' answers, each a name, a scene and its solution, over all vertices, in stress and at the jaw.
 
     Nothing holds a free mandible, so "mandible" has the distance of the two and "held_at_pd" the load that holds the
-    other's where the first one's is, solved by `solver`; there the first one's load is zero. A mandible that both
-    scenes hold has its load by law in "prescribed".
+    other's where the first one's is, solved by `solver` (None where that does not converge); there the first one's load
+    is zero. A prescribed mandible has its load by law in "prescribed": that of both answers, or of the `settled` faces.
     """
     (_, scene, solution), (_, law_scene, law_solution) = one, other
     ids = mandible(head)
     free = any(np.array_equal(body.vertices, ids) for body in law_scene.of(terms.RigidBody))
-    loads = {} if free or not len(ids) else {n: load_on_mandible(head, s) for n, _, s in (one, other)}
+    apart = held = None
+    if free:
+        apart = mandible_apart(head, law_solution.positions, solution.positions)
+        prepared = prepare(with_mandible_at(head, law_scene, solution.positions), solver=solver)
+        answer = prepared.solve(start=solution.positions, tolerance=TOLERANCE)
+        held = load_on_mandible(head, answer) if answer.converged else None
+    prescribed: dict[str, Solution | None] = {} if free or not len(ids) else {n: s for n, _, s in (one, other)}
+    if settled is not None:
+        prescribed = {name: face.solution for (name, _, _), face in zip((one, other), settled, strict=True)}
     return {
         "vertices": asdict(difference(law_solution.positions, solution.positions, scene.vertices)),
         "stress": {n: stress_by_layer(head, sc, s) for n, sc, s in (one, other)},
-        "mandible": mandible_apart(head, law_solution.positions, solution.positions) if free else None,
-        "held_at_pd": _held(head, law_scene, law_solution, solution.positions, solver) if free else None,
-        "prescribed": loads,
+        "mandible": apart,
+        "held_at_pd": held,
+        "prescribed": {n: load_on_mandible(head, each) for n, each in prescribed.items() if each is not None},
     }
 
 
-def _held(head: LayeredHead, scene: Scene, solution: Solution, at: Floats, solver: str) -> dict[str, float] | None:
-    """Return the load that holds the mandible where `at` [mm] has it; None where that does not converge."""
-    prepared = prepare(with_mandible_at(head, scene, at), solver=solver)
-    held = prepared.solve(start=solution.positions, tolerance=TOLERANCE)
-    return load_on_mandible(head, held) if held.converged else None
-
-
 def stress_by_layer(head: LayeredHead, scene: Scene, solution: Solution) -> dict[str, dict[str, float]]:
-    """Return von Mises stress [kPa] of soft tissue and muscle: mean over the volume at rest, and 95 % of it.
+    """Give von Mises stress [kPa] of soft tissue and muscle: mean over the volume at rest, and 95 % of it.
 
     Stresses are of the tets' own terms: the skin's membrane is none of them.
     """
     soft = np.arange(len(scene.tets)) < len(head.soft.tets)
-    stress, volume = solution.von_mises, scene.volumes
-    return {
-        name: {
-            "mean": float(np.average(stress[layer], weights=volume[layer])),
-            "p95": _quantile(stress[layer], volume[layer], 0.95),
-        }
-        for name, layer in zip(LAYERS, (soft, ~soft), strict=True)
-    }
+    figures = {}
+    for name, layer in zip(LAYERS, (soft, ~soft), strict=True):
+        stress, volume = solution.von_mises[layer], scene.volumes[layer]
+        order = np.argsort(stress)
+        share = np.cumsum(volume[order])
+        most = stress[order][np.searchsorted(share, 0.95 * share[-1])]
+        figures[name] = {"mean": float(np.average(stress, weights=volume)), "p95": float(most)}
+    return figures
 
 
 def mandible(head: LayeredHead) -> Ints:
-    """Return the indices of the mandible's vertices in a scene of one layer of tets per tissue."""
+    """Give the indices of the mandible's vertices in a scene of one layer of tets per tissue."""
     return 2 * len(head.bone) + np.flatnonzero(head.bone == MANDIBLE)
 
 
 def load_on_mandible(head: LayeredHead, solution: Solution) -> dict[str, float]:
-    """Return force [mN] and torque [mN mm] about `jaw_hinge` that hold a prescribed mandible: sums of its reactions.
+    """Give force [mN] and torque [mN mm] about `jaw_hinge` that hold a prescribed mandible: sums of its reactions.
 
     They are zero for a free mandible, which is in balance.
     """
@@ -93,7 +96,7 @@ def with_mandible_at(head: LayeredHead, scene: Scene, positions: Floats) -> Scen
 
 
 def mandible_apart(head: LayeredHead, positions: Floats, others: Floats) -> dict[str, float]:
-    """Return how far two answers' mandibles are apart: mean distance [mm] of their vertices, and the turn [degrees]."""
+    """Give how far two answers' mandibles are apart: mean distance [mm] of their vertices, and the turn [degrees]."""
     ids = mandible(head)
     if len(ids) < 3:
         return {"mm": 0.0, "degrees": 0.0}
@@ -105,10 +108,14 @@ def mandible_apart(head: LayeredHead, positions: Floats, others: Floats) -> dict
     return {"mm": float(apart.mean()), "degrees": float(np.degrees(angle))}
 
 
-def vertices_and_stress(inside: Mapping[str, dict], one: str, other: str) -> Table:
-    """Tabulate by case "vertices", a `Difference` of all vertices as a dict, and "stress" by law and layer."""
+def tabulate_insides(rows: Iterable[Row], one: str, other: str) -> list[Table]:
+    """Tabulate "inside" of the rows that have it: vertices and stress; the mandible's place and load."""
+    inside = {row.case: row.values["inside"] for row in rows if "inside" in row.values}
+    if not inside:
+        return []
     kinds = [(layer, law, key) for layer in LAYERS for law in (one, other) for key in ("mean", "p95")]
-    titles = [f"{layer}, {law}, {'95 %' if key == 'p95' else key} [kPa]" for layer, law, key in kinds]
+    titles = ["case", "vertices, mean [mm]", "max [mm]"]
+    titles += [f"{layer}, {law}, {'95 %' if key == 'p95' else key} [kPa]" for layer, law, key in kinds]
     cells = [
         (
             case,
@@ -121,28 +128,16 @@ def vertices_and_stress(inside: Mapping[str, dict], one: str, other: str) -> Tab
     note = (
         "Distances of all vertices, of skin and inside. Von Mises stress of the tets by volume, without the membrane."
     )
-    return Table(f"Inside: {one} and {other}", ["case", "vertices, mean [mm]", "max [mm]", *titles], cells, note)
-
-
-def loads_on_mandible(inside: Mapping[str, dict], one: str, other: str) -> Table:
-    """Tabulate by case "mandible", "held_at_pd" and "prescribed": where it is, and what holds it."""
-    titles = ["case", "free: mean distance [mm]", "turn [degrees]", f"{other} held where {one} has it: force [mN]"]
-    titles += ["torque [mN mm]"]
-    titles += [f"prescribed: {key}, {law} [{unit}]" for key, unit in _LOADS.items() for law in (one, other)]
-    cells = []
+    jaws = ["case", "free: mean distance [mm]", "turn [degrees]", f"{other} held where {one} has it: force [mN]"]
+    jaws += ["torque [mN mm]"]
+    jaws += [f"prescribed: {key}, {law} [{unit}]" for key, unit in LOADS.items() for law in (one, other)]
+    places = []
     for case, values in inside.items():
         free, held, loads = values.get("mandible") or {}, values.get("held_at_pd") or {}, values["prescribed"]
-        prescribed = [loads.get(law, {}).get(key) for key in _LOADS for law in (one, other)]
-        cells.append((case, free.get("mm"), free.get("degrees"), held.get("force"), held.get("torque"), *prescribed))
-    note = "A free mandible is in balance. Torques are about the axis between the ears."
-    return Table("The mandible: place and load", titles, cells, note)
-
-
-_LOADS = {"force": "mN", "torque": "mN mm"}
-
-
-def _quantile(values: Floats, weights: Floats, share: float) -> float:
-    """Return the value below which the values of this share of all weight lie."""
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(reached, share * reached[-1])])
+        prescribed = [loads.get(law, {}).get(key) for key in LOADS for law in (one, other)]
+        places.append((case, free.get("mm"), free.get("degrees"), held.get("force"), held.get("torque"), *prescribed))
+    balance = "A free mandible is in balance. Torques are about the axis between the ears."
+    return [
+        Table(f"Inside: {one} and {other}", titles, cells, note),
+        Table("The mandible: place and load", jaws, places, balance),
+    ]

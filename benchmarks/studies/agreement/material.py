@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from ....animation.plots import subplots, to_svg
-from ....lhm.base.errors import InputError, SoftdecaError
+from ....lhm.base.errors import SoftdecaError
 from ....lhm.base.option import option
 from ....reference import solve
 from ....reference.materials import Corotated, IsochoricNeoHookean, NeoHookean, StableNeoHookean, StVenantKirchhoff
@@ -19,6 +19,7 @@ from ....reference.problems.homogeneous import held_scene
 from ....reference.problems.meshes import unstructured
 from ....reference.terms import Hyperelastic, Strain, Term, Volume
 from ...harness.study import Column, Row, Study, Task, Values, at_most
+from ..person import check_known, parse_poisson
 
 LAWS: Mapping[str, Callable[[float, float], Isotropic]] = {
     "neo-Hookean": NeoHookean.from_young,
@@ -68,15 +69,8 @@ class Material(Study):
     def tasks(self) -> Sequence[Task]:
         """Each Poisson's ratio and mode by each law; InputError for a ratio outside 0 to 0.5, and an unknown mode."""
         for text in self.poisson:
-            try:
-                inside = 0.0 < float(text) < 0.5
-            except ValueError:
-                inside = False
-            if not inside:
-                raise InputError(f"poisson: expected ratios between 0 and 0.5, got {text!r}")
-        for mode in self.modes:
-            if mode not in MODES:
-                raise InputError(f"mode {mode!r}: there are {', '.join(MODES)}")
+            parse_poisson(text)
+        check_known("mode", self.modes, MODES)
         return [Task(f"nu = {nu}, {mode}", law) for nu in self.poisson for mode in self.modes for law in LAWS]
 
     def measure(self, task: Task) -> Values:
@@ -131,17 +125,16 @@ def _stresses_of_pd(mu: float, lmbda: float, mode: str) -> tuple[float, ...]:
 
 
 def _stresses(terms: Sequence[Term], mode: str) -> list[float]:
-    return [_stress(terms, mode, stretch) for stretch in STRETCHES]
-
-
-def _stress(terms: Sequence[Term], mode: str, stretch: float) -> float:
-    """The nominal stress [kPa] of each stretched axis: dW/dstretch, over their number."""
+    """The nominal stress [kPa] of each stretched axis at every stretch: dW/dstretch, over their number."""
     loaded, confined = MODES[mode]
-    densities = []
-    for at in (stretch - STEP, stretch + STEP):
-        cube = Cube("", tuple(terms), loaded, at, 0.0, 0.0, confined)
-        solution = solve(held_scene(cube, unstructured(1)), solver=SOLVER, tolerance=TOLERANCE)
-        if not solution.converged:
-            raise SoftdecaError(f"stretch {at:g}: {solution.reason}")
-        densities.append(solution.energy)
-    return (densities[1] - densities[0]) / (2.0 * STEP) / loaded
+    stresses = []
+    for stretch in STRETCHES:
+        densities = []
+        for at in (stretch - STEP, stretch + STEP):
+            cube = Cube("", tuple(terms), loaded, at, 0.0, 0.0, confined)
+            solution = solve(held_scene(cube, unstructured(1)), solver=SOLVER, tolerance=TOLERANCE)
+            if not solution.converged:
+                raise SoftdecaError(f"stretch {at:g}: {solution.reason}")
+            densities.append(solution.energy)
+        stresses.append((densities[1] - densities[0]) / (2.0 * STEP) / loaded)
+    return stresses

@@ -38,7 +38,7 @@ from .faces import (
     Face,
     SceneFace,
 )
-from .insides import loads_on_mandible, vertices_and_stress
+from .insides import tabulate_insides
 
 SOLVERS = (FENICSX, PD, PLAIN, SKFEM, NEO, NEO_SKFEM)
 FEWER = (FENICSX, PD, NEO)
@@ -96,14 +96,10 @@ class Agreement(Study):
         """The head, and each case by each method; InputError for a space or an expression that cannot be read."""
         for text in self.expressions:
             expressions.parse_weights(text)
-        if not 0.0 <= self.gravity <= 10.0:
-            raise InputError(f"gravity: expected 0 to 10 g, got {self.gravity:g}")
-        if not 0.5 <= self.volume <= 2.0:
-            raise InputError(f"volume: expected 0.5 to 2, got {self.volume:g}")
-        if not 0.0 <= self.jaw <= 30.0:
-            raise InputError(f"jaw: expected 0 to 30 degrees, got {self.jaw:g}")
-        if not 0.0 <= self.push <= 2.0:
-            raise InputError(f"push: expected 0 to 2 kPa, got {self.push:g}")
+        ranges = ("gravity", 0, 10, "g"), ("volume", 0.5, 2, "times"), ("jaw", 0, 30, "degrees"), ("push", 0, 2, "kPa")
+        for name, low, high, unit in ranges:
+            if not low <= (value := getattr(self, name)) <= high:
+                raise InputError(f"{name}: expected {low:g} to {high:g} {unit}, got {value:g}")
         skins = (*((SURROGATE,) if self.network() is not None else ()), BLENDSHAPES)
         methods = {case: (*SOLVERS, *skins, BESIDE) for case in (*self.expressions, self._heavy)}
         methods |= {self._grown: (*FEWER, *skins, BESIDE)} if self.volume != 1.0 else {}
@@ -143,10 +139,6 @@ class Agreement(Study):
     def _pushed(self) -> str:
         return f"cheek pushed by {self.push:g} kPa"
 
-    def face(self, case: str) -> SceneFace:
-        """A case with what this process has solved of it."""
-        return _face(self, case)
-
     def make(self, case: str) -> SceneFace:
         """A case of which nothing is solved."""
         of, still = self.person(), np.zeros(52)
@@ -162,33 +154,28 @@ class Agreement(Study):
 
     def measure(self, task: Task) -> Values:
         """A solve and its distances; the head's gates and picture; pictures of a case; the head in 3D."""
+        of = self.person()
         if task.case == HEAD:
-            return self._fitted()
+            figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(of.head).figures]
+            return {"tets": len(of.head.tets), "figures": figures, CUT: draw_cut_away(of.head)}
         if task.case == TURNED:
-            return {"blendshapes, PD, FEniCSx and surrogate": self._turned().encode()}
-        face = self.face(task.case)
+            parameters, network = Parameters(), self.network()
+            shapes = of.space.expression_deltas(of.code)
+            rigs, poses = [], []
+            if network is not None:
+                rigs.append(Rig.baked("surrogate", network.bind(of.head.skin, of.code, parameters, expressions=shapes)))
+            for text in self.expressions:
+                face, weights = _face(self, text), expressions.parse_weights(text)
+                poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
+            title = f"the head ({of.space.name})"
+            page = render_face_page(title, VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
+            return {"blendshapes, PD, FEniCSx and surrogate": page.encode()}
+        face = _face(self, task.case)
         if task.method == BESIDE:
             return {PICTURED if isinstance(face, Face) else FREE: face.picture()}
         if isinstance(face, Face) and task.method in (SURROGATE, BLENDSHAPES):
-            return face.skins_compared(task.method)
-        return face.solved(task.method)
-
-    def _fitted(self) -> Values:
-        head = self.person().head
-        figures = [(each.words, each.value, each.unit, each.limit) for each in check_head(head).figures]
-        return {"tets": len(head.tets), "figures": figures, CUT: draw_cut_away(head)}
-
-    def _turned(self) -> str:
-        of, network, parameters = self.person(), self.network(), Parameters()
-        shapes = of.space.expression_deltas(of.code)
-        rigs = []
-        if network is not None:
-            rigs = [Rig.baked("surrogate", network.bind(of.head.skin, of.code, parameters, expressions=shapes))]
-        poses = []
-        for text in self.expressions:
-            face, weights = self.face(text), expressions.parse_weights(text)
-            poses.append(Pose(text, weights, {PD: face.skin(face.pd[0]), NEO: face.law_skin(face.neo[0])}))
-        return render_face_page(f"the head ({of.space.name})", VIEW_WORDS, of.head, parameters, shapes, rigs, poses)
+            return face.compare_skins(task.method)
+        return face.solve_by(task.method)
 
     @staticmethod
     def lines(values: Values) -> Sequence[Values]:
@@ -219,9 +206,14 @@ class Agreement(Study):
             found.append(above("smallest volume ratio of a tet over all scenes (none inverted)", least, 0.0))
         unfinished = sum(not row.values.get("done", True) for row in rows)
         found.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
-        ratios = _iteration_ratios(rows)
-        if ratios:
-            worst = None if None in ratios else max(ratio for ratio in ratios if ratio is not None)
+        counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PLAIN)}
+        pairs = [
+            (counts[case, PD], slow) for (case, by), slow in counts.items() if by == PLAIN and (case, PD) in counts
+        ]
+        if pairs:
+            # None where one does not come to 0.01 mm.
+            ratios = [None if None in pair else pair[0] / max(pair[1], 1) for pair in pairs]
+            worst = None if None in ratios else max(ratios)
             what = "accelerated PD's iterations to 0.01 mm over plain PD's, worst scene"
             found.append(at_most(what, worst, 0.2, answer=False))
         return found
@@ -242,17 +234,7 @@ class Agreement(Study):
                     f"{row.values['another_minimum_mm']:.2f} mm from PD's answer at most, and from PD's answer it "
                     "stays there; the comparisons are at that one."
                 )
-        said += self._words_of_law(rows)
-        for method in (SURROGATE, BLENDSHAPES):
-            means = _means(rows, method, TO_PD + SKIN)
-            if means:
-                said.append(f"The skin by {method} is {min(means):.3f} to {max(means):.3f} mm from PD's on average.")
-        return " ".join(said)
-
-    def _words_of_law(self, rows: Sequence[Row]) -> list[str]:
-        """How far the law is from PD where targets hold the skin, which hide it, and where none does."""
         held = [row for row in rows if row.method == NEO and row.case not in self._free]
-        said = []
         if held:
             skin, inside = (_spread(held, TO_PD + where) for where in (SKIN, ALL))
             said.append(
@@ -268,7 +250,12 @@ class Agreement(Study):
                 f"{stress[LAW]['soft']['mean']:.3g} kPa, and the force that holds the mandible from "
                 f"{loads[PD]['force']:.3g} to {loads[LAW]['force']:.3g} mN."
             )
-        return said
+        for method in (SURROGATE, BLENDSHAPES):
+            lines = [line for row in rows if row.method == method for line in row.values["compared"]]
+            means = [line["mean"] for line in lines if line["compared"] == TO_PD + SKIN]
+            if means:
+                said.append(f"The skin by {method} is {min(means):.3f} to {max(means):.3f} mm from PD's on average.")
+        return " ".join(said)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """The gates of the head, how near the skin comes to its targets, and what the law changes inside."""
@@ -280,10 +267,7 @@ class Agreement(Study):
         if left:
             head = ["scene", "lips to their targets, median [mm]", "95 % [mm]", "max [mm]", "smallest volume ratio"]
             found.append(Table("What PD leaves", head, left))
-        inside = {row.case: row.values["inside"] for row in rows if row.method == NEO}
-        if inside:
-            found += [vertices_and_stress(inside, PD, LAW), loads_on_mandible(inside, PD, LAW)]
-        return found
+        return found + tabulate_insides(rows, PD, LAW)
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Distances, a line per scene: means, and of the law the largest of all vertices too."""
@@ -338,16 +322,3 @@ def _spread(rows: Sequence[Row], what: str) -> str:
     if len(lines) == 1:
         return f"{mean[0]:.3f} mm on average and {largest[0]:.2f} mm at most"
     return f"{min(mean):.3f} to {max(mean):.3f} mm on average and {min(largest):.2f} to {max(largest):.2f} mm at most"
-
-
-def _means(rows: Sequence[Row], method: str, what: str) -> list[float]:
-    lines = [line for row in rows if row.method == method for line in row.values["compared"]]
-    return [line["mean"] for line in lines if line["compared"] == what]
-
-
-def _iteration_ratios(rows: Sequence[Row]) -> list[float | None]:
-    """Of each scene that both have solved; None where one does not come to 0.01 mm."""
-    counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PLAIN)}
-    pairs = [(count, counts[case, PLAIN]) for (case, method), count in counts.items()
-             if method == PD and (case, PLAIN) in counts]  # fmt: skip
-    return [None if fast is None or slow is None else fast / max(slow, 1) for fast, slow in pairs]

@@ -46,19 +46,8 @@ POSES = {
 SIZE = 300
 
 
-@dataclass(frozen=True)
-class Shown:
-    """One head of the gallery: its figures by name, two pictures (PNG), and what was found and changed in its file."""
-
-    name: str
-    figures: dict[str, Any]
-    faces: bytes
-    layers: bytes
-    notes: tuple[str, ...]
-
-
-def shown_head(name: str, head: LayeredHead) -> Shown:
-    """Simulate and draw a head that has a rig (some ten seconds); InputError without one."""
+def draw_moving_head(head: LayeredHead) -> Values:
+    """Simulate and draw a head that has a rig (some ten seconds): figures, notes, pictures. InputError without one."""
     skin, report = head.skin, check_head(head)
     gap = TriangleTree(head.skin_wrap.vertices, head.skin_wrap.triangles).closest(skin.vertices)[2]
     panels = [Panel("distance to its wrap", skin, gap, LARGEST_GAP)]
@@ -81,7 +70,8 @@ def shown_head(name: str, head: LayeredHead) -> Shown:
         figures[f"{pose}: tets inverted"] = int(np.count_nonzero(~(solution.volume_ratio > 0.0)))
         figures[f"{pose}: farthest motion [mm]"] = float(np.linalg.norm(moved - skin.vertices, axis=1).max())
     faces = draw_strip(panels, view=FRONT, size=SIZE, framed=head.skin_wrap.vertices, rest=skin)
-    return Shown(name, figures, faces, draw_cut_away(head, size=SIZE), head.notes)
+    layers = draw_cut_away(head, size=SIZE)
+    return {"shown": figures, "notes": list(head.notes), "as it moves": faces, "cut open": layers}
 
 
 FAILURES_PER_HEAD = 1e-3
@@ -138,15 +128,9 @@ class Heads(OfPerson):
         seed = None if task.case in self.heads else int(task.case.split()[1])
         if task.method == FITTED:
             assert seed is not None
-            return fitted(template, sample(space, seed, self.sigma))
+            return try_fit(template, sample(space, seed, self.sigma))
         own = load_head(Path(task.case)) if seed is None else fit_head(template, sample(space, seed, self.sigma))
-        seen = shown_head(task.case, own)
-        return {
-            "shown": dict(seen.figures),
-            "notes": list(seen.notes),
-            "as it moves": seen.faces,
-            "cut open": seen.layers,
-        }
+        return draw_moving_head(own)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Nearly every identity has a valid head."""
@@ -171,7 +155,7 @@ class Heads(OfPerson):
         unfit += [(row.case, "; ".join(row.values["problems"])) for row in of if row.values["problems"]]
         reasons = Counter(reason.partition(":")[0] for _, reason in unfit).most_common()
         head = ["figure", "gate", "missed by", "min", "5 %", "median", "mean", "95 %", "max", "worst seeds"]
-        figures = [_described(figure, values) for figure, values in distributions(of)]
+        figures = [_describe_figure(figure, values) for figure, values in collect_figures(of)]
         drawn = [row for row in rows if row.method == DRAWN]
         shown = [(row.case, *pair) for row in drawn for pair in row.values["shown"].items()]
         shown += [(row.case, "found in its file", note) for row in drawn for note in row.values["notes"]]
@@ -186,7 +170,7 @@ class Heads(OfPerson):
         """How often each value occurs."""
         panels = [
             (_words(figure), figure.unit, [value for value, _ in values], figure.bound)
-            for figure, values in distributions(_fits(rows))
+            for figure, values in collect_figures(_fits(rows))
             if figure.name in PLOTTED or figure.name in SECONDS[::2]
         ]
         return {"Distributions; red: the bound of a gate.": plots.draw_histograms(panels)} if panels else {}
@@ -206,7 +190,7 @@ def sample(space: LinearSpace, seed: int, sigma: float) -> Surface:
     return skin if sigma == CLIP else space.skin(code * (sigma / CLIP))
 
 
-def fitted(template: Template, skin: Surface) -> dict:
+def try_fit(template: Template, skin: Surface) -> dict:
     """Figures, gates missed and seconds of the head of a skin; or why it has none, which is an outcome of the study."""
     watch = Stopwatch()
     try:
@@ -225,16 +209,16 @@ def _fits(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row.method == FITTED]
 
 
-Occurring = list[tuple[float, str]]
+Occurrences = list[tuple[float, str]]
 
 
-def distributions(rows: Sequence[Row]) -> list[tuple[Figure, Occurring]]:
+def collect_figures(rows: Sequence[Row]) -> list[tuple[Figure, Occurrences]]:
     """Each figure of a head, its gate with it, and seconds, with the values of all heads that have it, and whose."""
     done = [row for row in rows if not row.values["error"]]
     found = []
     for item in fields(HeadReport):
         values = [(row.values["figures"][item.name], row.case.split()[1]) for row in done]
-        known: Occurring = [(float(value), seed) for value, seed in values if value is not None]
+        known: Occurrences = [(float(value), seed) for value, seed in values if value is not None]
         if known:
             found.append((Figure(item.name, None, **item.metadata), known))
     if done:
@@ -250,7 +234,7 @@ def _words(figure: Figure) -> str:
     return named.get(figure.name) or figure.words
 
 
-def _described(figure: Figure, values: Occurring) -> list:
+def _describe_figure(figure: Figure, values: Occurrences) -> list:
     """A row: the seeds are those nearest to the wrong side of the bound, else of the largest values."""
     x = np.array([value for value, _ in values])
     small_is_bad = figure.direction in ("at least", "above")

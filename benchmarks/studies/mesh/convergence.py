@@ -126,13 +126,14 @@ class Convergence(OfPerson):
             for what, group in (("sub-layers: ", "across"), ("times split: ", "along"))
             for key, found in row.values[group].items()
         ]
-        keys = "surface sub_layers element vertices tets iterations converged energy inverted seconds".split()
-        titles = ["expression", "times split", "sub-layers", *keys[2:-1], "prepare and solve [s]"]
-        solves = [(row.case, *(solve[key] for key in keys)) for row in rows for solve in row.values["solves"]]
+        same = ("element", "vertices", "tets", "iterations", "converged", "energy", "inverted")
+        titles = {"case": "expression", "surface": "times split", "sub_layers": "sub-layers"}
+        titles |= {key: key for key in same} | {"seconds": "prepare and solve [s]"}
+        solves = [{"case": row.case, **solve} for row in rows for solve in row.values["solves"]]
         return [
             Table("Distance of each mesh to the limit, across the layers and along the surface",
                   ["expression", "mesh", *figures], lines),
-            Table("Solves", titles, solves),
+            Table.of("Solves", titles, solves),
         ]  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:

@@ -25,7 +25,7 @@ from ....reference import Scene, solve
 from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..measures import distances
-from ..person import OfPerson, Person, person
+from ..person import OfPerson, Person, parse_poisson, person
 from ..scaling.mixed import law_scene
 
 PRISMS, FREE, MIRRORED = "split prisms", "free tets (gmsh)", "mirrored loads"
@@ -33,6 +33,8 @@ MEAN = ", mean head"
 SUB_LAYERS = (1, 2, 4)
 FINER_LAYERS = (1, 2)
 """Sub-layers on a level above the study's own, where four take a minute."""
+MOST = 0.4999
+"""Bound of Poisson's ratio, above which quadratic tets have no reference here."""
 WITH_PRESSURE = 0.49
 """Poisson's ratio from which on the reference has a pressure."""
 LINEAR_TOLERANCE, REFERENCE_TOLERANCE, MIXED_TOLERANCE = 1e-7, 2e-3, 1e-6
@@ -94,7 +96,7 @@ class Locking(OfPerson):
         """Name each mesh by each Poisson's ratio. Raises InputError for options out of range."""
         self.check([self.expression])
         for text in (*self.poisson, *self.finer, *self.free):
-            _poisson(text)
+            parse_poisson(text, MOST)
         if not np.isfinite(self.size) or self.size <= 0.0:
             raise InputError(f"size: expected a length above 0 mm, got {self.size:g}")
         levels = [(self.level, text) for text in self.poisson] + [(DEFAULT_LEVEL, text) for text in self.finer]
@@ -109,7 +111,7 @@ class Locking(OfPerson):
         if task.method == MIRRORED:
             return {"rows": self._mirrored(int(task.case.removeprefix("level ").removesuffix(MEAN)))}
         level, text = _read(task.case)
-        problem = _problem(self, level, _poisson(text))
+        problem = _problem(self, level, float(text))
         if task.method == FREE:
             return {"rows": problem.on_free_tets(self.size)}
         return {"rows": problem.on_prisms(SUB_LAYERS if level == self.level else FINER_LAYERS)}
@@ -202,7 +204,8 @@ class Locking(OfPerson):
                     )
                     if points and not (level == DEFAULT_LEVEL == self.level and style == "s:"):
                         label = f"{_layers(count)}, level {level}"
-                        axis.plot(*_by_distance(points), style, color=f"C{number}", ms=4, label=label)
+                        from_half, sizes = [0.5 - nu for nu, _ in points], [size for _, size in points]
+                        axis.plot(from_half, sizes, style, color=f"C{number}", ms=4, label=label)
             axis.set(xlabel="Poisson's ratio", ylabel=what, xscale="log")
             shown = sorted({text for (_, text), _ in prisms}, key=float)
             axis.set_xticks([0.5 - float(text) for text in shown], shown, fontsize=8)
@@ -306,17 +309,3 @@ def _read(case: str) -> tuple[int, str]:
 
 def _layers(count: int) -> str:
     return f"{count} sub-layer{'s' * (count > 1)}"
-
-
-def _poisson(text: str) -> float:
-    try:
-        nu = float(text)
-    except ValueError:
-        nu = -1.0
-    if not 0.0 < nu < 0.4999:
-        raise InputError(f"Poisson's ratio {text!r}: expected a number between 0 and 0.4999")
-    return nu
-
-
-def _by_distance(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    return [0.5 - nu for nu, _ in points], [value for _, value in points]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numba
 import numpy as np
+from scipy.sparse import identity
 from scipy.sparse.linalg import splu
 
 from ....lhm.base.mesh import Floats
@@ -45,18 +46,12 @@ def factor_bytes(prepared: ProjectivePrepared) -> int:
     for _, free in prepared.system.coordinates.groups:
         if len(free):
             reduced = matrix[free][:, free].tocsc()
-            shifted = reduced + 1e-9 * np.mean(reduced.diagonal()) * _identity(len(free))
+            shifted = reduced + 1e-9 * np.mean(reduced.diagonal()) * identity(len(free), format="csc")
             lu = splu(
                 shifted.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             )
             total += BYTES_OF_ENTRY * lu.L.nnz
     return total
-
-
-def _identity(n: int):
-    from scipy.sparse import identity
-
-    return identity(n, format="csc")
 
 
 def tet_bytes(prepared: ProjectivePrepared) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +16,7 @@ from ....lhm.base.errors import InputError
 from ....lhm.base.mesh import Floats
 from ....lhm.base.option import option
 from ....lhm.template import LEVELS
-from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, prepare, projective
+from ....reference import Parameters, Solution, apply_law, facial_scene, prepare, projective
 from ....reference.face.sequence import Sequence as Simulation
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import (
@@ -27,16 +27,16 @@ from ..measures import (
     TIGHT,
     TIMES,
     Stopwatch,
-    again,
-    counts,
-    megabytes,
-    repeated,
-    slope,
-    timed,
-    traced_to_itself,
-    unfinished,
+    count_unfinished,
+    count_work,
+    fit_slope,
+    measure_megabytes,
+    merge_repeats,
+    repeat_work,
+    time_solve,
+    trace_to_itself,
 )
-from ..person import OfPerson
+from ..person import OfPerson, check_known
 from .floor import factor_bytes
 
 PD, FENICSX, NEO_HOOKEAN = "PD", "FEniCSx, same energy", "FEniCSx, neo-Hookean"
@@ -81,9 +81,7 @@ class Scaling(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """Each level by each solver, each length of a sequence, and each count of processes."""
         self.check([self.expression])
-        for level in self.levels:
-            if level not in map(str, LEVELS):
-                raise InputError(f"level: there are {', '.join(map(str, LEVELS))}, got {level}")
+        check_known("level", self.levels, tuple(map(str, LEVELS)))
         for what, values in (("frames", self.frames), ("processes", self.processes)):
             if not all(value.isdecimal() and int(value) > 0 for value in values):
                 raise InputError(f"{what}: whole numbers above 0 were expected, got {', '.join(values)}")
@@ -105,18 +103,18 @@ class Scaling(OfPerson):
         make = partial(facial_scene, of.head, Parameters(), of.shape(self.expression), bones="prescribed")
         found: dict = {"size": len(make().tets)}
         if solver == PD:
-            held = megabytes(make)
+            held = measure_megabytes(make)
             prepared = projective.prepare(make())
-            _, trace = traced_to_itself(prepared)
+            _, trace = trace_to_itself(prepared)
             tolerance = trace.tolerance_for(ACCURACY) or TIGHT
-            runs = again(lambda: timed(make, tolerance), self.repeats)
+            runs = repeat_work(lambda: time_solve(make, tolerance), self.repeats)
             found |= {"factor_mb": factor_bytes(prepared) / 1e6, "iteration_ms": 1e3 * _per_iteration(trace.seconds)}
         else:
-            scene = partial(_neo_hookean, make) if solver == NEO_HOOKEAN else make
-            held = megabytes(scene, solver="fenicsx")
-            runs = again(lambda: timed(scene, FEM_TOLERANCE, solver="fenicsx"), self.repeats)
+            scene = (lambda: apply_law(make(), "neo-Hookean")) if solver == NEO_HOOKEAN else make
+            held = measure_megabytes(scene, solver="fenicsx")
+            runs = repeat_work(lambda: time_solve(scene, FEM_TOLERANCE, solver="fenicsx"), self.repeats)
             found["iteration_ms"] = 1e3 * float(np.median([_per_iteration(run.history.time) for run, _ in runs]))
-        return found | repeated([row for _, row in runs]) | {"scene_mb": held}
+        return found | merge_repeats([row for _, row in runs]) | {"scene_mb": held}
 
     def _sequence(self, frames: int) -> Values:
         of = self.person()
@@ -131,9 +129,9 @@ class Scaling(OfPerson):
             wall, cpu = watch.lap()
             ended = next((s for s in solutions if not s.converged), solutions[-1])
             iterations = sum(s.iterations for s in solutions)
-            return {"prepare_s": first, "solve_s": wall, "cpu_s": cpu, **counts(ended), "iterations": iterations}
+            return {"prepare_s": first, "solve_s": wall, "cpu_s": cpu, **count_work(ended), "iterations": iterations}
 
-        return {"size": frames} | repeated(again(played, self.repeats))
+        return {"size": frames} | merge_repeats(repeat_work(played, self.repeats))
 
     def _side_by_side(self, processes: int) -> Values:
         with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
@@ -144,7 +142,7 @@ class Scaling(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All reach what was asked."""
-        return [at_most("solves that did not converge", unfinished([row.values for row in rows]), 0)]
+        return [at_most("solves that did not converge", count_unfinished([row.values for row in rows]), 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
         """The exponents of the solve."""
@@ -179,10 +177,6 @@ class Scaling(OfPerson):
         return {"Cost of a cold frame against the tets of the template's levels.": to_svg(figure)}
 
 
-def _neo_hookean(make: Callable[[], Scene]) -> Scene:
-    return apply_law(make(), "neo-Hookean")
-
-
 def _per_iteration(times: Sequence[float] | Floats) -> float:
     return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
@@ -196,20 +190,22 @@ def _solve_again_and_again(study: Scaling) -> tuple[list[float], dict]:
         solution = prepared.solve()
         return watch.lap()[0], solution
 
-    runs = again(solved, study.repeats)
-    return [seconds for seconds, _ in runs], counts(runs[-1][1])
+    runs = repeat_work(solved, study.repeats)
+    return [seconds for seconds, _ in runs], count_work(runs[-1][1])
 
 
 def _exponents(rows: Sequence[Row]) -> list[tuple[str, str, dict[str, float | None]]]:
+    """Over what, the method, and the exponents of all that grows."""
+
+    def summarise(value) -> float | None:
+        return None if value is None else float(np.median(value))
+
     found = []
     for start, what in (("level", "with tets"), ("frames", "with frames")):
         for solver in dict.fromkeys(row.method for row in rows):
             of = [row.values for row in rows if start in row.case and row.method == solver]
             if len(of) > 1:
                 sizes = [values["size"] for values in of]
-                found.append((what, solver, {key: slope(sizes, [_one(v.get(key)) for v in of]) for key in GROWING}))
+                slopes = {key: fit_slope(sizes, [summarise(v.get(key)) for v in of]) for key in GROWING}
+                found.append((what, solver, slopes))
     return found
-
-
-def _one(value) -> float | None:
-    return None if value is None else float(np.median(value))

@@ -19,8 +19,8 @@ from ....reference.face.minimal import FACIAL_PIECES, TOLERANCE
 from ....reference.face.sequence import Sequence as Simulation
 from ....reference.face.tissue import bone_points
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
-from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, counts, distances, megabytes, timed
-from ..person import OfPerson
+from ..measures import COUNTS, ENDED, MEMORY, TIMES, Stopwatch, count_work, distances, measure_megabytes, time_solve
+from ..person import OfPerson, check_known
 
 EFFECTS: Mapping[str, Parameters] = {
     "20 % more soft tissue": Parameters(soft_volume=1.2),
@@ -90,9 +90,7 @@ class Minimal(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """Each scene whole, with a piece more or less, and smallest; talk with and without dynamics."""
         self.check(self.expressions)
-        for effect in self.effects:
-            if effect not in EFFECTS:
-                raise InputError(f"effect {effect!r}: there are {', '.join(EFFECTS)}")
+        check_known("effect", self.effects, EFFECTS)
         if not self.within > 0.0:
             raise InputError(f"within: must be above 0 mm, got {self.within}")
         methods = (WHOLE, *LEFT_OUT, *ADDED, SMALLEST)
@@ -170,11 +168,11 @@ def _cost(rows: Sequence[Row], case: str, method: str) -> float:
 
 
 def _costs(model: FacialModel, whole: FacialModel) -> dict:
-    held = megabytes(model.scene)
+    held = measure_megabytes(model.scene)
     watch = Stopwatch()
     face = model.settle()
     _, settle_cpu = watch.lap()
-    solution, costs = timed(lambda: face.scene(model.targets), TOLERANCE)
+    solution, costs = time_solve(lambda: face.scene(model.targets), TOLERANCE)
     if not solution.converged:
         raise SoftdecaError(str(solution.reason))
     costs |= {"settle_s": settle_cpu, "cpu_s": costs["cpu_s"] + settle_cpu}
@@ -199,4 +197,4 @@ def _talk(study: Minimal, dynamic: bool) -> tuple[list[Floats], dict]:
     wall, cpu = np.mean(laps, axis=0)
     ended = next((s for s in solutions if not s.converged), solutions[-1])
     iterations = float(np.mean([s.iterations for s in solutions]))
-    return skins, {"solve_s": wall, "cpu_s": cpu, **counts(ended), "iterations": iterations}
+    return skins, {"solve_s": wall, "cpu_s": cpu, **count_work(ended), "iterations": iterations}

@@ -18,10 +18,11 @@ from ....lhm.head import LayeredHead
 from ....reference import Parameters, Scene, Solution, apply_law, facial_scene, materials, prepare, solve, terms
 from ...harness.study import Column, Row, Task, Values, at_most
 from ..measures import distances
-from ..person import OfPerson
+from ..person import OfPerson, parse_poisson
 
 MEMORY_MB = 8000.0
 """What a solve on the default head may take."""
+INCOMPRESSIBLE = "incompressible"
 DEFAULT = 0.45
 """Poisson's ratio of soft tissue by default parameters."""
 KEPT = 0.083
@@ -70,14 +71,15 @@ class Mixed(OfPerson):
     alone = True
 
     expressions: tuple[str, ...] = option(("mouthPucker",), "as jawOpen*0.5+cheekPuff; repeat for several")
-    laws: tuple[str, ...] = option(("incompressible", "0.499"), "incompressible or a Poisson's ratio; repeat")
+    laws: tuple[str, ...] = option((INCOMPRESSIBLE, "0.499"), "incompressible or a Poisson's ratio; repeat")
     tolerance: float = option(1e-6, "gradient norm over its start")
 
     def tasks(self) -> Sequence[Task]:
         """Each expression by each law."""
         self.check(self.expressions)
         for law in self.laws:
-            _poisson(law)
+            if law != INCOMPRESSIBLE:
+                parse_poisson(law)
         if not 0.0 < self.tolerance < 1.0:
             raise InputError(f"tolerance: must lie between 0 and 1, got {self.tolerance}")
         return [Task(text, law) for text in self.expressions for law in self.laws]
@@ -85,7 +87,7 @@ class Mixed(OfPerson):
     def measure(self, task: Task) -> Values:
         """One solve by quadratic tets with a pressure, and two by linear ones."""
         of = self.person()
-        return solved(of.head, of.shape(task.case), task.method, self.tolerance)
+        return solve_mixed(of.head, of.shape(task.case), task.method, self.tolerance)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check convergence, that volumes are kept as the default law does not keep them, and memory."""
@@ -123,25 +125,12 @@ class Mixed(OfPerson):
         return {"What a solve takes.": to_svg(figure)}
 
 
-def _poisson(law: str) -> float | None:
-    """Poisson's ratio of a law's name, None for "incompressible"."""
-    if law == "incompressible":
-        return None
-    try:
-        nu = float(law)
-    except ValueError:
-        nu = -1.0
-    if not 0.0 < nu < 0.5:
-        raise InputError(f"law {law!r}: expected 'incompressible' or a Poisson's ratio between 0 and 0.5")
-    return nu
-
-
-def solved(head: LayeredHead, shape: Floats, law: str, tolerance: float) -> Values:
+def solve_mixed(head: LayeredHead, shape: Floats, law: str, tolerance: float) -> Values:
     """Solve by element P2P1, preparation and compilation included in its seconds, and by linear tets.
 
     `volume` is the volume of all tissue over that at rest, by the tets' corners.
     """
-    poisson = _poisson(law)
+    poisson = None if law == INCOMPRESSIBLE else float(law)
     scene = law_scene(head, shape, poisson)
     wall, cpu = time.perf_counter(), time.process_time()
     prepared: Any = prepare(scene, solver="fenicsx", element="P2P1")
@@ -206,7 +195,18 @@ def around_vertices(scene: Scene, points: Floats, weights: Floats, values: Float
 def law_scene(head: LayeredHead, shape: Floats, poisson: float | None, layers: tuple[int, int] = (1, 1)) -> Scene:
     """The neo-Hookean facial scene of an expression with prescribed bones, incompressible or of a Poisson's ratio."""
     scene = apply_law(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers), "neo-Hookean")
-    return replace(scene, terms=tuple(_with_law(term, poisson) for term in scene.terms))
+    parts: list[terms.Term] = []
+    for term in scene.terms:
+        if isinstance(term, terms.Hyperelastic):
+            law = term.material
+            assert isinstance(law, materials.NeoHookean)
+            if poisson is None:
+                term = replace(term, material=materials.Incompressible(law))
+            else:
+                young = 2 * law.mu * (1 + poisson)
+                term = replace(term, material=materials.NeoHookean.from_young(young, poisson))
+        parts.append(term)
+    return replace(scene, terms=tuple(parts))
 
 
 def _linear(scene: Scene, tolerance: float) -> Solution:
@@ -214,13 +214,3 @@ def _linear(scene: Scene, tolerance: float) -> Solution:
     if not solution.converged:
         raise SoftdecaError(f"linear tets: {solution.reason}")
     return solution
-
-
-def _with_law(term: terms.Term, poisson: float | None) -> terms.Term:
-    if not isinstance(term, terms.Hyperelastic):
-        return term
-    law = term.material
-    assert isinstance(law, materials.NeoHookean)
-    if poisson is None:
-        return replace(term, material=materials.Incompressible(law))
-    return replace(term, material=materials.NeoHookean.from_young(2 * law.mu * (1 + poisson), poisson))

@@ -22,7 +22,7 @@ from ....reference.materials import NeoHookean
 from ...harness.mpirun import run_by_mpirun
 from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Study, Task, Values
-from .ranks import agreement, counts_of
+from .ranks import gate_agreement, parse_counts
 
 STRONG, WEAK = "strong", "weak"
 TOLERANCE = 1e-12
@@ -63,7 +63,7 @@ class Parts(Study):
 
     def tasks(self) -> Sequence[Task]:
         """Strong scaling at each size, weak scaling at the first per process; InputError for what cannot be."""
-        counts = counts_of(self.processes)
+        counts = parse_counts(self.processes)
         if not self.unknowns or not all(text.isdecimal() and int(text) >= FEWEST for text in self.unknowns):
             raise InputError(f"unknowns: expected {FEWEST} or more each, got {', '.join(self.unknowns) or 'none'}")
         method = f"{', '.join(map(str, counts))} processes"
@@ -73,11 +73,11 @@ class Parts(Study):
     def measure(self, task: Task) -> Values:
         """A row per count of processes."""
         kind, size = task.case.split(", ")
-        return {"rows": compared(counts_of(self.processes), int(size.split()[0]), each=kind == WEAK)}
+        return {"rows": compare_counts(parse_counts(self.processes), int(size.split()[0]), each=kind == WEAK)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All agree and converge."""
-        return agreement(rows)
+        return gate_agreement(rows)
 
     def words(self, rows: Sequence[Row]) -> str:
         """What the most processes gain."""
@@ -91,7 +91,7 @@ class Parts(Study):
         return " ".join(said)
 
 
-def compared(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
+def compare_counts(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
     """A block by each count of processes; `each` of them has so many unknowns, or all together.
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
@@ -102,7 +102,7 @@ def compared(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
         file = Path(folder) / "block.xdmf"
         for count in counts:
             if each or not rows:
-                run_by_mpirun(1, write, file, cells_of(unknowns * (count if each else 1)))
+                run_by_mpirun(1, write, file, count_cells(unknowns * (count if each else 1)))
             found = run_by_mpirun(count, measure, file)
             positions, moved = found.pop("positions"), found.pop("moved")
             first = positions if first is None else first
@@ -111,7 +111,7 @@ def compared(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
     return rows
 
 
-def cells_of(unknowns: int) -> int:
+def count_cells(unknowns: int) -> int:
     """How many cells a block has along each edge, for about so many unknowns."""
     return round((unknowns / 3.0) ** (1 / 3)) - 1
 

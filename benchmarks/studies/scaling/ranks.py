@@ -60,7 +60,7 @@ class Ranks(OfPerson):
     @property
     def counts(self) -> tuple[int, ...]:
         """Of processes; InputError for other than 1 and others."""
-        return counts_of(self.processes)
+        return parse_counts(self.processes)
 
     def tasks(self) -> Sequence[Task]:
         """An energy each: answers by several counts are compared with that by one."""
@@ -74,11 +74,11 @@ class Ranks(OfPerson):
         """A row per count of processes."""
         of = self.person()
         scene = facial_scene(of.head, Parameters(), of.shape(self.expression), bones="prescribed")
-        return {"rows": compared(apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene, self)}
+        return {"rows": compare_counts(apply_law(scene, "neo-Hookean") if task.case == NEO_HOOKEAN else scene, self)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All agree and converge."""
-        return agreement(rows)
+        return gate_agreement(rows)
 
     def words(self, rows: Sequence[Row]) -> str:
         """What a whole solve gains."""
@@ -104,7 +104,7 @@ class Ranks(OfPerson):
         return {"What several processes gain, phase by phase.": to_svg(figure)}
 
 
-def agreement(rows: Sequence[Row]) -> list[dict]:
+def gate_agreement(rows: Sequence[Row]) -> list[dict]:
     """The gates of lines by counts of processes: one answer, where it was compared, and all converged."""
     lines = [line for row in rows for line in row.values["rows"]]
     what = "distance to one process' answer, of the largest displacement"
@@ -114,7 +114,7 @@ def agreement(rows: Sequence[Row]) -> list[dict]:
     ]
 
 
-def compared(scene: Scene, study: Ranks) -> list[dict]:
+def compare_counts(scene: Scene, study: Ranks) -> list[dict]:
     """A scene by each count of processes: seconds of phases, and how far its answer is from one process'.
 
     Raises MissingDependencyError where there is no mpirun, SoftdecaError where its processes fail.
@@ -122,7 +122,9 @@ def compared(scene: Scene, study: Ranks) -> list[dict]:
     found: dict[int, dict] = {}
     for _ in range(study.rounds):
         for count in study.counts:
-            found[count] = _best(found.get(count), run_by_mpirun(count, measure, scene, study.repeats))
+            now = run_by_mpirun(count, measure, scene, study.repeats)
+            best = found.get(count, now)
+            found[count] = now | {phase: min(best[phase], now[phase]) for phase in PHASES}
     alone = found[1]["positions"]
     largest = float(np.linalg.norm(alone - scene.vertices, axis=1).max())
     rows = []
@@ -133,13 +135,7 @@ def compared(scene: Scene, study: Ranks) -> list[dict]:
     return rows
 
 
-def _best(before: dict | None, now: dict) -> dict:
-    if before is None:
-        return now
-    return {**now, **{phase: min(before[phase], now[phase]) for phase in PHASES}}
-
-
-def counts_of(texts: Sequence[str]) -> tuple[int, ...]:
+def parse_counts(texts: Sequence[str]) -> tuple[int, ...]:
     """Counts of processes; InputError for other than 1 and others."""
     wanted = f"processes: expected 1 and others, got {', '.join(texts) or 'none'}"
     if not all(text.isdecimal() for text in texts):

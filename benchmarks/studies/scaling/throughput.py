@@ -20,7 +20,7 @@ from ....reference.face.sequence import Sequence as Simulation
 from ....surrogate.corpus.mixture import FEW
 from ...harness.processes import held_megabytes, peak_megabytes
 from ...harness.study import Column, Row, Task, Values, at_least, at_most
-from ..measures import ACCURACY, TIMES, Stopwatch, farthest, timed, traced_to_itself, unfinished
+from ..measures import ACCURACY, TIMES, Stopwatch, count_unfinished, largest_distance, time_solve, trace_to_itself
 from ..person import OfPerson
 from . import floor
 
@@ -107,14 +107,16 @@ class Throughput(OfPerson):
     def _cold(self, kind: str) -> Values:
         seeds = range(self.seed, self.seed + self.people)
         frames = [self._frame(seed, kind) for seed in seeds]
-        tight = [traced_to_itself(prepare(frame()), tolerance=REFERENCE) for frame in frames]
+        tight = [trace_to_itself(prepare(frame()), tolerance=REFERENCE) for frame in frames]
         needed = [trace.tolerance_for(ACCURACY) or REFERENCE for _, trace in tight]
-        tolerance = _rounded_down(MARGIN * min(needed))
+        tolerance = MARGIN * min(needed)
+        power = math.floor(math.log10(tolerance))
+        tolerance = float(f"{math.floor(tolerance / 10.0**power)}e{power}")  # one digit, rounded down
         rows = []
         for seed, frame, (truth, _) in zip(seeds, frames, tight, strict=True):
-            solution, row = timed(frame, tolerance)
+            solution, row = time_solve(frame, tolerance)
             seconds = row["scene_s"] + row["prepare_s"] + row["solve_s"]
-            error = farthest(solution.positions, truth.positions)
+            error = largest_distance(solution.positions, truth.positions)
             more = {"error_mm": error, "seconds": seconds, "per_hour": 3600.0 / seconds, "tolerance": tolerance}
             rows.append({"what": f"identity {seed}", **row, **more})
         return {"rows": rows}
@@ -146,7 +148,7 @@ class Throughput(OfPerson):
             if t % CHECKED_EVERY == 0:
                 scene = facial_scene(head, Parameters(), skin)
                 truth = prepared.solve(scene, start=solution.positions, tolerance=REFERENCE)
-                errors.append(farthest(solution.positions, truth.positions))
+                errors.append(largest_distance(solution.positions, truth.positions))
         return {
             "what": "a frame",
             "solve_s": walls,
@@ -206,7 +208,7 @@ class Throughput(OfPerson):
                     at_least(f"cold frames per core-hour, {row.method}", mean, COLD_PER_HOUR, answer=False),
                     at_most(f"cold frame, {row.method}: largest error [mm]",
                             float(np.max([line["error_mm"] for line in lines])), ACCURACY),
-                    at_most(f"cold frames, {row.method}: not converged", unfinished(lines), 0),
+                    at_most(f"cold frames, {row.method}: not converged", count_unfinished(lines), 0),
                 ]  # fmt: skip
             elif row.case == SEQUENCE:
                 (line,) = lines
@@ -257,8 +259,3 @@ class Throughput(OfPerson):
 RATIO = "an iteration over its floor"
 LOCAL_58K = "a local step per 58 k tets, float64, one core [ms]"
 TETS, LOCAL_STEP_MS = 58_080, 8.0
-
-
-def _rounded_down(value: float) -> float:
-    power = math.floor(math.log10(value))
-    return float(f"{math.floor(value / 10.0**power)}e{power}")

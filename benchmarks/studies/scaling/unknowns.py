@@ -21,7 +21,18 @@ from ....lhm.base.option import option
 from ....reference import Parameters, Scene, apply_law, facial_scene, nested_start, prepare
 from ...harness.processes import peak_megabytes, reset_peak
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..measures import COUNTS, ENDED, NEO_HOOKEAN, PD_ENERGY, TIMES, Stopwatch, load_kernels, slope, timed, unfinished
+from ..measures import (
+    COUNTS,
+    ENDED,
+    NEO_HOOKEAN,
+    PD_ENERGY,
+    TIMES,
+    Stopwatch,
+    count_unfinished,
+    fit_slope,
+    load_kernels,
+    time_solve,
+)
 from ..person import OfPerson
 from .floor import bandwidth
 
@@ -141,7 +152,9 @@ class Unknowns(OfPerson):
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge; the default mesh in time."""
         solves = [row for row in rows if row.case != FLOORS]
-        found = [at_most("solves that did not reach what was asked", unfinished([row.values for row in solves]), 0)]
+        found = [
+            at_most("solves that did not reach what was asked", count_unfinished([row.values for row in solves]), 0)
+        ]
         return found + [
             at_most(f"whole solve to {TOLERANCE:g} on the default mesh, {row.method} [CPU s]", row.values["cpu_s"],
                     CPU_SECONDS[row.method], answer=False)
@@ -182,7 +195,9 @@ def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) 
         near = prepare(apply_law(coarse[0], law), solver="fenicsx").solve(tolerance=NEAR)
         start = coarse[1](near.positions)
     coarse_s, coarse_cpu_s = watch.lap()
-    solution, costs = timed(lambda: apply_law(scene, law), TOLERANCE, start=start, solver="fenicsx", element=element)
+    solution, costs = time_solve(
+        lambda: apply_law(scene, law), TOLERANCE, start=start, solver="fenicsx", element=element
+    )
     costs["cpu_s"] += coarse_cpu_s
     unknowns, linear = 3 * nodes_of(scene, element), solution.detail["linear_iterations"]
     return {
@@ -215,54 +230,39 @@ def matrix_entries(scene: Scene) -> int:
     return 9 * (len(np.unique(scene.tets)) + 2 * len(_edges(scene)))
 
 
-def _gradient(problem, u: Floats) -> Floats:
-    return problem.at(u).gradient()
-
-
-def _gradient_ms(problem, x: Floats, _) -> float:
-    return _median_ms([partial(_gradient, problem, 1e-3 * k * x) for k in range(1, REPEATS + 1)])
-
-
-def _assembly_ms(problem, x: Floats, _) -> float:
-    return _median_ms([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
-
-
-def _cg_ms(problem, x: Floats, held: np.ndarray) -> float:
-    """Of an iteration: the difference of a solve to few digits and one to many."""
-    from ....reference.fenicsx.linear_solvers import ConjugateGradients, hold
-
-    matrix = problem.at(np.zeros_like(x)).softened_hessian(0.0)
-    b = np.random.default_rng(0).normal(size=x.size)
-    hold(matrix, held, np.zeros(len(held)), b)
-    solver = ConjugateGradients(matrix)
-    solver.solve(b, relative=1e-2)
-    few, many = (
-        (_median_ms([partial(solver.solve, b, relative=to)] * REPEATS), solver.solve(b, relative=to).iterations)
-        for to in (1e-2, 1e-8)
-    )
-    return (many[0] - few[0]) / (many[1] - few[1])
-
-
-PARTS: dict[str, tuple[Callable, Callable[[int, int], int]]] = {
-    "energy and gradient at a new place": (_gradient_ms, lambda tets, entries: tets * TET_BYTES),
-    "assembly of the Hessian": (_assembly_ms, lambda tets, entries: 2 * 8 * entries + tets * TET_BYTES),
-    "iteration of CG with GAMG (floor: one product with the matrix)": (
-        _cg_ms,
-        lambda tets, entries: ENTRY_BYTES * entries,
-    ),
+PARTS: dict[str, Callable[[int, int], int]] = {
+    "energy and gradient at a new place": lambda tets, entries: tets * TET_BYTES,
+    "assembly of the Hessian": lambda tets, entries: 2 * 8 * entries + tets * TET_BYTES,
+    "iteration of CG with GAMG (floor: one product with the matrix)": lambda tets, entries: ENTRY_BYTES * entries,
 }
-"""Parts of an iteration: what measures one, and the bytes that it moves."""
+"""Parts of an iteration, and the bytes that each moves, by the counts of tets and of the matrix' entries."""
 
 
 def measure_floor(scene: Scene, part: str) -> dict:
     """Milliseconds that a part of an iteration takes on a scene, and at least needs for its bytes."""
+    from ....reference.fenicsx.linear_solvers import ConjugateGradients, hold
     from ....reference.fenicsx.numbering import Numbering
     from ....reference.fenicsx.problem import Problem
 
     problem = Problem(scene, Numbering(scene))
-    held = np.flatnonzero(problem.numbering.held(scene.dirichlet()[0]))
-    work, size = PARTS[part]
-    ms, moved = work(problem, problem.numbering.X, held), size(len(scene.tets), matrix_entries(scene))
+    x, (gradient, assembly, _) = problem.numbering.X, PARTS
+    if part == gradient:
+        ms = _median_ms([lambda k=k: problem.at(1e-3 * k * x).gradient() for k in range(1, REPEATS + 1)])
+    elif part == assembly:
+        ms = _median_ms([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
+    else:
+        # An iteration's is the difference of a solve to few digits and one to many.
+        held = np.flatnonzero(problem.numbering.held(scene.dirichlet()[0]))
+        matrix, b = problem.at(np.zeros_like(x)).softened_hessian(0.0), np.random.default_rng(0).normal(size=x.size)
+        hold(matrix, held, np.zeros(len(held)), b)
+        solver = ConjugateGradients(matrix)
+        solver.solve(b, relative=1e-2)
+        few, many = (
+            (_median_ms([partial(solver.solve, b, relative=to)] * REPEATS), solver.solve(b, relative=to).iterations)
+            for to in (1e-2, 1e-8)
+        )
+        ms = (many[0] - few[0]) / (many[1] - few[1])
+    moved = PARTS[part](len(scene.tets), matrix_entries(scene))
     floor = 1e3 * moved / bandwidth()
     return {"ms": ms, "floor_ms": floor, "ratio": ms / floor, "megabytes": moved / 1e6}
 
@@ -288,7 +288,7 @@ def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
 def exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
     """Law, element, meshes, and the slopes of what grows over unknowns, where there are two meshes or more."""
     return [
-        (law, element, len(of), {key: slope([v["unknowns"] for v in of], [v[key] for v in of]) for key in GROWING})
+        (law, element, len(of), {key: fit_slope([v["unknowns"] for v in of], [v[key] for v in of]) for key in GROWING})
         for (law, element), of in _series(rows).items()
         if len(of) > 1
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +40,13 @@ def draw_worst_frames(tested: OnCorpus, progress: OnProgress) -> bytes:
     """
     faces, heads = tested.faces, tested.heads
     network, settled = NetworkMethod(tested.network.weights), Derivatives(responses=False)
-    solved = _solved(tested)
+    solved: dict[tuple[int, bytes], Floats32] = {}
+    try:
+        for frame in read_references(tested.corpus, tested.split, faces, partial=tested.partial):
+            if frame.law == FEM_LAWS[0]:
+                solved[frame.face, frame.weights.tobytes()] = frame.fenicsx
+    except InputError:
+        solved = {}  # a corpus without references
     rows = []
     for number, worst in enumerate(find_worst_frames(faces, network, heads)):
         face, frames = faces.face(worst.face), faces.frames(worst.face, np.array([worst.frame]))
@@ -87,12 +92,3 @@ def find_worst_frames(faces: Faces, method: NetworkMethod, heads: Heads, count: 
         means = np.nan_to_num([measure(e, m).mean for e, m in zip(errors, motions, strict=True)])
         worst.append(Worst(index, int(np.argmax(means)), float(np.max(means))))
     return sorted(worst, key=lambda frame: -frame.error)[:count]
-
-
-def _solved(tested: OnCorpus) -> Mapping[tuple[int, bytes], Floats32]:
-    """FEniCSx' T - S on PD's energy, by face and weights; empty for a corpus without references."""
-    try:
-        frames = list(read_references(tested.corpus, tested.split, tested.faces, partial=tested.partial))
-    except InputError:
-        return {}
-    return {(f.face, f.weights.tobytes()): f.fenicsx for f in frames if f.law == FEM_LAWS[0]}

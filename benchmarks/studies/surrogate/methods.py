@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,7 @@ def parse_people(people: str) -> Split | None:
 
 @dataclass(frozen=True)
 class OnCorpus:
-    """Some people of a corpus, and the weights that are tested on them; all is read once.
+    """Some people of a corpus, and the weights that are tested on them; see `open_corpus`, which reads all once.
 
     weights: of `softdeca train`; None is the shipped network. Raises InputError where these are of another mesh.
     """
@@ -84,25 +84,31 @@ class OnCorpus:
         """The network."""
         return load_network(self.weights)
 
-    @property
+    @cached_property
     def faces(self) -> Faces:
         """The faces that are tested."""
-        return _faces(self)
+        faces = Faces(self.corpus, self.split, partial=self.partial)
+        self.network.weights.check_mesh(faces.mean)
+        return faces
 
     @property
     def training(self) -> Faces:
         """The corpus' training faces."""
         return Faces(self.corpus, "train", partial=self.partial)
 
-    @property
+    @cached_property
     def heads(self) -> Heads:
         """Who fits heads to the people."""
-        return _heads(self.corpus)
+        return Heads.of_corpus(self.corpus)
 
-    @property
+    @cached_property
     def costs(self) -> BindCosts | None:
         """Seconds of binds on COSTED faces; None where nobody fits heads."""
-        return _costs(self)
+        try:
+            _ = self.heads.people
+        except InputError:
+            return None
+        return measure_binds(self.heads, [self.faces.face(k) for k in self.spread(COSTED)], silent)
 
     @property
     def looseness(self) -> Looseness | None:
@@ -115,17 +121,17 @@ class OnCorpus:
         """Names of READY that the weights can honour."""
         return [name for name in READY if name != HYBRID or self.network.weights.kind == "modal"]
 
-    def ready(self, name: str) -> Method:
-        """A method of READY or SIMULATE."""
+    def make_ready(self, name: str) -> Method:
+        """Make a method of READY or SIMULATE."""
         return READY[name](self.network.weights, self.heads) if name in READY else SIMULATE[name](self.heads)
 
     def spread(self, count: int) -> list[int]:
-        """Numbers of `count` faces, spread over all."""
+        """Give the numbers of `count` faces, spread over all."""
         return np.unique(np.linspace(0, len(self.faces) - 1, count).round().astype(int)).tolist()
 
-    def pairs(self, count: int) -> PairStore:
-        """Pairs of people, one known and one unseen, simulated into CORPUS/generalisation where they are missing."""
-        return _pairs(self, count)
+
+open_corpus = lru_cache(maxsize=2)(OnCorpus)
+"""Give the same object for the same arguments, so that tasks of one process share what it has read."""
 
 
 @lru_cache(maxsize=2)
@@ -134,29 +140,9 @@ def load_network(path: Path | None) -> Surrogate:
     return Surrogate.load(path)
 
 
-@lru_cache(maxsize=2)
-def _faces(tested: OnCorpus) -> Faces:
-    faces = Faces(tested.corpus, tested.split, partial=tested.partial)
-    tested.network.weights.check_mesh(faces.mean)
-    return faces
-
-
-@lru_cache(maxsize=2)
-def _heads(corpus: Path) -> Heads:
-    return Heads.of_corpus(corpus)
-
-
-@lru_cache(maxsize=2)
-def _costs(tested: OnCorpus) -> BindCosts | None:
-    try:
-        _ = tested.heads.people
-    except InputError:
-        return None
-    return measure_binds(tested.heads, [tested.faces.face(k) for k in tested.spread(COSTED)], silent)
-
-
 @lru_cache(maxsize=1)
-def _pairs(tested: OnCorpus, count: int) -> PairStore:
+def simulate_test_pairs(tested: OnCorpus, count: int) -> PairStore:
+    """Simulate pairs of people, one known and one unseen, into CORPUS/generalisation where they are missing."""
     plan, made_with = read_kept_plan(tested.corpus)
     people = people_from_text(made_with["identities"], level=made_with["level"])
     return simulate_pairs(

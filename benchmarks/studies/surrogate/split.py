@@ -27,7 +27,7 @@ from ....surrogate.corpus.plan import CorpusPlan
 from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, at_most
 from ..measures import distances, limit_of_two
-from ..person import OfPerson
+from ..person import OfPerson, check_known
 
 EFFECTS: Mapping[str, Parameters] = {
     "defaults": Parameters(),
@@ -105,9 +105,7 @@ class Split(OfPerson):
     def tasks(self) -> Sequence[Task]:
         """Name each effect with each expression: a process that goes on with an effect has prepared it."""
         self.check(self.expressions)
-        for name in (*self.effects, *self.refined):
-            if name not in EFFECTS:
-                raise InputError(f"effect {name!r}: there are {', '.join(EFFECTS)}")
+        check_known("effect", (*self.effects, *self.refined), EFFECTS)
         if not self.expressions:
             raise InputError("expressions: there is none")
         rows = [Task(name, text) for name in self.effects for text in self.expressions]

@@ -25,7 +25,7 @@ from .beyond import score_beyond
 from .breakeven import Breakeven, compute_breakeven
 from .frames import draw_worst_frames
 from .gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
-from .methods import READY, SIMULATE, OnCorpus, learning, load_network, parse_people
+from .methods import READY, SIMULATE, OnCorpus, learning, load_network, open_corpus, parse_people, simulate_test_pairs
 
 SNP = "SNP"
 SEEN = 24
@@ -151,7 +151,7 @@ class SurrogateOnCorpus(Study):
 
     def _tested(self) -> OnCorpus:
         weights = Path(self.weights) if self.weights else None
-        return OnCorpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
+        return open_corpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
 
     def _questions(self) -> dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]]:
         """Methods, and what scores one of them, by case."""
@@ -174,7 +174,7 @@ class SurrogateOnCorpus(Study):
                 trivial = [NETWORK, CARRIED, SETTLED, BLENDSHAPES]
                 asked[BEYOND] = trivial, lambda name: [s for s in _beyond(tested.weights) if s.method == name]
         if self.external:
-            other = OnCorpus(Path(self.external), None, tested.weights, self.partial)
+            other = open_corpus(Path(self.external), None, tested.weights, self.partial)
             asked[f"{EXTERNAL}, {other.corpus.name}"] = ready, lambda name: self._external(other, name)
             if read_manifest(other.corpus).counts.sequences and swings:
                 asked[f"{EXTERNAL}, {other.corpus.name}, in motion"] = (
@@ -187,7 +187,7 @@ class SurrogateOnCorpus(Study):
             asked[f"{corpus}, by what is unseen"] = (
                 ready,
                 lambda name: evaluate_generalisation(
-                    [tested.ready(name)], tested.pairs(self.generalisation), tested.costs
+                    [tested.make_ready(name)], simulate_test_pairs(tested, self.generalisation), tested.costs
                 ),
             )
         if self.curve:
@@ -198,7 +198,7 @@ class SurrogateOnCorpus(Study):
 
     def _static(self, tested: OnCorpus, name: str) -> list[Score]:
         if name in READY:
-            return evaluate([tested.ready(name)], tested.faces, tested.heads, costs=tested.costs)
+            return evaluate([tested.make_ready(name)], tested.faces, tested.heads, costs=tested.costs)
         return evaluate([learning()[name]()], tested.faces, tested.heads, tested.training, costs=tested.costs)
 
     def _moving(self, tested: OnCorpus, name: str) -> list[Score]:
@@ -208,21 +208,21 @@ class SurrogateOnCorpus(Study):
             return [evaluate_sequences(SubspacePhysics(), tested.corpus, tested.heads, partial=self.partial)]
         known = tested.looseness
         assert known is not None
-        ready = [tested.ready(name)]
+        ready = [tested.make_ready(name)]
         return evaluate_dynamic(ready, tested.corpus, tested.split, tested.heads, known, partial=self.partial)
 
     def _referenced(self, tested: OnCorpus, name: str) -> list[Score]:
-        ready = [] if name == SIMULATOR else [tested.ready(name)]
+        ready = [] if name == SIMULATOR else [tested.make_ready(name)]
         scores = evaluate_references(ready, tested.corpus, tested.split, tested.heads, partial=self.partial)
         return [score for score in scores if score.method == name]
 
     def _beside_simulation(self, tested: OnCorpus, name: str) -> list[Score]:
         chosen = tested.spread(self.simulated)
-        scores = evaluate([tested.ready(name)], tested.faces, tested.heads, chosen=chosen, costs=tested.costs)
+        scores = evaluate([tested.make_ready(name)], tested.faces, tested.heads, chosen=chosen, costs=tested.costs)
         return [replace(score, kind=f"{len(chosen)} faces") for score in scores if score.kind == ALL]
 
     def _external(self, other: OnCorpus, name: str) -> list[Score]:
-        scores = evaluate([other.ready(name)], other.faces, other.heads, costs=other.costs)
+        scores = evaluate([other.make_ready(name)], other.faces, other.heads, costs=other.costs)
         return [replace(score, kind=EXTERNAL) for score in scores if score.kind == ALL]
 
     def _grown(self, tested: OnCorpus, path: str) -> list[Score]:

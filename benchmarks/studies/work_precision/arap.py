@@ -15,7 +15,7 @@ import numpy as np
 from ....lhm.base.mesh import Floats, Ints
 from ....lhm.head import LayeredHead
 from ....reference import Scene, terms
-from ..measures import Trace, farthest
+from ..measures import Trace, largest_distance
 
 EVERY = 16
 """Of the skin wrap's vertices, one in so many is a handle, as markers of motion capture are."""
@@ -24,7 +24,7 @@ STILL = 5e-5
 """[mm] largest step of a vertex below which libigl has converged; its rotations are fitted in float32."""
 
 
-def installed() -> bool:
+def is_installed() -> bool:
     """Whether libigl is there."""
     return importlib.util.find_spec("igl") is not None
 
@@ -50,7 +50,7 @@ class Handles:
         return Scene(scene.vertices, scene.tets, (terms.Strain(2.0), terms.Fixed(self.vertices, self.positions)))
 
 
-def solved_by_igl(scene: Scene, handles: Handles, truth: Floats) -> tuple[Floats, float, Trace, Floats]:
+def solve_by_igl(scene: Scene, handles: Handles, truth: Floats) -> tuple[Floats, float, Trace, Floats]:
     """The answer of libigl [mm], its preparation [s], its errors to the truth [mm], and those to its own answer.
 
     One local and global step per call, on one thread; what a call costs beside that (copies of the arrays) is counted,
@@ -74,9 +74,9 @@ def solved_by_igl(scene: Scene, handles: Handles, truth: Floats) -> tuple[Floats
         spent += time.perf_counter() - begin
         visited.append(ahead)
         seconds.append(spent)
-        if farthest(ahead, x) <= STILL:
+        if largest_distance(ahead, x) <= STILL:
             break
         x = ahead
-    error = [farthest(v, truth) for v in visited]
-    own = [farthest(v, visited[-1]) for v in visited]
+    error = [largest_distance(v, truth) for v in visited]
+    own = [largest_distance(v, visited[-1]) for v in visited]
     return visited[-1], prepared, Trace(seconds, error, [1.0] * len(seconds)), np.array(own)

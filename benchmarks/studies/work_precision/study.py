@@ -17,7 +17,7 @@ from ....reference import Parameters, Scene, apply_law, facial_scene, prepare
 from ....reference.added import added_laws, added_solvers
 from ....reference.face.settle import carry_skin
 from ...harness.study import Column, Row, Table, Task, Values, at_most
-from ..measures import ACCURACY, TIGHT, Stopwatch, Trace, again, distances, farthest, traced
+from ..measures import ACCURACY, TIGHT, Stopwatch, Trace, distances, largest_distance, repeat_work, trace_solve
 from ..person import OfPerson, Person
 from . import arap
 
@@ -91,11 +91,12 @@ class WorkPrecision(OfPerson):
         self.check(self.expressions)
         if not self.expressions or self.repeats < 1:
             raise InputError(f"expressions: {len(self.expressions)}, repeats: {self.repeats}; expected 1 or more")
+        laws: dict[str, Sequence[str]] = {name_law_energy(law): (NEWTON, SKFEM) for law in added_laws()}
         return [
             Task(text, f"{label}; {energy}")
             for text in self.expressions
-            for energy, labels in _methods().items()
-            for label in labels
+            for energy, labels in (METHODS | laws).items()
+            for label in (labels if energy == LEARNED else (*labels, *added_solvers()))
             if self.slow or label not in SLOW
         ]
 
@@ -103,17 +104,21 @@ class WorkPrecision(OfPerson):
         """The curve of a solver, or the one point of what has learned."""
         label, energy = task.method.split("; ")
         if energy == LEARNED:
-            found = self._learned(task.case, label)
+            found = self._run_learned(task.case, label)
         else:
-            found = self._solved(_problem(self, task.case, energy), label)
+            found = self._solve(_problem(self, task.case, energy), label)
         return {"energy": energy, "label": label} | found
 
-    def _solved(self, problem: _Problem, label: str) -> dict:
+    def _solve(self, problem: _Problem, label: str) -> dict:
         if label == IGL:
-            if not arap.installed():
+            if not arap.is_installed():
                 raise MissingDependencyError("libigl is not installed (softdeca[bench])")
             assert problem.handles is not None
-            return _row([_by_igl(problem) for _ in range(self.repeats)], problem.truth)
+            runs = []
+            for _ in range(self.repeats):
+                answer, seconds, trace, _ = arap.solve_by_igl(problem.scene, problem.handles, problem.truth)
+                runs.append(_Run(seconds, trace, answer, None))
+            return _row(runs, problem.truth)
         if label in PROJECTIVE:
             how: dict = {"method": PROJECTIVE[label]}
             limits: dict = {"enough": PLAIN_ENOUGH, "max_iterations": PLAIN_LIMIT} if label == PLAIN else {}
@@ -124,10 +129,18 @@ class WorkPrecision(OfPerson):
         truth = problem.truth
         if label == QUADRATIC:
             truth = prepare(problem.scene, **how).solve(tolerance=TIGHT).positions
-        # The first, not counted: forms are compiled once per kind of scene and machine, kernels once per process.
-        return _row(again(lambda: _run(problem.scene, truth, how, limits), self.repeats), problem.truth)
 
-    def _learned(self, text: str, label: str) -> dict:
+        def run() -> _Run:
+            watch = Stopwatch()
+            prepared = prepare(problem.scene, **how)
+            seconds = watch.lap()[0]
+            solution, trace = trace_solve(prepared, truth, **limits)
+            return _Run(seconds, trace, solution.positions, solution.detail.get("linear_iterations"))
+
+        # The first, not counted: forms are compiled once per kind of scene and machine, kernels once per process.
+        return _row(repeat_work(run, self.repeats), problem.truth)
+
+    def _run_learned(self, text: str, label: str) -> dict:
         of, problem = self.person(), _problem(self, text, FACE)
         weights, shape = expressions.parse_weights(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
@@ -141,7 +154,7 @@ class WorkPrecision(OfPerson):
             watch.lap()
             step(weights)
             times.append(watch.lap()[0])
-        error = farthest(skin, truth)
+        error = largest_distance(skin, truth)
         mean = float(distances(skin, truth).mean())
         return {
             "prepare_s": [0.0 if label == BLENDSHAPES else seconds],
@@ -156,12 +169,12 @@ class WorkPrecision(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Our solver is ahead of others on the same energy, and ends where Newton does."""
-        middles, found = medians(rows), []
+        middles, found = find_medians(rows), []
         for energy, rival in RIVALS:
             if (energy, rival) not in middles:
                 continue
             for prepared, what in ((False, "with preparation"), (True, "prepared")):
-                worst, _ = lead(middles, energy, rival, prepared=prepared)
+                worst, _ = measure_lead(middles, energy, rival, prepared=prepared)
                 name = f"time of {OURS} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
                 # An infinite ratio is no JSON: what was not reached is None.
                 found.append(at_most(name, None if worst is None or np.isinf(worst) else worst, 1.0, answer=False))
@@ -177,7 +190,7 @@ class WorkPrecision(OfPerson):
         at = ACCURACIES.index(ACCURACY)
         said = [
             f"{label} {times[at]:.2f} s"
-            for (energy, label), (times, *_) in medians(rows).items()
+            for (energy, label), (times, *_) in find_medians(rows).items()
             if energy == FACE and times[at] is not None
         ]
         learned = {
@@ -195,7 +208,7 @@ class WorkPrecision(OfPerson):
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Medians of times and iterations to accuracies, and who is ahead."""
-        middles = medians(rows)
+        middles = find_medians(rows)
         head = ["energy", "method", "prepare [s]", *(f"to {accuracy:g} mm" for accuracy in ACCURACIES[::2])]
         times = [(energy, label, ready, *found[::2]) for (energy, label), (found, _, ready) in middles.items()]
         steps = [(energy, label, None, *found[::2]) for (energy, label), (_, found, _) in middles.items()]
@@ -204,7 +217,7 @@ class WorkPrecision(OfPerson):
             for energy, label in middles
             if label != OURS
             for prepared in (True, False)
-            for worst, behind in [lead(middles, energy, label, prepared=prepared)]
+            for worst, behind in [measure_lead(middles, energy, label, prepared=prepared)]
         ]
         return [
             Table("Seconds of the solve to an accuracy, medians over expressions", head, times),
@@ -223,7 +236,7 @@ class WorkPrecision(OfPerson):
             (FACE, "seconds"),
             (FACE, "steps"),
             (ARAP, "seconds"),
-            *((law_energy(law), "seconds") for law in added_laws()),
+            *((name_law_energy(law), "seconds") for law in added_laws()),
         )
         figure, axes = subplots(1, len(panels), figsize=(13 / 3 * len(panels), 4.6), sharey=True)
         for axis, (energy, key) in zip(axes, panels, strict=True):
@@ -258,18 +271,9 @@ class WorkPrecision(OfPerson):
         return {"Error against time and iterations, a line per expression.": to_svg(figure)}
 
 
-def law_energy(law: str) -> str:
-    """What rows call the energy of a face of a law that a file has added."""
+def name_law_energy(law: str) -> str:
+    """Name the energy of a face of a law that a file has added, as rows do."""
     return f"the face of {law}"
-
-
-def _methods() -> Mapping[str, Sequence[str]]:
-    """METHODS, with the laws and solvers that files have added."""
-    found: dict[str, Sequence[str]] = {law_energy(law): (NEWTON, SKFEM) for law in added_laws()}
-    return {
-        energy: labels if energy == LEARNED else (*labels, *added_solvers())
-        for energy, labels in (METHODS | found).items()
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,27 +326,13 @@ def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
     face = facial_scene(of.head, Parameters(), shape)
     handles = arap.Handles.of(of.head, face, shape) if energy == ARAP else None
     scene = face if handles is None else handles.scene(face)
-    of_law = next((added.of_moduli for name, added in added_laws().items() if law_energy(name) == energy), None)
+    of_law = next((added.of_moduli for name, added in added_laws().items() if name_law_energy(name) == energy), None)
     if of_law is not None:
         scene = apply_law(face, of_law)
     solution = prepare(scene, solver="projective" if of_law is None else "fenicsx").solve(tolerance=TIGHT)
     if not solution.converged:
         raise SoftdecaError(f"the tight run: {solution.reason}")
     return _Problem(scene, solution.positions, handles)
-
-
-def _run(scene: Scene, truth: Floats, how: dict, limits: dict) -> _Run:
-    watch = Stopwatch()
-    prepared = prepare(scene, **how)
-    seconds = watch.lap()[0]
-    solution, trace = traced(prepared, truth, **limits)
-    return _Run(seconds, trace, solution.positions, solution.detail.get("linear_iterations"))
-
-
-def _by_igl(problem: _Problem) -> _Run:
-    assert problem.handles is not None
-    answer, prepared, trace, _ = arap.solved_by_igl(problem.scene, problem.handles, problem.truth)
-    return _Run(prepared, trace, answer, None)
 
 
 def _row(runs: Sequence[_Run], truth: Floats) -> dict:
@@ -362,15 +352,15 @@ def _row(runs: Sequence[_Run], truth: Floats) -> dict:
         "error_mm": [trace.error[k] for k in kept],
         "error": trace.error[-1],
         "seconds_to": [trace.seconds_to(accuracy) for accuracy in ACCURACIES],
-        "steps_to": [trace.settled(accuracy) for accuracy in ACCURACIES],
-        "to_pd_mm": farthest(runs[0].positions, truth),
+        "steps_to": [trace.iterations_to(accuracy) for accuracy in ACCURACIES],
+        "to_pd_mm": largest_distance(runs[0].positions, truth),
     }
 
 
 Medians = Mapping[tuple[str, str], tuple[list, list, float]]
 
 
-def medians(rows: Sequence[Row]) -> Medians:
+def find_medians(rows: Sequence[Row]) -> Medians:
     """Per energy and solver, over expressions: seconds and iterations to each accuracy, and preparation [s].
 
     None where an expression has not come so far.
@@ -394,7 +384,9 @@ def _median(values: Sequence[float | None]) -> float | None:
     return float(np.median(known)) if len(known) == len(values) else None
 
 
-def lead(middles: Medians, energy: str, rival: str, *, prepared: bool = False) -> tuple[float | None, list[float]]:
+def measure_lead(
+    middles: Medians, energy: str, rival: str, *, prepared: bool = False
+) -> tuple[float | None, list[float]]:
     """Our time over a rival's, worst over the accuracies at and below 0.1 mm, and those [mm] at which we are behind.
 
     An accuracy that the rival never reaches is won if we do reach it; one that we alone miss is an infinite ratio;
