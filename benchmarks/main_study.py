@@ -35,7 +35,7 @@ PLAN = PRESETS["study"]
 """Of the corpus on which the surrogate is tested: people, parameters and recordings that its training has not seen."""
 
 
-def parts(agreement: Agreement, out: Path, corpus: Path) -> Sequence[RunRequest]:
+def choose_studies(agreement: Agreement, out: Path, corpus: Path) -> Sequence[RunRequest]:
     """The studies, each with its folder of `out`, in the order in which they are run: what is timed comes last.
 
     Where no network knows the people of `agreement`, those of the surrogate are left out; `corpus` is what it is
@@ -92,7 +92,7 @@ def run_study(agreement: Agreement, out: Path, *, only: Only = "missing", progre
         template = load_template(identities.from_text(agreement.identities), progress=progress)
         corpus = out / "surrogate" / f"corpus-{template.digest}-{PLAN.digest}"
         made, failed = [], []
-        found = parts(agreement, out, corpus)
+        found = choose_studies(agreement, out, corpus)
         # What is timed is run by itself: nothing of ours runs beside it.
         for asked in ([each for each in found if not each.study.timed], *([e] for e in found if e.study.timed)):
             if any(isinstance(each.study, SurrogateOnCorpus) for each in asked):

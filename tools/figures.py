@@ -67,7 +67,7 @@ class Figure:
         formats = FIELD.findall(self.text)
         if len(formats) != len(self.values):
             raise SystemExit(f"{self.page}: {self.text!r} has {len(formats)} formats for {len(self.values)} values")
-        return [f"{{{how}}}".format(evaluated(value)) for how, value in zip(formats, self.values, strict=True)]
+        return [f"{{{how}}}".format(evaluate(value)) for how, value in zip(formats, self.values, strict=True)]
 
 
 @cache
@@ -144,7 +144,7 @@ def _gate(file: str, what: str) -> Mapping[str, Any]:
     return matching[0]
 
 
-def evaluated(expression: str) -> float:
+def evaluate(expression: str) -> float:
     """Evaluate an expression of docs/figures.toml over the results."""
     known = {
         "one": one, "every": every, "of": of, "gate": gate, "min": min, "max": max, "sum": sum, "len": len,
@@ -153,21 +153,21 @@ def evaluated(expression: str) -> float:
     return eval(expression, {"__builtins__": {}} | known)  # noqa: S307  # of this repository's own file
 
 
-def mapped() -> tuple[list[Figure], dict[str, list[str]], list[str]]:
+def read_map() -> tuple[list[Figure], dict[str, list[str]], list[str]]:
     """Read docs/figures.toml: figures, settings by page, and pages that are left out."""
     content = tomllib.loads(MAP.read_text())
     figures = [Figure(each["page"], each["text"], tuple(each["values"])) for each in content["figure"]]
     return figures, content["settings"], list(content["excluded"])
 
 
-def pages(excluded: list[str]) -> list[str]:
+def list_pages(excluded: list[str]) -> list[str]:
     """Name README and every page of docs that is not left out; those that are programs print their own figures."""
     programs = [path for path in (ROOT / "docs").rglob("*.py") if path.name != "conf.py"]
     written = [ROOT / "README.md", *sorted([*(ROOT / "docs").rglob("*.md"), *programs])]
     return [name for name in (str(path.relative_to(ROOT)) for path in written) if name not in excluded]
 
 
-def places(text: str, figure: Figure) -> re.Match[str]:
+def find_place(text: str, figure: Figure) -> re.Match[str]:
     """Find a figure's one place on its page."""
     matches = list(figure.pattern.finditer(text))
     if len(matches) != 1:
@@ -180,11 +180,11 @@ def as_written(number: str, there: str) -> str:
     return number.removeprefix("0") if there.startswith(".") and number.startswith("0.") else number
 
 
-def wrong(text: str, figures: list[Figure]) -> list[str]:
+def find_wrong(text: str, figures: list[Figure]) -> list[str]:
     """Name the figures on a page that are not what the results say."""
     told = []
     for figure in figures:
-        match = places(text, figure)
+        match = find_place(text, figure)
         for there, number in zip(match.groups(), figure.numbers(), strict=True):
             if there != as_written(number, there):
                 told.append(f"{figure.page}: {there} should be {number} in {figure.text!r}")
@@ -193,9 +193,9 @@ def wrong(text: str, figures: list[Figure]) -> list[str]:
     return told
 
 
-def unknown(page: str, text: str, figures: list[Figure], settings: list[str]) -> list[str]:
+def find_unknown(page: str, text: str, figures: list[Figure], settings: list[str]) -> list[str]:
     """Name the numbers on a page that are neither figures nor settings."""
-    known = [places(text, figure).span() for figure in figures]
+    known = [find_place(text, figure).span() for figure in figures]
     told = []
     for setting in settings:
         matches = list(Figure(page, setting, ()).pattern.finditer(text))
@@ -216,11 +216,11 @@ def unknown(page: str, text: str, figures: list[Figure], settings: list[str]) ->
     return told
 
 
-def updated(text: str, figures: list[Figure]) -> str:
+def update_text(text: str, figures: list[Figure]) -> str:
     """Put the results' numbers in the place of those on a page."""
     changes = []
     for figure in figures:
-        match = places(text, figure)
+        match = find_place(text, figure)
         for group, number in enumerate(figure.numbers(), start=1):
             changes.append((match.start(group), match.end(group), as_written(number, match[group])))
     for begin, end, number in sorted(changes, reverse=True):
@@ -233,16 +233,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--update", action="store_true", help="rewrite the figures from the results")
     update = parser.parse_args().update
-    figures, settings, excluded = mapped()
+    figures, settings, excluded = read_map()
     told = []
-    for page in pages(excluded):
+    for page in list_pages(excluded):
         path, here = ROOT / page, [figure for figure in figures if figure.page == page]
         text = path.read_text()
-        if update and (changed := updated(text, here)) != text:
+        if update and (changed := update_text(text, here)) != text:
             path.write_text(changed)
             text = changed
             print(f"wrote {page}")
-        told += wrong(text, here) + unknown(page, text, here, settings.get(page, []))
+        told += find_wrong(text, here) + find_unknown(page, text, here, settings.get(page, []))
     print("\n".join(told) or "every figure is what the results say")
     return 1 if told else 0
 

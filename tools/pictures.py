@@ -175,14 +175,14 @@ def digest_of(name: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def recorded() -> dict[str, dict[str, str]]:
+def read_record() -> dict[str, dict[str, str]]:
     """Read what each picture in docs was drawn from."""
     return tomllib.loads(RECORD.read_text()) if RECORD.is_file() else {}
 
 
-def stale() -> dict[str, str]:
+def find_stale() -> dict[str, str]:
     """Name the pictures that are old, each with why."""
-    found, record = {}, recorded()
+    found, record = {}, read_record()
     for name in PICTURES:
         known = record.get(name)
         if known is None or not (DOCS / name).is_file():
@@ -205,7 +205,7 @@ def make(names: Iterable[str], scan: Path) -> int:
             status = 1
             continue
         (DOCS / name).write_bytes(png)
-        record = recorded() | {name: {"inputs": digest_of(name), "png": hashlib.sha256(png).hexdigest()[:16]}}
+        record = read_record() | {name: {"inputs": digest_of(name), "png": hashlib.sha256(png).hexdigest()[:16]}}
         lines = ["# Written by tools/pictures.py: what each picture was drawn from, and its file."]
         lines += [f'["{name}"]\ninputs = "{of["inputs"]}"\npng = "{of["png"]}"' for name, of in sorted(record.items())]
         RECORD.write_text("\n\n".join(lines) + "\n")
@@ -224,9 +224,9 @@ def main() -> int:
         parser.error(f"no picture {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
     if not asked.stale:
         return make(asked.names or PICTURES, asked.scan)
-    for name, why in stale().items():
+    for name, why in find_stale().items():
         print(f"{name}: {why}")
-    return 1 if stale() else 0
+    return 1 if find_stale() else 0
 
 
 if __name__ == "__main__":

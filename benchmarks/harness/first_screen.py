@@ -72,9 +72,9 @@ def collect_points(rows: Rows) -> dict[str, Point]:
         if FACE_ENERGY in energy or "seconds_to" not in row.values:
             grouped.setdefault(NAMES.get(label, label), []).append(row.values)
     for name, of in grouped.items():
-        if (point := _timed(of)) is not None:
+        if (point := _time_method(of)) is not None:
             found[name] = point
-    for method, score in _scores(rows).get(OVERALL, {}).items():
+    for method, score in _collect_scores(rows).get(OVERALL, {}).items():
         if method in found:
             found[method] = Point(found[method].first, found[method].each, score["mean"])
         elif score.get("bind_ms") is not None and score.get("frame_ms") is not None:
@@ -84,7 +84,7 @@ def collect_points(rows: Rows) -> dict[str, Point]:
     return dict(sorted(shown.items(), key=lambda item: (item[0] not in SOLVERS, item[1].error)))
 
 
-def _timed(of: Sequence[Mapping]) -> Point | None:
+def _time_method(of: Sequence[Mapping]) -> Point | None:
     """Medians over expressions; None for a solver that one of them does not bring to 0.01 mm."""
     ready = float(np.median([np.median(values["prepare_s"]) for values in of]))
     if "mean_mm" in of[0]:
@@ -101,7 +101,7 @@ def _timed(of: Sequence[Mapping]) -> Point | None:
     return Point(ready + each, each, ACCURACY)
 
 
-def _scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
+def _collect_scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
     """The lines of the study `surrogate`, by kind of frames and method."""
     found: dict[str, dict[str, Mapping]] = {}
     for row in rows.get("surrogate", ()):
@@ -112,13 +112,19 @@ def _scores(rows: Rows) -> dict[str, dict[str, Mapping]]:
 
 def write_sentences(rows: Rows) -> list[str]:
     """At most five. The first says on which kinds of frames the network loses to a rival that learns nothing."""
-    made = (_by_kind(rows), _overall(rows), _agreed(rows), _law(rows), _costs(collect_points(rows)))
+    made = (
+        _tell_losses(rows),
+        _tell_overall(rows),
+        _tell_agreement(rows),
+        _tell_law(rows),
+        _tell_costs(collect_points(rows)),
+    )
     return [text for text in made if text]
 
 
-def _by_kind(rows: Rows) -> str:
+def _tell_losses(rows: Rows) -> str:
     lost, compared = [], 0
-    for kind, of in _scores(rows).items():
+    for kind, of in _collect_scores(rows).items():
         rivals = {name: of[name]["mean"] for name in (SETTLED, CARRIED) if name in of}
         if kind == OVERALL or NETWORK not in of or not rivals:
             continue
@@ -131,8 +137,8 @@ def _by_kind(rows: Rows) -> str:
     return f"The network beats the simple rivals on all {compared} kinds of frames." if compared else ""
 
 
-def _overall(rows: Rows) -> str:
-    scores = _scores(rows).get(OVERALL, {})
+def _tell_overall(rows: Rows) -> str:
+    scores = _collect_scores(rows).get(OVERALL, {})
     if not {NETWORK, SETTLED} <= scores.keys():
         return ""
     people = rows["surrogate"][0].values.get("people")
@@ -145,15 +151,15 @@ def _overall(rows: Rows) -> str:
     )
 
 
-def _compared(rows: Rows, method: str, other: str) -> list[Mapping]:
+def _find_comparisons(rows: Rows, method: str, other: str) -> list[Mapping]:
     """The comparisons of a method in `agreement` whose names begin so."""
     lines = (line for row in rows.get("agreement", ()) if NAMES.get(row.method, row.method) == method
              for line in row.values.get("compared", ()))  # fmt: skip
     return [line for line in lines if line["compared"].startswith(other)]
 
 
-def _agreed(rows: Rows) -> str:
-    apart = [line["max"] for line in _compared(rows, PD, "to FEniCSx")]
+def _tell_agreement(rows: Rows) -> str:
+    apart = [line["max"] for line in _find_comparisons(rows, PD, "to FEniCSx")]
     if not apart:
         return ""
     return (
@@ -162,8 +168,8 @@ def _agreed(rows: Rows) -> str:
     )
 
 
-def _law(rows: Rows) -> str:
-    lines = _compared(rows, NEO, "to PD")
+def _tell_law(rows: Rows) -> str:
+    lines = _find_comparisons(rows, NEO, "to PD")
     skin = [line["mean"] for line in lines if line["compared"].endswith("skin")]
     if not skin:
         return ""
@@ -173,16 +179,18 @@ def _law(rows: Rows) -> str:
     )
 
 
-def _costs(found: Mapping[str, Point]) -> str:
+def _tell_costs(found: Mapping[str, Point]) -> str:
     costs = {name: found[name].each for name in (PD, FENICSX, NETWORK) if name in found}
     if len(costs) < 2:
         return ""
-    frames = [f"{name} {_seconds(cost)}" for name, cost in costs.items()]
-    bound = f"; the network first needs {_seconds(found[NETWORK].first)} for a new face" if NETWORK in costs else ""
+    frames = [f"{name} {_format_seconds(cost)}" for name, cost in costs.items()]
+    bound = (
+        f"; the network first needs {_format_seconds(found[NETWORK].first)} for a new face" if NETWORK in costs else ""
+    )
     return f"A frame takes {', '.join(frames[:-1])} and {frames[-1]}{bound}."
 
 
-def _seconds(value: float) -> str:
+def _format_seconds(value: float) -> str:
     return f"{value:.2g} s" if value >= 0.01 else f"{1e3 * value:.2g} ms"
 
 

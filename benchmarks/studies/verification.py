@@ -51,12 +51,12 @@ class Verification(Study):
     def tasks(self) -> Sequence[Task]:
         """Each problem by each solver."""
         solvers = parse_solvers(self.solvers)
-        posed = (*_posed(), *problems.FINE) if self.fine else _posed()
-        found = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
+        posed = (*_list_problems(), *problems.FINE) if self.fine else _list_problems()
+        tasks = [Task(problem.name, solver) for problem in posed for solver in solvers if solver in problem.solvers]
         if "fenicsx" not in solvers:
-            return found
+            return tasks
         # What takes longest is first, so that no process is left with it while the others have ended.
-        return [Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_fine() if self.fine else ())), *found]
+        return [Task(HEAD, FELUPE), *(Task(name, "fenicsx") for name in (_list_fine() if self.fine else ())), *tasks]
 
     def measure(self, task: Task) -> Values:
         """The outcomes of a problem, or of a series of meshes or materials."""
@@ -66,10 +66,10 @@ class Verification(Study):
                 of.head, Parameters(), of.shape(HEAD_EXPRESSION), bones="prescribed", without=("skin",)
             )
             return {"outcomes": [asdict(compare_felupe(apply_law(scene, "neo-Hookean")))]}
-        fine = _fine().get(task.case)
+        fine = _list_fine().get(task.case)
         if fine is not None:
             return {"outcomes": [asdict(outcome) for outcome in fine()]}
-        problem = next(p for p in (*_posed(), *problems.FINE) if p.name == task.case)
+        problem = next(p for p in (*_list_problems(), *problems.FINE) if p.name == task.case)
         return {"outcomes": [asdict(problems.run(problem, task.method))]}
 
     @staticmethod
@@ -105,11 +105,11 @@ def compare_felupe(scene: Scene) -> problems.Outcome:
     )  # fmt: skip
 
 
-def _posed() -> Sequence[problems.Problem]:
+def _list_problems() -> Sequence[problems.Problem]:
     return (*problems.ALL, *problems.added_problems())
 
 
-def _fine() -> Mapping[str, Outcomes]:
+def _list_fine() -> Mapping[str, Outcomes]:
     orders = {f"orders of {e}": lambda e=e: list(problems.manufactured.study(e)) for e in problems.manufactured.ORDERS}
     locking = {f"locking, nu={nu:g}": lambda nu=nu: problems.cook.locking_outcomes(nu) for nu in problems.cook.POISSON}
     return orders | locking
@@ -137,9 +137,9 @@ class Hard(Study):
     def tasks(self) -> Sequence[Task]:
         """Each case by each solver, and element, that it is for."""
         solvers = parse_solvers(self.solvers)
-        return [task for task, (_, solver, _) in self._ways().items() if solver in solvers]
+        return [task for task, (_, solver, _) in self._list_ways().items() if solver in solvers]
 
-    def _ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
+    def _list_ways(self) -> Mapping[Task, tuple[problems.HardCase, str, str]]:
         of_laws = problems.LAWS_ON_ELEMENTS if self.laws else ()
         posed = (*problems.HARD, *problems.added_hard_cases(), *of_laws)
         return {
@@ -150,7 +150,7 @@ class Hard(Study):
 
     def measure(self, task: Task) -> Values:
         """The outcome; no error of what was refused, or came to nothing near the answer."""
-        outcome = problems.run_hard(*self._ways()[task])
+        outcome = problems.run_hard(*self._list_ways()[task])
         error = outcome.error if np.isfinite(outcome.error) else None
         return asdict(outcome) | {"passed": outcome.passed, "error": error}
 
@@ -160,20 +160,20 @@ class Hard(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """How many are right, and how many stopped for a reason that is right to name."""
-        kinds = Counter(map(_kind, rows))
+        kinds = Counter(map(_judge, rows))
         right, refused, wrong = (kinds[kind] for kind in KINDS)
         return f"Of {len(rows)} cases {right} are right, {refused} stop with the reason they should, {wrong} are wrong."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Right, refused with a reason, or wrong, by solver and element; and of each case, seeds and laws together."""
         ways = list(dict.fromkeys(row.method for row in rows))
-        outcomes = Counter((row.method, _kind(row)) for row in rows)
+        outcomes = Counter((row.method, _judge(row)) for row in rows)
         counts = [[way, *(outcomes[way, kind] for kind in KINDS)] for way in ways]
-        found: dict[str, dict[str, list[Row]]] = {}
+        by_kind: dict[str, dict[str, list[Row]]] = {}
         for row in rows:
             kind = row.case.split(", seed ")[0] + (" (H1)" if ", seed " in row.case else "")
-            found.setdefault(kind, {}).setdefault(row.method, []).append(row)
-        lines = [[kind, *(_describe_runs(by.get(way, [])) for way in ways)] for kind, by in found.items()]
+            by_kind.setdefault(kind, {}).setdefault(row.method, []).append(row)
+        lines = [[kind, *(_describe_runs(by.get(way, [])) for way in ways)] for kind, by in by_kind.items()]
         note = "Of the runs of a case, seeds among them: how many are right, refused with a reason, wrong; iterations."
         return [
             Table("By solver and element", ["solver and element", *KINDS], counts),
@@ -184,7 +184,7 @@ class Hard(Study):
 KINDS = ("right", "refused", "WRONG")
 
 
-def _kind(row: Row) -> str:
+def _judge(row: Row) -> str:
     return KINDS[0] if row.values["outcome"] == "passed" else KINDS[1] if row.values["passed"] else KINDS[2]
 
 
@@ -192,7 +192,7 @@ def _describe_runs(rows: Sequence[Row]) -> str | None:
     """As "20 right, 8 to 31 iterations"."""
     if not rows:
         return None
-    kinds = Counter(map(_kind, rows))
+    kinds = Counter(map(_judge, rows))
     counts = sorted(int(row.values["iterations"]) for row in rows)
     span = f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
     outcome = ", ".join(kind if len(rows) == 1 else f"{count} {kind}" for kind, count in kinds.items())
@@ -228,10 +228,10 @@ def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
         # Symmetric: a quarter of the fill of the order that SciPy takes by itself.
         return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(right.ravel())
 
-    field = _field(felupe, scene.vertices, scene.tets)
+    field = _make_field(felupe, scene.vertices, scene.tets)
     # A body of its own for each term: FElupe links their fields, which have the same vertices.
     items: list[Any] = [
-        felupe.SolidBody(felupe.NeoHookeCompressible(law.mu, law.lmbda), _field(felupe, scene.vertices, tets))
+        felupe.SolidBody(felupe.NeoHookeCompressible(law.mu, law.lmbda), _make_field(felupe, scene.vertices, tets))
         for law, tets in bodies
     ]
     items += [_Springs(field, each) for each in scene.of(terms.Target)]
@@ -257,7 +257,7 @@ def solve_by_felupe(scene: Scene) -> tuple[Floats, int]:
     return scene.vertices + field[0].values, iterations
 
 
-def _field(felupe: Any, vertices: Floats, tets: Ints) -> Any:
+def _make_field(felupe: Any, vertices: Floats, tets: Ints) -> Any:
     return felupe.FieldContainer([felupe.Field(felupe.RegionTetra(felupe.Mesh(vertices, tets, "tetra")), dim=3)])
 
 

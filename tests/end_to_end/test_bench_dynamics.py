@@ -6,7 +6,15 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.agreement.dynamics import OWN_MASS, RELEASED, SHAKEN, Dynamics, let_go, own_mass, shake
+from softdeca.benchmarks.studies.agreement.dynamics import (
+    OWN_MASS,
+    RELEASED,
+    SHAKEN,
+    Dynamics,
+    let_go,
+    release_tissue,
+    shake,
+)
 from softdeca.benchmarks.studies.agreement.release import Release, swing
 from softdeca.lhm import InputError
 
@@ -34,7 +42,7 @@ def test_a_swing_of_few_values_is_not_taken_for_a_faster_one():
 def rows_of(release, frames):
     found = {
         RELEASED: let_go(release, frames),
-        OWN_MASS: {"rows": own_mass(release, frames)},
+        OWN_MASS: {"rows": release_tissue(release, frames)},
         SHAKEN: shake(release, frames),
     }
     return [Row(case, "all marches", "done", "", values, 1.0, None, 0.0, "") for case, values in found.items()]

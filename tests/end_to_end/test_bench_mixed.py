@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
-from softdeca.benchmarks.studies.scaling.mixed import Mixed, around_vertices, solve_mixed, volumes_kept
+from softdeca.benchmarks.studies.scaling.mixed import Mixed, average_around_vertices, measure_volumes, solve_mixed
 from softdeca.lhm import InputError
 from softdeca.reference import Scene
 
@@ -37,7 +37,7 @@ def test_a_law_that_keeps_no_volume_fails_the_gate():
 
 def test_volumes_are_summed_up_by_what_points_stand_for():
     J, weights = np.array([1.1, 0.8, 1.0]), np.array([1.0, 2.0, 97.0])
-    kept = volumes_kept(J, weights)
+    kept = measure_volumes(J, weights)
     assert kept["least_J"] == 0.8
     assert kept["volume_error"] == pytest.approx((0.1 * 1.0 + 0.2 * 2.0) / 100.0)
     # Two hundredths of the volume are at .8, in whose middle lies the first percentile.
@@ -54,7 +54,7 @@ def test_a_linear_field_is_averaged_to_its_value_where_a_vertex_has_its_weight()
     field = np.array([1.0, -2.0, 4.0, 7.0])
     values = np.linalg.solve(np.column_stack([np.ones(4), corners]), field)
     at_points = np.column_stack([np.ones(4), points]) @ values
-    found = around_vertices(scene, points, np.full(4, 0.25), at_points)
+    found = average_around_vertices(scene, points, np.full(4, 0.25), at_points)
     assert found == pytest.approx((field.sum() + field) / 5.0)
 
 

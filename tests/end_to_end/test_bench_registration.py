@@ -25,24 +25,24 @@ def exactly(space, skin, vertices=None) -> Registration:
 
 def test_points_carried_along_the_skin_are_off_by_as_much(space):
     forth = exactly(space, space.mean)
-    assert registration.slide(space, forth, space, forth).max() < 1e-9
+    assert registration.measure_slide(space, forth, space, forth).max() < 1e-9
     # The way back moves everything by 3 mm.
     back = exactly(space, space.mean, space.mean.vertices + [3.0, 0, 0])
-    np.testing.assert_allclose(registration.slide(space, forth, space, back), 3.0, atol=1e-9)
-    assert 1500 < registration.visible_face(space).sum() < 2000
+    np.testing.assert_allclose(registration.measure_slide(space, forth, space, back), 3.0, atol=1e-9)
+    assert 1500 < registration.find_visible_face(space).sum() < 2000
 
 
 def test_cosine_and_distance_of_shapes(space):
     own = space.expressions
     visible = np.ones(own.shape[1], bool)
-    rows = registration.agreement(2.0 * own, own, visible)
+    rows = registration.measure_agreement(2.0 * own, own, visible)
     jaw = next(row for row in rows if row["shape"] == "jawOpen")
     mean = np.linalg.norm(own[ARKIT.index("jawOpen")], axis=1).mean()
     assert jaw["cosine"] == pytest.approx(1.0) and jaw["mean_mm"] == pytest.approx(mean)
     # What one of the two has not is left out.
     none = own.copy()
     none[ARKIT.index("jawOpen")] = 0.0
-    assert "jawOpen" not in {row["shape"] for row in registration.agreement(none, own, visible)}
+    assert "jawOpen" not in {row["shape"] for row in registration.measure_agreement(none, own, visible)}
     assert registration.median(rows)[0] == pytest.approx(1.0)
 
 

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row, run
-from softdeca.benchmarks.studies.surrogate.split import FINE, PARTS, RIVALS, SHARES, Split, _ratios
+from softdeca.benchmarks.studies.surrogate.split import FINE, PARTS, RIVALS, SHARES, Split, _find_ratios
 from softdeca.lhm import InputError
 
 EFFECT, TEXT = "softer, 2 g", "mouthPucker"
@@ -43,7 +43,7 @@ def test_quadratic_tets_of_one_level_are_their_own_estimate(measured):
     assert fine.values["mesh"] == fine.values["mesh_coarse"] == coarse.values["mesh_coarse"] > 0.0
     assert fine.values["alike"] == pytest.approx(1.0) and fine.values["refined_index"] == 0.0
     assert fine.values["refined"] == pytest.approx(fine.values["mesh"])
-    assert _ratios(measured[0].rows) == [1.0]
+    assert _find_ratios(measured[0].rows) == [1.0]
 
 
 def test_the_costly_rows_are_tasks_of_their_own_after_all_others():

@@ -2,7 +2,7 @@
 
 import pytest
 
-from softdeca.benchmarks.studies.heads.shapes import ALLOWED, by_shape, shapes_of
+from softdeca.benchmarks.studies.heads.shapes import ALLOWED, simulate_shapes, summarise_shapes
 from softdeca.benchmarks.studies.person import person
 from softdeca.lhm import expressions
 
@@ -19,9 +19,9 @@ def test_full_weights_invert_no_soft_tissue(name, request):
     """Without a guard, and with bone behind the lids, 14 % of anny's pairs and 31 % of ICT-FaceKit's had some."""
     whose = name if name == "anny" else f"ict:{request.getfixturevalue('data') / 'ict_facekit.npz'}"
     chosen = tuple(expressions.index(shape) for shape in WORST)
-    rows = [row for seed in (0, 1) for row in shapes_of(person(whose, seed), chosen)]
+    rows = [row for seed in (0, 1) for row in simulate_shapes(person(whose, seed), chosen)]
     assert len(rows) == 2 * len(WORST) and all(row["converged"] for row in rows)
     assert sum(row["soft"] > 0 for row in rows) <= ALLOWED * len(rows)
-    for row in by_shape(rows):
+    for row in summarise_shapes(rows):
         if row["shape"].startswith("eyeBlink"):
             assert row["lids_mean"] < BLINK[name]

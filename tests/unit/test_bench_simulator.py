@@ -120,9 +120,9 @@ def test_bytes_of_a_factor_are_those_of_a_dense_one(sphere_head, targets):
     free = prepared.system.coordinates.groups[0][1]
     lower = np.count_nonzero(np.tril(matrix[free][:, free].toarray()))
     n = len(free)
-    assert 12 * lower <= floor.factor_bytes(prepared) <= 12 * n * (n + 1) // 2
+    assert 12 * lower <= floor.count_factor_bytes(prepared) <= 12 * n * (n + 1) // 2
     # Per tet 8 B times its parameters, and four corners of 4 B, in blocks.
-    assert floor.tet_bytes(prepared) >= len(prepared.scene.tets) * (8 * 9 + 16)
+    assert floor.count_tet_bytes(prepared) >= len(prepared.scene.tets) * (8 * 9 + 16)
 
 
 def grown(count: int) -> tuple[float, float]:

@@ -11,9 +11,9 @@ from softdeca.benchmarks.studies.scaling.unknowns import (
     MESHES,
     PARTS,
     Unknowns,
-    exponents,
-    matrix_entries,
-    nodes_of,
+    count_entries,
+    count_nodes,
+    fit_exponents,
 )
 from softdeca.lhm import InputError
 from softdeca.reference import Scene
@@ -29,9 +29,9 @@ def test_counts_are_the_solvers(element):
     X, tets = meshes.unstructured(2, 1.0)
     scene = Scene(np.vstack([X, [[9.0, 9.0, 9.0]]]), tets, [])  # a vertex in no tet is no unknown
     order = Numbering(scene, 1 if element == "P1" else 2)
-    assert nodes_of(scene, element) == len(order.X)
+    assert count_nodes(scene, element) == len(order.X)
     if element == "P1":
-        assert matrix_entries(scene) == Problem(scene, order).matrix.getInfo()["nz_used"]
+        assert count_entries(scene) == Problem(scene, order).matrix.getInfo()["nz_used"]
 
 
 def rows_of(power):
@@ -46,11 +46,11 @@ def rows_of(power):
 
 
 def test_exponents_are_those_that_the_figures_were_made_with():
-    ((law, element, count, found),) = exponents(rows_of(1.3))
+    ((law, element, count, found),) = fit_exponents(rows_of(1.3))
     assert (law, element, count) == ("PD", "P1", 3) and found["cpu_s"] == pytest.approx(1.3)
     assert found["peak_mb"] == pytest.approx(1.0) and found["linear_iterations"] == pytest.approx(0.0, abs=1e-12)
     assert (
-        exponents(rows_of(1.0)[:1]) == []
+        fit_exponents(rows_of(1.0)[:1]) == []
         and fit_slope([1.0], [2.0]) is None
         and fit_slope([1.0, 2.0], [3.0, None]) is None
     )

@@ -325,7 +325,7 @@ def test_an_effect_by_both_laws(head):
 
 @pytest.mark.parametrize(
     "options, says",
-    [({"effects": ("x",)}, "'x'"), ({"reference": "projective"}, "unknown reference"), ({"fan": -1}, "fan")],
+    [({"effects": ("x",)}, "'x'"), ({"reference": "PD"}, "unknown reference"), ({"fan": -1}, "fan")],
 )
 def test_options_are_checked(options, says):
     with pytest.raises(InputError, match=says):

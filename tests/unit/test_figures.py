@@ -23,16 +23,16 @@ def tool(name):
 
 pytest.importorskip("tomllib")  # from Python 3.11 on
 figures, pictures = tool("figures"), tool("pictures")
-FIGURES, SETTINGS, EXCLUDED = figures.mapped()
-PAGES = figures.pages(EXCLUDED)
+FIGURES, SETTINGS, EXCLUDED = figures.read_map()
+PAGES = figures.list_pages(EXCLUDED)
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_no_figure_without_a_result(page):
     text = (ROOT / page).read_text()
     here = [figure for figure in FIGURES if figure.page == page]
-    assert figures.wrong(text, here) == [], "run `python tools/figures.py --update`"
-    assert figures.unknown(page, text, here, SETTINGS.get(page, [])) == []
+    assert figures.find_wrong(text, here) == [], "run `python tools/figures.py --update`"
+    assert figures.find_unknown(page, text, here, SETTINGS.get(page, [])) == []
 
 
 def test_every_figure_is_on_a_page_that_is_read():
@@ -44,16 +44,16 @@ def test_a_changed_figure_a_new_one_and_an_unused_setting_are_named():
     page = "docs/corpus.md"
     text, here = (ROOT / page).read_text(), [figure for figure in FIGURES if figure.page == page]
     (figure,) = (figure for figure in here if "simulates takes {:.0f} MB" in figure.text)
-    match = figures.places(text, figure)
+    match = figures.find_place(text, figure)
     changed = text[: match.start(1)] + "417,000" + text[match.end(1) :]
-    (told,) = figures.wrong(changed, here)
+    (told,) = figures.find_wrong(changed, here)
     assert told.startswith(f"docs/corpus.md: 417,000 should be {match[1]} in ")
-    assert figures.updated(changed, here) == text
+    assert figures.update_text(changed, here) == text
     more = text + "\nIt is 3.7 mm off,\ntakes two minutes and .5 s.\n\n| a | 17 |\n|---|---|\n"
-    told = figures.unknown(page, more, here, SETTINGS[page])
+    told = figures.find_unknown(page, more, here, SETTINGS[page])
     assert len(told) == 4 and all("no figure with a result" in line for line in told)
     assert [number in line for number, line in zip(("3.7", "two", ".5", "17"), told, strict=True)] == 4 * [True]
-    (told,) = figures.unknown(page, text, here, [*SETTINGS[page], "never said"])
+    (told,) = figures.find_unknown(page, text, here, [*SETTINGS[page], "never said"])
     assert "no place for the setting 'never said'" in told
 
 
@@ -86,7 +86,7 @@ def test_a_missed_gate_is_told_beside_its_figure():
     assert not kept.misses  # its memory has a gate
     text = (ROOT / kept.page).read_text().replace("and 1.4 GB", "and missed 1.4 GB")
     figure = replace(kept, text=kept.text.replace("and {:.1f}", "and missed {:.1f}"))
-    (told,) = figures.wrong(text, [figure])
+    (told,) = figures.find_wrong(text, [figure])
     assert "keeps its gate: say so" in told
 
 
@@ -95,7 +95,7 @@ DRAWN_ELSEWHERE = {"surrogate-cost.png", "surrogate-frames.png"}
 
 
 def test_pictures_are_of_todays_program():
-    assert pictures.stale() == {}, "run `python tools/pictures.py` and look at what it draws"
+    assert pictures.find_stale() == {}, "run `python tools/pictures.py` and look at what it draws"
     shown = set()
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.py")]:
         shown |= {Path(name).name for name in re.findall(r"!\[[^\]]*\]\(([^)]+\.png)\)", page.read_text())}
@@ -109,13 +109,13 @@ def test_a_picture_is_old_where_what_it_is_drawn_from_changed(tmp_path, monkeypa
         shutil.copy(pictures.DOCS / name, tmp_path / "docs")
     monkeypatch.setattr(pictures, "DOCS", tmp_path / "docs")
     (tmp_path / "docs" / "weight.png").write_bytes(b"another")
-    assert pictures.stale() == {"weight.png": "not the file that was drawn"}
+    assert pictures.find_stale() == {"weight.png": "not the file that was drawn"}
     (tmp_path / "docs" / "weight.png").unlink()
     for source in {source for _, sources in pictures.PICTURES.values() for source in sources}:
         (tmp_path / source).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / source, tmp_path / source)
     monkeypatch.setattr(pictures, "ROOT", tmp_path)
-    assert set(pictures.stale()) == {"weight.png"}
+    assert set(pictures.find_stale()) == {"weight.png"}
     with (tmp_path / "animation" / "app.js").open("a") as file:
         file.write("// changed")
-    assert set(pictures.stale()) == {"weight.png", "viewer.png"}
+    assert set(pictures.find_stale()) == {"weight.png", "viewer.png"}

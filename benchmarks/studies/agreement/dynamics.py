@@ -83,19 +83,19 @@ class Dynamics(OfPerson):
         if task.case == RELEASED:
             return let_go(released, self.frames)
         if task.case == OWN_MASS:
-            return {"rows": own_mass(released, self.frames)}
+            return {"rows": release_tissue(released, self.frames)}
         return shake(released, self.frames)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """They agree where they model the same, schemes have their order, and all marches end."""
-        found: list[dict] = []
+        gates: list[dict] = []
         for row in rows:
             values = row.values
             if row.case == RELEASED:
                 orders = {step["name"]: step["order"] for step in values["steps"] if step["per_frame"] == PER_FRAME[-1]}
                 off_two = {name: None if order is None else abs(order - 2.0) for name, order in orders.items()}
                 euler = [r["gained"] for r in values["rows"] if "implicit Euler" in r["name"] and "gained" in r]
-                found += [
+                gates += [
                     *(at_most(f"{name} to implicit Euler by FEM, of the largest displacement", off, 1e-5)
                       for name, off in values["to_fem"].items()),
                     *(at_most(f"{name}: order of the time step, from 2", off_two[name], 0.3) for name in SCHEMES[1:]),
@@ -103,19 +103,23 @@ class Dynamics(OfPerson):
                 ]  # fmt: skip
             elif row.case == SHAKEN:
                 what = "shaken: PD to implicit Euler by FEM, of the largest displacement"
-                found.append(at_most(what, values["to_fem"], 1e-5))
+                gates.append(at_most(what, values["to_fem"], 1e-5))
         ended = sum(not line["converged"] for row in rows for line in row.values["rows"])
-        return [*found, at_most("marches that did not reach what was asked", ended, 0)]
+        return [*gates, at_most("marches that did not reach what was asked", ended, 0)]
 
     def words(self, rows: Sequence[Row]) -> str:
         """What implicit Euler does to a swing."""
         marches = {line["name"]: line for row in rows if row.case == RELEASED for line in row.values["rows"]}
-        said = [
+        sentences = [
             f"{name}: {line['frequency']:.2f} Hz, damping ratio {line['damping']:.3f}"
-            for name in ("Eq. 9, p's frequency and damping", "FEM, implicit Euler", _label("Newmark", PER_FRAME[-1]))
+            for name in (
+                "Eq. 9, p's frequency and damping",
+                "FEM, implicit Euler",
+                _name_march("Newmark", PER_FRAME[-1]),
+            )
             if (line := marches.get(name)) and line["frequency"] is not None
         ]
-        return f"A cheek let go swings by {'; '.join(said)}." if said else ""
+        return f"A cheek let go swings by {'; '.join(sentences)}." if sentences else ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """The error of the time step."""
@@ -174,11 +178,17 @@ def let_go(release: Release, frames: int) -> dict:
     frames_of[PROJECTIVE] = release.by_projective_dynamics(frames)
     runs = {EULER: release.by_elements("implicit Euler", frames, tolerance=TIGHT)}
     runs |= {
-        _label(scheme, count): release.by_elements(scheme, frames, count) for scheme in SCHEMES for count in PER_FRAME
+        _name_march(scheme, count): release.by_elements(scheme, frames, count)
+        for scheme in SCHEMES
+        for count in PER_FRAME
     }
-    rows = [_row(release, name, run.positions, FRAME) | _end(run) for name, run in frames_of.items()]
+    rows = [
+        _describe_motion(release, name, run.positions, FRAME) | _describe_end(run) for name, run in frames_of.items()
+    ]
     for name, run in runs.items():
-        rows.append(_row(release, name, run.positions, run.time_step) | _energy(run) | _end(run))
+        rows.append(
+            _describe_motion(release, name, run.positions, run.time_step) | _describe_energy(run) | _describe_end(run)
+        )
     same = runs.pop(EULER)
     n, amplitude = len(release.head.bone), float(np.abs(release.start - release.scene.vertices).max())
     return {
@@ -186,10 +196,10 @@ def let_go(release: Release, frames: int) -> dict:
         "amplitude_mm": amplitude,
         "rows": rows,
         "to_fem": {
-            name: _apart(frames_of[name].positions[:, :n], same.positions, amplitude)
+            name: _compare_motions(frames_of[name].positions[:, :n], same.positions, amplitude)
             for name in (EQUATION_AS_EULER, PROJECTIVE)
         },
-        "steps": _steps(runs),
+        "steps": _compare_steps(runs),
         "traces": {
             name: {
                 "times": (FRAME * np.arange(len(run.positions))).tolist(),
@@ -204,28 +214,28 @@ def let_go(release: Release, frames: int) -> dict:
     }
 
 
-def _apart(positions: Floats, others: Floats, whole: float) -> float | None:
+def _compare_motions(positions: Floats, others: Floats, whole: float) -> float | None:
     """The largest difference of two motions over a length; None where one of them stopped early."""
     return float(np.abs(positions - others).max() / whole) if len(positions) == len(others) else None
 
 
-def _label(scheme: str, per_frame: int) -> str:
+def _name_march(scheme: str, per_frame: int) -> str:
     return f"FEM, {scheme}, {per_frame} per frame"
 
 
-def _row(release: Release, name: str, positions: Floats, time_step: float) -> dict:
+def _describe_motion(release: Release, name: str, positions: Floats, time_step: float) -> dict:
     left = release.motion(positions)
     found = swing(time_step * np.arange(len(left)), left) if len(left) > FEWEST else Swing(None, None, None)
     return {"name": name, "steps_per_s": 1.0 / time_step} | asdict(found)
 
 
-def _end(run: Trajectory | Frames) -> dict:
+def _describe_end(run: Trajectory | Frames) -> dict:
     """Whether a march made all its steps; if not, after how many it stopped, and why."""
     steps = len(run.positions) - 1
     return {"converged": run.converged, "stopped": None if run.converged else f"after {steps} steps: {run.reason}"}
 
 
-def _energy(run: Trajectory) -> dict:
+def _describe_energy(run: Trajectory) -> dict:
     """What the scheme lost, and the most that it ever gained, of the energy at the start."""
     share = run.energies.balance / (run.energies.kinetic + run.energies.potential)[0]
     return {
@@ -236,16 +246,16 @@ def _energy(run: Trajectory) -> dict:
     }
 
 
-def _steps(runs: Mapping[str, Trajectory]) -> list[dict]:
+def _compare_steps(runs: Mapping[str, Trajectory]) -> list[dict]:
     """Errors of time steps at the frames' ends [mm], to Newmark's extrapolated to h = 0, and the observed order."""
     found = {
         name: run.positions[:: round(FRAME / run.time_step)] if run.converged else None for name, run in runs.items()
     }
-    half, finest = (found[_label("Newmark", count)] for count in PER_FRAME[1:])
+    half, finest = (found[_name_march("Newmark", count)] for count in PER_FRAME[1:])
     exact = None if half is None or finest is None else finest + (finest - half) / 3.0
     rows = []
     for scheme in SCHEMES:
-        series = [found[_label(scheme, count)] for count in PER_FRAME]
+        series = [found[_name_march(scheme, count)] for count in PER_FRAME]
         coarse, middle, fine = series
         order = None
         if coarse is not None and middle is not None and fine is not None:
@@ -268,7 +278,7 @@ def _rms(difference: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=2))))
 
 
-def own_mass(release: Release, frames: int) -> list[dict]:
+def release_tissue(release: Release, frames: int) -> list[dict]:
     """Release from a sag under 1 g with the mass of tissue, without and with springs, undamped and damped."""
     head = release.head
     thickness = np.linalg.norm(head.skin_wrap.vertices - head.skull_wrap.vertices, axis=1)
@@ -309,7 +319,7 @@ def own_mass(release: Release, frames: int) -> list[dict]:
                 "frequency": found and found.frequency,
                 "decay": found and found.damping,
                 "to_a_tenth_s": float(run.times[below[0]]) if damped and below.size else None,
-                **_end(run),
+                **_describe_end(run),
             }
         )
     return rows
@@ -337,9 +347,9 @@ def shake(release: Release, frames: int) -> dict:
                 "name": name,
                 "peak_mm": float(np.linalg.norm(positions - rest, axis=2).max()),
                 "off_mm": float(np.linalg.norm(positions[:together] - exact[:together], axis=2).max()),
-                **_end(fine if name == finest else runs[name]),
+                **_describe_end(fine if name == finest else runs[name]),
             }
         )
     euler = found[EULER]
-    to_fem = _apart(found[PROJECTIVE], euler, float(np.abs(euler - rest).max()))
+    to_fem = _compare_motions(found[PROJECTIVE], euler, float(np.abs(euler - rest).max()))
     return {"rows": rows, "to_fem": to_fem}

@@ -124,7 +124,7 @@ class Effects(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge to one minimum, whose energy falls, and which another solver finds."""
-        records, laws, fans = _apart(rows)
+        records, laws, fans = _sort_rows(rows)
         gates = []
         if records:
             runs = [run for record in records for run in record["runs"].values()]
@@ -147,36 +147,36 @@ class Effects(OfPerson):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell what changes most and how sure that is, how far the law is from PD, and the others from the law."""
-        records, laws, fans = _apart(rows)
-        said = []
+        records, laws, fans = _sort_rows(rows)
+        sentences = []
         if records:
             most = max(records, key=lambda record: record["max_mm"])
             off = max(record["to_other_start_mm"] for record in records)
-            said.append(
+            sentences.append(
                 f"Of {len(records)} effects {most['name']} changes the expression most, by {most['max_mm']:.1f} mm; "
                 f"from other starts all end within {off:.1e} mm."
             )
         if laws:
             vertices = [law["inside"]["vertices"] for law in laws]
-            said.append(
+            sentences.append(
                 "With the neutral face settled by each law itself, the neo-Hookean law moves the skin by "
-                f"{_range(law['law_mean_mm'] for law in laws)} mm on average and "
-                f"{_range(law['law_max_mm'] for law in laws)} mm at most, all vertices by "
-                f"{_range(each['mean'] for each in vertices)} mm on average and "
-                f"{_range(each['max'] for each in vertices)} mm at most."
+                f"{_format_range(law['law_mean_mm'] for law in laws)} mm on average and "
+                f"{_format_range(law['law_max_mm'] for law in laws)} mm at most, all vertices by "
+                f"{_format_range(each['mean'] for each in vertices)} mm on average and "
+                f"{_format_range(each['max'] for each in vertices)} mm at most."
             )
         for method in (SURROGATE, CARRIED, BLENDED):
             means = [law["to_law"][method]["skin_mean"] for law in laws if method in law["to_law"]]
-            said += [f"From that law's skin, {method}: {_range(means)} mm on average."] if means else []
-        said += [
+            sentences += [f"From that law's skin, {method}: {_format_range(means)} mm on average."] if means else []
+        sentences += [
             f"{len(values['starts'])} random starts of a broad smile end within {values['spread_mm']:.1e} mm."
             for values in fans
         ]
-        return " ".join(said)
+        return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Each method beside PD and beside the law, what lies inside, every scene, and every start."""
-        records, laws, fans = _apart(rows)
+        records, laws, fans = _sort_rows(rows)
         columns = {
             "effect": "effect", "scene": "scene", "iterations": "iterations", "seconds": "prepare and solve [s]",
             "gradient_ratio": "gradient over its start's", "monotone": "energy falls", "largest_rise": "largest rise",
@@ -188,22 +188,22 @@ class Effects(OfPerson):
             for record in records
             for name, run in record["runs"].items()
         ]
-        found = [_tabulate_methods(rows)] if records or laws else []
-        found += tabulate_insides(rows, PD, LAW)
+        tables = [_tabulate_methods(rows)] if records or laws else []
+        tables += tabulate_insides(rows, PD, LAW)
         if scenes:
-            found.append(Table.of("Scenes", columns, scenes, "A rise by a share of 1e-12 is rounding."))
+            tables.append(Table.of("Scenes", columns, scenes, "A rise by a share of 1e-12 is rounding."))
         columns = {
             "seed": "start", "moved": "moved", "jitter_mm": "by [mm]", "iterations": "iterations",
             "converged": "converged", "energy": "energy [mN mm]", "inverted_tets": "inverted",
             "to_lowest_mm": "to lowest [mm]",
         }  # fmt: skip
         for values in fans:
-            found.append(Table.of("Random starts", columns, values["starts"]))
+            tables.append(Table.of("Random starts", columns, values["starts"]))
             if values["suspects"]:
                 suspects = sorted(values["suspects"].items(), key=lambda pair: pair[1])
                 caption = "The two starts that end farthest apart, solved again with one term changed"
-                found.append(Table(caption, ["changed", "apart [mm]"], suspects))
-        return found
+                tables.append(Table(caption, ["changed", "apart [mm]"], suspects))
+        return tables
 
 
 @lru_cache(maxsize=1)
@@ -217,7 +217,7 @@ def _solve(study: Effects, name: str) -> tuple[EffectResult, Floats, dict[str, F
     return result, shape, skins if network is None else {SURROGATE: network, **skins}
 
 
-def _range(values: Iterable[float]) -> str:
+def _format_range(values: Iterable[float]) -> str:
     numbers = list(values)
     return f"{min(numbers):.3f}" if len(numbers) == 1 else f"{min(numbers):.3f} to {max(numbers):.3f}"
 
@@ -244,7 +244,7 @@ def _tabulate_methods(rows: Sequence[Row]) -> Table:
     return Table("Each method beside PD, and beside the neo-Hookean law", titles, cells, note)
 
 
-def _apart(rows: Sequence[Row]) -> tuple[list[Values], list[Values], list[Values]]:
+def _sort_rows(rows: Sequence[Row]) -> tuple[list[Values], list[Values], list[Values]]:
     """The effects' records of PD, those of laws, and those of the fan."""
     effects = [row.values for row in rows if row.case != STARTS]
     fans = [row.values for row in rows if row.case == STARTS]

@@ -53,7 +53,7 @@ def fan(
     answers: list[Floats] = []
     rows: list[dict] = []
     for seed in range(count):
-        solution = prepared.solve(start=_start(prepared, seed), tolerance=TIGHT)
+        solution = prepared.solve(start=_make_start(prepared, seed), tolerance=TIGHT)
         answers.append(solution.positions)
         rows.append(
             {
@@ -72,7 +72,7 @@ def fan(
         row["to_lowest_mm"] = float(distances(positions, answers[lowest]).max())
     farthest = int(np.argmax([row["to_lowest_mm"] for row in rows]))
     spread = rows[farthest]["to_lowest_mm"]
-    suspects = _suspects(head, parameters, expression, (lowest, farthest)) if spread > ONE_MINIMUM else {}
+    suspects = _trace_suspects(head, parameters, expression, (lowest, farthest)) if spread > ONE_MINIMUM else {}
     return {"starts": rows, "spread_mm": spread, "suspects": suspects}
 
 
@@ -84,16 +84,16 @@ def _kind(seed: int) -> str:
     return KINDS[seed // len(JITTERS) % len(KINDS)]
 
 
-def _start(prepared: Prepared, seed: int) -> Floats:
+def _make_start(prepared: Prepared, seed: int) -> Floats:
     random, scene = np.random.default_rng(seed), prepared.scene
     if _kind(seed) == "vertices":
         return scene.vertices + _jitter(seed) * random.standard_normal(scene.vertices.shape)
     (target,) = scene.of(terms.Target)
-    moved = scene.vertices[target.vertices] + _jitter(seed) * _waves(random, scene.vertices[target.vertices])
+    moved = scene.vertices[target.vertices] + _jitter(seed) * _draw_waves(random, scene.vertices[target.vertices])
     return prepared.solve(scene.with_targets(moved), tolerance=ROUGH).positions
 
 
-def _waves(random: np.random.Generator, points: Floats) -> Floats:
+def _draw_waves(random: np.random.Generator, points: Floats) -> Floats:
     """A sum of plane waves of random directions, lengths and phases at points (k, 3), components of mean square 1."""
     direction = random.standard_normal((WAVES, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -102,13 +102,13 @@ def _waves(random: np.random.Generator, points: Floats) -> Floats:
     return np.sin(phase) @ random.standard_normal((WAVES, 3)) * np.sqrt(2.0 / WAVES)
 
 
-def _suspects(
+def _trace_suspects(
     head: LayeredHead, parameters: Parameters, expression: Floats, seeds: tuple[int, int]
 ) -> dict[str, float]:
     found = {}
     for change, (values, without) in SUSPECTS.items():
         scene = facial_scene(head, replace(parameters, **values), expression, bones="rigid", without=without)
         prepared = prepare(scene)
-        first, second = (prepared.solve(start=_start(prepared, seed), tolerance=TIGHT).positions for seed in seeds)
+        first, second = (prepared.solve(start=_make_start(prepared, seed), tolerance=TIGHT).positions for seed in seeds)
         found[change] = float(distances(first, second).max())
     return found

@@ -91,15 +91,15 @@ class Material(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """The nearest law by strain, its difference the worst over cases."""
-        said = []
+        parts = []
         for name, most in list(BANDS.items())[1:]:
             worst = {
                 law: max(row.values[name] for row in rows if row.method == law)
                 for law in dict.fromkeys(row.method for row in rows)
             }
             nearest = min(worst, key=lambda law: worst[law])
-            said.append(f"up to {100 * most:.0f} % strain the {nearest} law, to {worst[nearest]:.0f} % of its stress")
-        return f"PD's energy stands nearest for: {'; '.join(said)}."
+            parts.append(f"up to {100 * most:.0f} % strain the {nearest} law, to {worst[nearest]:.0f} % of its stress")
+        return f"PD's energy stands nearest for: {'; '.join(parts)}."
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Stress against stretch: a panel per mode and ratio, PD's energy in black."""

@@ -131,7 +131,7 @@ class Release:
         )
         sequence.recurrence = recurrence
         sequence.state = State(self.start, self.sought, self.start[: len(self.head.bone)])
-        return _frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
+        return _collect_frames(self.start, (sequence.frame(neutral) for _ in range(frames)))
 
     def by_projective_dynamics(self, frames: int, shaken: Callable[[float], Floats] | None = None) -> Frames:
         """Frames of implicit Euler with mass on the skin by PD; see `by_elements`."""
@@ -153,7 +153,7 @@ class Release:
                 yield solution
                 v, x = (solution.positions - x) / FRAME, solution.positions
 
-        return _frames(start, steps())
+        return _collect_frames(start, steps())
 
     def by_elements(
         self, scheme: str, frames: int, per_frame: int = 1, *, tolerance: float = FINE, shaken=None
@@ -176,7 +176,7 @@ class Release:
         )
 
 
-def _frames(start: Floats, solutions: Iterable[Solution]) -> Frames:
+def _collect_frames(start: Floats, solutions: Iterable[Solution]) -> Frames:
     """The start and the solutions, up to the first that did not converge."""
     places = [start]
     for solution in solutions:

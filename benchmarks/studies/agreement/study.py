@@ -190,7 +190,7 @@ class Agreement(Study):
         That PD is FEniCSx to 1e-6 excludes another law, whose least distance is above 1e-3 of the largest displacement,
         and plain PD, stopped at 0.005 mm.
         """
-        found = []
+        gates = []
         for what, method in (
             ("PD to FEniCSx-Newton, same energy", PD),
             ("scikit-fem to FEniCSx, PD's energy", SKFEM),
@@ -199,13 +199,13 @@ class Agreement(Study):
             shares = [row.values["compared"][0]["relative"] for row in rows if row.method == method]
             if shares:
                 bound = 1e-6 if method == PD else 1e-8
-                found.append(at_most(f"{what}, of the largest displacement", max(shares), bound))
+                gates.append(at_most(f"{what}, of the largest displacement", max(shares), bound))
         of_pd = [row for row in rows if row.method == PD]
         if of_pd:
             least = min(row.values["least_ratio"] for row in of_pd)
-            found.append(above("smallest volume ratio of a tet over all scenes (none inverted)", least, 0.0))
+            gates.append(above("smallest volume ratio of a tet over all scenes (none inverted)", least, 0.0))
         unfinished = sum(not row.values.get("done", True) for row in rows)
-        found.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
+        gates.append(at_most("solver runs that did not reach what was asked", unfinished, 0))
         counts = {(row.case, row.method): row.values["to_001_mm"] for row in rows if row.method in (PD, PLAIN)}
         pairs = [
             (counts[case, PD], slow) for (case, by), slow in counts.items() if by == PLAIN and (case, PD) in counts
@@ -215,36 +215,36 @@ class Agreement(Study):
             ratios = [None if None in pair else pair[0] / max(pair[1], 1) for pair in pairs]
             worst = None if None in ratios else max(ratios)
             what = "accelerated PD's iterations to 0.01 mm over plain PD's, worst scene"
-            found.append(at_most(what, worst, 0.2, answer=False))
-        return found
+            gates.append(at_most(what, worst, 0.2, answer=False))
+        return gates
 
     def words(self, rows: Sequence[Row]) -> str:
         """Whether the answers are one, what another law changes, where there are two minima, what the rigs leave."""
-        said = []
+        sentences = []
         first = [row.values["compared"][0]["relative"] for row in rows if row.method == PD]
         if first:
-            said.append(
+            sentences.append(
                 "Projective dynamics and FEniCSx find the same minimiser of the same energy to "
                 f"{max(first):.1e} of the largest displacement in all {len(first)} scenes."
             )
         for row in rows:
             if row.method == FENICSX and row.values["another_minimum_mm"] is not None:
-                said.append(
+                sentences.append(
                     f"{row.case} has two minima of PD's energy: FEniCSx from rest ends "
                     f"{row.values['another_minimum_mm']:.2f} mm from PD's answer at most, and from PD's answer it "
                     "stays there; the comparisons are at that one."
                 )
         held = [row for row in rows if row.method == NEO and row.case not in self._free]
         if held:
-            skin, inside = (_spread(held, TO_PD + where) for where in (SKIN, ALL))
-            said.append(
+            skin, inside = (_format_spread(held, TO_PD + where) for where in (SKIN, ALL))
+            sentences.append(
                 "A neo-Hookean law of the same small-strain moduli settles each face itself. Where targets hold the "
                 f"skin, it differs from PD's energy there by {skin}, and over all vertices by {inside}."
             )
         for row in (row for row in rows if row.method == NEO and row.case in self._free):
-            skin, inside = (_spread([row], TO_PD + where) for where in (SKIN, ALL))
+            skin, inside = (_format_spread([row], TO_PD + where) for where in (SKIN, ALL))
             stress, loads = row.values["inside"]["stress"], row.values["inside"]["prescribed"]
-            said.append(
+            sentences.append(
                 f"Where no target holds the skin ({row.case}), the law moves it by {skin}, all vertices by {inside}, "
                 f"and takes the mean von Mises stress of soft tissue from {stress[PD]['soft']['mean']:.3g} to "
                 f"{stress[LAW]['soft']['mean']:.3g} kPa, and the force that holds the mandible from "
@@ -254,20 +254,22 @@ class Agreement(Study):
             lines = [line for row in rows if row.method == method for line in row.values["compared"]]
             means = [line["mean"] for line in lines if line["compared"] == TO_PD + SKIN]
             if means:
-                said.append(f"The skin by {method} is {min(means):.3f} to {max(means):.3f} mm from PD's on average.")
-        return " ".join(said)
+                sentences.append(
+                    f"The skin by {method} is {min(means):.3f} to {max(means):.3f} mm from PD's on average."
+                )
+        return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """The gates of the head, how near the skin comes to its targets, and what the law changes inside."""
         figures = [figure for row in rows for figure in row.values.get("figures", [])]
-        found = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
+        tables = [Table("The head", ["figure", "measured", "unit", "gate"], figures)] if figures else []
         left = [
             (row.case, *row.values["lips_mm"], row.values["least_ratio"]) for row in rows if "lips_mm" in row.values
         ]
         if left:
             head = ["scene", "lips to their targets, median [mm]", "95 % [mm]", "max [mm]", "smallest volume ratio"]
-            found.append(Table("What PD leaves", head, left))
-        return found + tabulate_insides(rows, PD, LAW)
+            tables.append(Table("What PD leaves", head, left))
+        return tables + tabulate_insides(rows, PD, LAW)
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Distances, a line per scene: means, and of the law the largest of all vertices too."""
@@ -315,7 +317,7 @@ def _face(study: Agreement, case: str) -> SceneFace:
     return study.make(case)
 
 
-def _spread(rows: Sequence[Row], what: str) -> str:
+def _format_spread(rows: Sequence[Row], what: str) -> str:
     """Mean and largest distance [mm] of some rows' comparison, least to most."""
     lines = [line for row in rows for line in row.values["compared"] if line["compared"] == what]
     mean, largest = ([line[key] for line in lines] for key in ("mean", "max"))

@@ -60,7 +60,7 @@ class Closures(Study):
         """Play the take by all methods, some minutes a hundred frames; differences, and all widths."""
         take = read_frames(self.take, self.frames)
         p = read_parameters(Path(self.parameters)) if self.parameters else Parameters()
-        openings, widths = self._widths(take, p)
+        openings, widths = self._measure_widths(take, p)
         lines = [
             {
                 "gap": gap.name,
@@ -79,7 +79,7 @@ class Closures(Study):
             "times": take.times.tolist(),
             "gaps": [gap.name for gap in openings],
             "widths_mm": {name: values.tolist() for name, values in widths.items()},
-            "widths": _curves(take.times, openings, widths),
+            "widths": _draw_curves(take.times, openings, widths),
         }
 
     def words(self, rows: Sequence[Row]) -> str:
@@ -88,7 +88,7 @@ class Closures(Study):
         worst = max(lines, key=lambda line: line["largest"])
         return f"The network's {worst['gap']} are at most {worst['largest']:.2f} mm wider or narrower than simulated."
 
-    def _widths(self, take: Take, parameters: Parameters) -> tuple[list[Gap], dict[str, Floats]]:
+    def _measure_widths(self, take: Take, parameters: Parameters) -> tuple[list[Gap], dict[str, Floats]]:
         """The openings, and their widths [mm], shape (frames, openings), by method."""
         space, surrogate = identities.Anny(), Surrogate.load()
         skin, code = space.mean, np.zeros(space.code_size)
@@ -112,7 +112,7 @@ class Closures(Study):
         return openings, {name: np.array(rows) for name, rows in widths.items()}
 
 
-def _curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -> bytes:
+def _draw_curves(times: Floats, openings: Sequence[Gap], widths: dict[str, Floats]) -> bytes:
     figure, axes = plots.subplots(len(openings), 1, figsize=(9, 2.4 * len(openings)), sharex=True)
     styles = {"blendshapes": ":", TRUTH: "-", "network": "--"}
     for k, (axis, gap) in enumerate(zip(axes, openings, strict=True)):

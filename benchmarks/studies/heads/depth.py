@@ -92,7 +92,7 @@ class Depth(Study):
             if not Path(path).is_file():
                 raise InputError(f"{path}: no such file")
         identities.from_text(self.identities)
-        self._skull()
+        self._read_skull()
         return [Task(Path(self.skin).name, Path(self.regressor).name or "default")]
 
     def measure(self, task: Task) -> Values:
@@ -108,18 +108,18 @@ class Depth(Study):
         else:
             regressor = default_regressor(template, space)
         skin, off = read_skin(Path(self.skin), space, unit=self.unit)
-        check = DepthCheck.of(template, regressor, skin, self._skull())
+        check = DepthCheck.of(template, regressor, skin, self._read_skull())
         return {
             "trained_on": regressor.label,
             "pairs": regressor.pairs,
             "template": template.digest,
             "registered_off": off,
-            "rows": check.by_region(),
-            "landmarks": check.at_landmarks(),
+            "rows": check.compare_regions(),
+            "landmarks": check.compare_landmarks(),
             **check.pictures(),
         }
 
-    def _skull(self) -> Surface:
+    def _read_skull(self) -> Surface:
         return read_skull([Path(path) for path in self.skulls], unit=self.unit)
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
@@ -228,7 +228,7 @@ class DepthCheck:
             "scalp": scalp,
         }
 
-    def by_region(self) -> list[dict]:
+    def compare_regions(self) -> list[dict]:
         """Errors [mm] of depths and of the skull wrap where a ray measured, by region; none without such a place."""
         found = []
         for name, region in self.regions.items():
@@ -258,7 +258,7 @@ class DepthCheck:
                 )
         return found
 
-    def at_landmarks(self) -> list[dict]:
+    def compare_landmarks(self) -> list[dict]:
         """Depths [mm] at the face's vertex next to each landmark of the published depths, on either side.
 
         None is on the throat, where there is no bone.

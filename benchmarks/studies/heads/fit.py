@@ -124,7 +124,7 @@ class Heads(OfPerson):
 
     def measure(self, task: Task) -> Values:
         """A head's figures, or why there is none; or its pictures."""
-        space, template = _space(self.identities, self.level)
+        space, template = _load_space(self.identities, self.level)
         seed = None if task.case in self.heads else int(task.case.split()[1])
         if task.method == FITTED:
             assert seed is not None
@@ -134,23 +134,25 @@ class Heads(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Nearly every identity has a valid head."""
-        of = _fits(rows)
+        of = _select_fits(rows)
         failed = sum(bool(row.values["error"] or row.values["problems"]) for row in of)
         what = f"heads of {len(of)} that could not be fitted or miss a gate"
         return [at_most(what, failed, FAILURES_PER_HEAD * len(of))]
 
     def words(self, rows: Sequence[Row]) -> str:
         """How many there are, and how long a fit takes."""
-        of = _fits(rows)
+        of = _select_fits(rows)
         done = [row.values for row in of if not row.values["error"]]
-        said = f"{len(done)} of {len(of)} random identities have a layered head"
+        sentence = f"{len(done)} of {len(of)} random identities have a layered head"
         if done:
-            said += f"; a fit takes {np.median([values['fit_cpu_s'] for values in done]):.2f} s of a processor (median)"
-        return said + "."
+            sentence += (
+                f"; a fit takes {np.median([values['fit_cpu_s'] for values in done]):.2f} s of a processor (median)"
+            )
+        return sentence + "."
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Failures and their reasons, distributions, and the gallery's figures."""
-        of = _fits(rows)
+        of = _select_fits(rows)
         unfit = [(row.case, row.values["error"]) for row in of if row.values["error"]]
         unfit += [(row.case, "; ".join(row.values["problems"])) for row in of if row.values["problems"]]
         reasons = Counter(reason.partition(":")[0] for _, reason in unfit).most_common()
@@ -169,15 +171,15 @@ class Heads(OfPerson):
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """How often each value occurs."""
         panels = [
-            (_words(figure), figure.unit, [value for value, _ in values], figure.bound)
-            for figure, values in collect_figures(_fits(rows))
+            (_name_figure(figure), figure.unit, [value for value, _ in values], figure.bound)
+            for figure, values in collect_figures(_select_fits(rows))
             if figure.name in PLOTTED or figure.name in SECONDS[::2]
         ]
         return {"Distributions; red: the bound of a gate.": plots.draw_histograms(panels)} if panels else {}
 
 
 @lru_cache(maxsize=1)
-def _space(whose: str, level: int) -> tuple[LinearSpace, Template]:
+def _load_space(whose: str, level: int) -> tuple[LinearSpace, Template]:
     space = identities.from_text(whose)
     template = load_template(space, level=level)
     check_head(fit_head(template, space.mean))  # what is done once per process is in no head's time
@@ -205,7 +207,7 @@ def try_fit(template: Template, skin: Surface) -> dict:
     return {"error": None, "problems": list(report.problems), "figures": asdict(report), **seconds}
 
 
-def _fits(rows: Sequence[Row]) -> list[Row]:
+def _select_fits(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row.method == FITTED]
 
 
@@ -229,7 +231,7 @@ def collect_figures(rows: Sequence[Row]) -> list[tuple[Figure, Occurrences]]:
     return found
 
 
-def _words(figure: Figure) -> str:
+def _name_figure(figure: Figure) -> str:
     named = {"fit_s": "fit", "fit_cpu_s": "fit, processor", "check_s": "check", "check_cpu_s": "check, processor"}
     return named.get(figure.name) or figure.words
 
@@ -243,4 +245,4 @@ def _describe_figure(figure: Figure, values: Occurrences) -> list:
     unit = f" [{figure.unit}]" if figure.unit else ""
     spread = (x.min(), np.quantile(x, 0.05), np.median(x), x.mean(), np.quantile(x, 0.95), x.max())
     gate = [figure.limit, missed] if figure.limit else [None, None]
-    return [_words(figure) + unit, *gate, *map(float, spread), ", ".join(seed for _, seed in worst)]
+    return [_name_figure(figure) + unit, *gate, *map(float, spread), ", ".join(seed for _, seed in worst)]

@@ -75,15 +75,19 @@ class Registrations(Study):
         lines: list[dict[str, Any]] = []
         shapes = []
         for space, upon, forth, home in ((one, other, there, back), (other, one, back, there)):
-            away = slide(space, forth, upon, home)
+            away = measure_slide(space, forth, upon, home)
             lines.append(
                 {"compared": f"slide, {space.name} to {upon.name} and back", "mean_mm": float(away.mean())}
                 | {"median_mm": float(np.median(away)), "p95_mm": float(np.quantile(away, 0.95))}
                 | {"points": len(away), "crossings": forth.crossings}
             )
             rig = transfer_rig(space, forth).deltas
-            groups = {f"shapes, {space.name} to {upon.name}": agreement(rig, upon.expressions, upon.parts == OUTSIDE)}
-            groups |= {f"shapes, {space.name}, {what}": rows for what, rows in _of_a_person(space, self.seed).items()}
+            groups = {
+                f"shapes, {space.name} to {upon.name}": measure_agreement(rig, upon.expressions, upon.parts == OUTSIDE)
+            }
+            groups |= {
+                f"shapes, {space.name}, {what}": rows for what, rows in _compare_person(space, self.seed).items()
+            }
             for compared, rows in groups.items():
                 least = min(rows, key=lambda row: row["cosine"])
                 cosine, mean = median(rows)
@@ -100,20 +104,20 @@ class Registrations(Study):
         return "; ".join(f"{line['compared']}: {line['mean_mm']:.2f} mm on average" for line in slides) + "."
 
 
-def slide(space: LinearSpace, forth: Registration, upon: LinearSpace, home: Registration) -> Floats:
+def measure_slide(space: LinearSpace, forth: Registration, upon: LinearSpace, home: Registration) -> Floats:
     """How far [mm] the visible points of a space's mean face are off after they were carried to another and back."""
-    face = visible_face(space)
+    face = find_visible_face(space)
     corners, shares, good = Target(upon.mean).located(forth.vertices[face], forth.surface.vertex_normals[face])
     back = (shares[:, :, None] * home.vertices[corners]).sum(axis=1)
     return np.linalg.norm(back - space.mean.vertices[face], axis=1)[good]
 
 
-def visible_face(space: LinearSpace) -> Mask:
+def find_visible_face(space: LinearSpace) -> Mask:
     """The vertices (n,) of a mean head's face that see the sky."""
     return find_face(space.mean, space.parts)[1] & (visible_sky(space.mean) > SEEN)
 
 
-def agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
+def measure_agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -> list[dict[str, Any]]:
     """By shape that both have: cosine between displacements (52, n, 3), and their mean distance [mm], where visible."""
     rows = []
     for k, name in enumerate(ARKIT):
@@ -125,7 +129,7 @@ def agreement(found: Floats | Floats32, own: Floats | Floats32, visible: Mask) -
     return rows
 
 
-def _of_a_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, Any]]]:
+def _compare_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, Any]]]:
     """Agreement with a random person's own shapes, by exact points, and by points that registration finds."""
     skin = space.sample(np.random.default_rng(seed))[1]
     visible = space.parts == OUTSIDE
@@ -135,8 +139,8 @@ def _of_a_person(space: LinearSpace, seed: int) -> dict[str, list[dict[str, Any]
     other = Surface(skin.vertices[order], np.argsort(order)[skin.triangles])
     found = transfer_rig(space, register(space.mean, space.parts, other)).deltas
     return {
-        "a person, exact points": agreement(exact, space.expressions, visible),
-        "a person, registered": agreement(found, space.expressions[:, order], visible[order]),
+        "a person, exact points": measure_agreement(exact, space.expressions, visible),
+        "a person, registered": measure_agreement(found, space.expressions[:, order], visible[order]),
     }
 
 

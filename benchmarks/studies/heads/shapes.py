@@ -54,11 +54,11 @@ class Shapes(OfPerson):
 
     def measure(self, task: Task) -> Values:
         """A row per shape."""
-        return {"rows": shapes_of(self.person(seed=int(task.case.split()[1])))}
+        return {"rows": simulate_shapes(self.person(seed=int(task.case.split()[1])))}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Few pairs have an inverted tet, and all frames converge."""
-        lines = _lines(rows)
+        lines = _collect_lines(rows)
         share = sum(line["soft"] > 0 for line in lines) / len(lines)
         return [
             at_most("share of pairs with an inverted tet in soft tissue", share, ALLOWED),
@@ -67,7 +67,7 @@ class Shapes(OfPerson):
 
     def words(self, rows: Sequence[Row]) -> str:
         """How many invert."""
-        lines = _lines(rows)
+        lines = _collect_lines(rows)
         inverted = sum(line["soft"] > 0 for line in lines)
         return f"{inverted} of {len(lines)} pairs of identity and shape have an inverted tet in soft tissue."
 
@@ -76,11 +76,11 @@ class Shapes(OfPerson):
         head = ["shape", "identities", "with an inverted tet in soft tissue", "most in soft tissue", "most in muscle",
                 "smallest volume ratio", "did not converge",
                 *(f"{region}: from targets, mean [mm]" for region in REGIONS)]  # fmt: skip
-        return [Table("By shape", head, [list(row.values()) for row in by_shape(_lines(rows))])]
+        return [Table("By shape", head, [list(row.values()) for row in summarise_shapes(_collect_lines(rows))])]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """How far lids and lips stay from their targets."""
-        found = by_shape(_lines(rows))
+        found = summarise_shapes(_collect_lines(rows))
         figure, axis = subplots(figsize=(11, 3.6))
         for region in REGIONS:
             axis.plot([row[f"{region}_mean"] for row in found], "o", ms=4, label=region)
@@ -90,11 +90,11 @@ class Shapes(OfPerson):
         return {"How far face, lids and lips stay from their targets, mean over identities.": to_svg(figure)}
 
 
-def _lines(rows: Sequence[Row]) -> list[Values]:
+def _collect_lines(rows: Sequence[Row]) -> list[Values]:
     return [line for row in rows for line in row.values["rows"]]
 
 
-def shapes_of(of: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> list[dict]:
+def simulate_shapes(of: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> list[dict]:
     """A row per shape (numbers in ARKit's order) that a person's space has."""
     head, deltas = of.head, of.space.expression_deltas(of.code)
     skin, rows = head.skin, []
@@ -106,12 +106,12 @@ def shapes_of(of: Person, chosen: Sequence[int] = tuple(range(len(ARKIT)))) -> l
             solution = prepared.solve(scene, tolerance=TOLERANCE)
             row = {"shape": ARKIT[shape], "converged": solution.converged}
             targets = head.wrap_targets(skin.vertices + deltas[shape])
-            row |= _figures(head, solution.volume_ratio, solution.positions[: len(targets)] - targets)
+            row |= _measure_tets(head, solution.volume_ratio, solution.positions[: len(targets)] - targets)
             rows.append(row | {"iterations": solution.iterations})
     return rows
 
 
-def _figures(head: LayeredHead, volume_ratio: Floats, missed: Floats) -> dict:
+def _measure_tets(head: LayeredHead, volume_ratio: Floats, missed: Floats) -> dict:
     """Inverted tets, and how far [mm] the wrap `missed` (n, 3) its targets in regions: mean, and the largest."""
     soft, muscle = np.split(volume_ratio, [len(head.soft.tets)])
     distance = np.linalg.norm(missed, axis=1)
@@ -122,7 +122,7 @@ def _figures(head: LayeredHead, volume_ratio: Floats, missed: Floats) -> dict:
     return figures
 
 
-def by_shape(rows: Sequence[Values]) -> list[dict]:
+def summarise_shapes(rows: Sequence[Values]) -> list[dict]:
     """The rows of each shape as one: identities with an inverted tet in soft tissue, the worst and mean figures."""
     table = []
     for shape in ARKIT:

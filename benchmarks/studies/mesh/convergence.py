@@ -91,15 +91,15 @@ class Convergence(OfPerson):
             begin = time.perf_counter()
             solution = prepare(scene).solve(tolerance=self.tolerance)
             skins[surface, count] = mesh.skin_after(shape, solution.positions[: len(mesh.bone)])
-            solves.append(_row(surface, count, "P1", scene, solution, time.perf_counter() - begin))
-        quadratic = _quadratic(head, shape, solves) if self.quadratic else None
-        errors = _errors(head, shape, skins, quadratic)
+            solves.append(_describe_solve(surface, count, "P1", scene, solution, time.perf_counter() - begin))
+        quadratic = _solve_quadratic(head, shape, solves) if self.quadratic else None
+        errors = _measure_errors(head, shape, skins, quadratic)
         return errors | {"solves": solves, "iterations": sum(row["iterations"] for row in solves)}
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge, and a mesh that may do all that another can has at most its energy."""
         solves = [solve for row in rows for solve in row.values["solves"]]
-        rises = sum(_energy(row, 1, ALONG) > _energy(row, 0, 1) for row in rows)
+        rises = sum(_find_energy(row, 1, ALONG) > _find_energy(row, 0, 1) for row in rows)
         worst = float(np.max([row.values["mean"] for row in rows]))
         what = "mean discretisation error of the head's own mesh, worst expression [mm]"
         return [
@@ -121,10 +121,10 @@ class Convergence(OfPerson):
         """Errors by mesh, and the solves."""
         figures = ["mean [mm]", "RMS [mm]", "95 % [mm]", "max [mm]"]
         lines = [
-            (row.case, f"{what}{key}", *(found[name] for name in ("mean", "rms", "p95", "max")))
+            (row.case, f"{what}{key}", *(off[name] for name in ("mean", "rms", "p95", "max")))
             for row in rows
             for what, group in (("sub-layers: ", "across"), ("times split: ", "along"))
-            for key, found in row.values[group].items()
+            for key, off in row.values[group].items()
         ]
         same = ("element", "vertices", "tets", "iterations", "converged", "energy", "inverted")
         titles = {"case": "expression", "surface": "times split", "sub_layers": "sub-layers"}
@@ -152,11 +152,11 @@ class Convergence(OfPerson):
         return {"Error against the size of the mesh.": to_svg(figure)}
 
 
-def _energy(row: Row, surface: int, count: int) -> float:
+def _find_energy(row: Row, surface: int, count: int) -> float:
     return next(s["energy"] for s in row.values["solves"] if (s["surface"], s["sub_layers"]) == (surface, count))
 
 
-def _row(surface: int, count: int, element: str, scene: Scene, solution: Solution, seconds: float) -> dict:
+def _describe_solve(surface: int, count: int, element: str, scene: Scene, solution: Solution, seconds: float) -> dict:
     return {
         "surface": surface,
         "sub_layers": count,
@@ -171,17 +171,17 @@ def _row(surface: int, count: int, element: str, scene: Scene, solution: Solutio
     }
 
 
-def _quadratic(head: LayeredHead, shape: Floats, solves: list[dict]) -> Floats:
+def _solve_quadratic(head: LayeredHead, shape: Floats, solves: list[dict]) -> Floats:
     """The skin [mm] of quadratic tets on the head's own mesh; its solve is added."""
     scene = facial_scene(head, Parameters(), shape, bones="prescribed")
     begin = time.perf_counter()
     near = solve(scene, tolerance=QUADRATIC_TOLERANCE).positions
     solution = solve(scene, solver="fenicsx", element="P2", start=near, tolerance=QUADRATIC_TOLERANCE)
-    solves.append(_row(0, 1, "P2", scene, solution, time.perf_counter() - begin))
+    solves.append(_describe_solve(0, 1, "P2", scene, solution, time.perf_counter() - begin))
     return head.skin_after(shape, solution.positions[: len(head.bone)])
 
 
-def _errors(
+def _measure_errors(
     head: LayeredHead, shape: Floats, skins: Mapping[tuple[int, int], Floats], quadratic: Floats | None
 ) -> dict:
     """What the meshes say: the two limits, and the head's own mesh against both together."""

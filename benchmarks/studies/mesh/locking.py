@@ -26,7 +26,7 @@ from ....surrogate.ruler import measure
 from ...harness.study import Column, Row, Table, Task, Values, above, at_most
 from ..measures import distances
 from ..person import OfPerson, Person, parse_poisson, person
-from ..scaling.mixed import law_scene
+from ..scaling.mixed import make_law_scene
 
 PRISMS, FREE, MIRRORED = "split prisms", "free tets (gmsh)", "mirrored loads"
 MEAN = ", mean head"
@@ -101,17 +101,17 @@ class Locking(OfPerson):
             raise InputError(f"size: expected a length above 0 mm, got {self.size:g}")
         levels = [(self.level, text) for text in self.poisson] + [(DEFAULT_LEVEL, text) for text in self.finer]
         return [
-            *(Task(_case(level, text), PRISMS) for level, text in dict.fromkeys(levels)),
-            *(Task(_case(self.level, text), FREE) for text in self.free),
+            *(Task(_name_case(level, text), PRISMS) for level, text in dict.fromkeys(levels)),
+            *(Task(_name_case(self.level, text), FREE) for text in self.free),
             *(Task(f"level {level}{MEAN}", MIRRORED) for level in dict.fromkeys((self.level, DEFAULT_LEVEL))),
         ]
 
     def measure(self, task: Task) -> Values:
         """Solve one case on its meshes; each answer is one of `rows`."""
         if task.method == MIRRORED:
-            return {"rows": self._mirrored(int(task.case.removeprefix("level ").removesuffix(MEAN)))}
-        level, text = _read(task.case)
-        problem = _problem(self, level, float(text))
+            return {"rows": self._solve_mirrored(int(task.case.removeprefix("level ").removesuffix(MEAN)))}
+        level, text = _read_case(task.case)
+        problem = _pose(self, level, float(text))
         if task.method == FREE:
             return {"rows": problem.on_free_tets(self.size)}
         return {"rows": problem.on_prisms(SUB_LAYERS if level == self.level else FINER_LAYERS)}
@@ -120,7 +120,7 @@ class Locking(OfPerson):
         """Make the mean head, whose skin is its own mirror image."""
         return person(self.identities, None, level)
 
-    def _mirrored(self, level: int) -> list[dict]:
+    def _solve_mirrored(self, level: int) -> list[dict]:
         of = self.mean_person(level)
         rest = of.head.skin.vertices
         moved = of.shape(ONE_SIDED) - rest
@@ -130,15 +130,15 @@ class Locking(OfPerson):
         rows = []
         for what, head in ((PRISMS, of.head), (FREE, remesh(of.head, self.size))):
             shapes = [rest + moved, rest + moved[partner] * MIRROR]
-            answers = [_linear(head, shape, 0.45) for shape in shapes]
+            answers = [_solve_linear(head, shape, 0.45) for shape in shapes]
             left, right = (answer["skin"] for answer in answers)
             motion = distances(right, shapes[1])
-            rows.append(_row(what, left[partner] * MIRROR, right, motion, answers[0]))
+            rows.append(_compare(what, left[partner] * MIRROR, right, motion, answers[0]))
         return rows
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that linear tets lock, and that quadratic tets on two independent meshes are a reference for them."""
-        prisms = {_read(row.case): row.values["rows"] for row in rows if row.method == PRISMS}
+        prisms = {_read_case(row.case): row.values["rows"] for row in rows if row.method == PRISMS}
         at_level = {float(text): lines for (level, text), lines in prisms.items() if level == self.level}
         gates = []
         if len(at_level) > 1:
@@ -149,7 +149,7 @@ class Locking(OfPerson):
         apart = [
             row.values["rows"][1]["mean"] / at_level[float(text)][0]["mean"]
             for row in rows
-            if row.method == FREE and float(text := _read(row.case)[1]) in at_level
+            if row.method == FREE and float(text := _read_case(row.case)[1]) in at_level
         ]
         if apart:
             what = "quadratic tets on two independent meshes, over linear to quadratic tets, worst"
@@ -158,7 +158,7 @@ class Locking(OfPerson):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell the error by Poisson's ratio, the free tets' distance, and the asymmetry of both meshes."""
-        said = [
+        sentences = [
             f"{row.case}: linear tets are {lines[0]['mean']:.3f} mm from quadratic ones on average, "
             f"{lines[0]['max']:.2f} mm at most, {lines[0]['over_all']:.1f} times |T - carried(S)|."
             for row in rows
@@ -167,28 +167,28 @@ class Locking(OfPerson):
         for row in rows:
             if row.method == FREE:
                 parts = ", ".join(f"{line['what']} {line['mean']:.4f} mm" for line in row.values["rows"])
-                said.append(f"{row.case}, free tets to split prisms: {parts}.")
+                sentences.append(f"{row.case}, free tets to split prisms: {parts}.")
             if row.method == MIRRORED:
                 parts = ", ".join(f"{line['what']} {100.0 * line['over_all']:.1f} %" for line in row.values["rows"])
-                said.append(f"{row.case}: mirrored loads differ, of |T - S|, by {parts}.")
-        return " ".join(said)
+                sentences.append(f"{row.case}: mirrored loads differ, of |T - S|, by {parts}.")
+        return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Lay out the error of linear tets: a line per Poisson's ratio, a column per number of sub-layers."""
         lines = []
         for row in rows:
             if row.method == PRISMS:
-                found = row.values["rows"]
-                figures = [f"{line['mean']:.4f} / {line['max']:.3f} / {line['over_all']:.2f}" for line in found]
-                figures += [""] * (len(SUB_LAYERS) - len(found))
-                lines.append((row.case, found[0]["reference"], *figures))
-        titles = ["case", "reference", *(_layers(count) for count in SUB_LAYERS)]
+                answers = row.values["rows"]
+                figures = [f"{line['mean']:.4f} / {line['max']:.3f} / {line['over_all']:.2f}" for line in answers]
+                figures += [""] * (len(SUB_LAYERS) - len(answers))
+                lines.append((row.case, answers[0]["reference"], *figures))
+        titles = ["case", "reference", *(_name_layers(count) for count in SUB_LAYERS)]
         caption = "Linear tets to the reference: mean [mm] / max [mm] / times mean |T - carried(S)|"
         return [Table(caption, titles, lines)] if lines else []
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the mean error against Poisson's ratio, a line per number of sub-layers."""
-        prisms = [(_read(row.case), row.values["rows"]) for row in rows if row.method == PRISMS]
+        prisms = [(_read_case(row.case), row.values["rows"]) for row in rows if row.method == PRISMS]
         if not prisms:
             return {}
         figure, axes = subplots(1, 2, figsize=(8.8, 3.4))
@@ -203,7 +203,7 @@ class Locking(OfPerson):
                         if of == level and number < len(lines)
                     )
                     if points and not (level == DEFAULT_LEVEL == self.level and style == "s:"):
-                        label = f"{_layers(count)}, level {level}"
+                        label = f"{_name_layers(count)}, level {level}"
                         from_half, sizes = [0.5 - nu for nu, _ in points], [size for _, size in points]
                         axis.plot(from_half, sizes, style, color=f"C{number}", ms=4, label=label)
             axis.set(xlabel="Poisson's ratio", ylabel=what, xscale="log")
@@ -225,50 +225,50 @@ class _Problem:
     def __init__(self, head: LayeredHead, shape: Floats, poisson: float):
         self.head, self.shape, self.poisson = head, shape, poisson
         self.element = "P2P1" if poisson >= WITH_PRESSURE else "P2"
-        self.linear = _linear(head, shape, poisson)
-        self.quadratic = _quadratic(head, shape, poisson, self.element, self.linear)
+        self.linear = _solve_linear(head, shape, poisson)
+        self.quadratic = _solve_quadratic(head, shape, poisson, self.element, self.linear)
         self.motion = distances(self.quadratic["skin"], shape)
 
     def on_prisms(self, counts: Sequence[int]) -> list[dict]:
         """Compare linear tets with the reference; `counts` of sub-layers begin with one."""
         answers = {1: self.linear}
         for count in counts[1:]:
-            answers[count] = _linear(self.head, self.shape, self.poisson, (count, count))
+            answers[count] = _solve_linear(self.head, self.shape, self.poisson, (count, count))
         of_reference = {"reference": self.element, "reference_iterations": self.quadratic["iterations"]}
         reference = self.quadratic["skin"]
         return [
-            _row(f"P1, {_layers(count)}", answer["skin"], reference, self.motion, answer) | of_reference
+            _compare(f"P1, {_name_layers(count)}", answer["skin"], reference, self.motion, answer) | of_reference
             for count, answer in answers.items()
         ]
 
     def on_free_tets(self, size: float) -> list[dict]:
         """Compare free tets with split prisms, element by element."""
         free = remesh(self.head, size)
-        linear = _linear(free, self.shape, self.poisson)
-        quadratic = _quadratic(free, self.shape, self.poisson, self.element, linear)
+        linear = _solve_linear(free, self.shape, self.poisson)
+        quadratic = _solve_quadratic(free, self.shape, self.poisson, self.element, linear)
         pairs = (("P1", linear, self.linear), (self.element, quadratic, self.quadratic))
-        return [_row(what, a["skin"], b["skin"], self.motion, a) for what, a, b in pairs]
+        return [_compare(what, a["skin"], b["skin"], self.motion, a) for what, a, b in pairs]
 
 
 @lru_cache(maxsize=2)
-def _problem(study: Locking, level: int, poisson: float) -> _Problem:
+def _pose(study: Locking, level: int, poisson: float) -> _Problem:
     of = study.person(level)
     return _Problem(of.head, of.shape(study.expression), poisson)
 
 
-def _linear(head: LayeredHead, shape: Floats, poisson: float, layers: tuple[int, int] = (1, 1)) -> dict:
-    scene = law_scene(head, shape, poisson, layers)
-    return _answer(head, shape, scene, tolerance=LINEAR_TOLERANCE)
+def _solve_linear(head: LayeredHead, shape: Floats, poisson: float, layers: tuple[int, int] = (1, 1)) -> dict:
+    scene = make_law_scene(head, shape, poisson, layers)
+    return _solve(head, shape, scene, tolerance=LINEAR_TOLERANCE)
 
 
-def _quadratic(head: LayeredHead, shape: Floats, poisson: float, element: str, near: dict) -> dict:
-    scene = law_scene(head, shape, poisson)
+def _solve_quadratic(head: LayeredHead, shape: Floats, poisson: float, element: str, near: dict) -> dict:
+    scene = make_law_scene(head, shape, poisson)
     if element == "P2":
-        return _answer(head, shape, scene, element=element, start=near["positions"], tolerance=REFERENCE_TOLERANCE)
-    return _answer(head, shape, scene, element=element, tolerance=MIXED_TOLERANCE)
+        return _solve(head, shape, scene, element=element, start=near["positions"], tolerance=REFERENCE_TOLERANCE)
+    return _solve(head, shape, scene, element=element, tolerance=MIXED_TOLERANCE)
 
 
-def _answer(head: LayeredHead, shape: Floats, scene: Scene, **options: Any) -> dict:
+def _solve(head: LayeredHead, shape: Floats, scene: Scene, **options: Any) -> dict:
     """Solve; give positions, skin [mm], iterations and the number of tets. Raises SoftdecaError if it stalls."""
     solution = solve(scene, solver="fenicsx", **options)
     if not solution.converged:
@@ -281,7 +281,7 @@ def _answer(head: LayeredHead, shape: Floats, scene: Scene, **options: Any) -> d
     }
 
 
-def _row(what: str, skin: Floats, reference: Floats, motion: Floats, answer: dict) -> dict:
+def _compare(what: str, skin: Floats, reference: Floats, motion: Floats, answer: dict) -> dict:
     away = distances(skin, reference)
     ruler = asdict(measure(away, motion))
     # Where nothing moves there is no share.
@@ -298,14 +298,14 @@ def _row(what: str, skin: Floats, reference: Floats, motion: Floats, answer: dic
     }
 
 
-def _case(level: int, text: str) -> str:
+def _name_case(level: int, text: str) -> str:
     return f"level {level}, nu {text}"
 
 
-def _read(case: str) -> tuple[int, str]:
+def _read_case(case: str) -> tuple[int, str]:
     level, _, text = case.partition(", nu ")
     return int(level.removeprefix("level ")), text
 
 
-def _layers(count: int) -> str:
+def _name_layers(count: int) -> str:
     return f"{count} sub-layer{'s' * (count > 1)}"

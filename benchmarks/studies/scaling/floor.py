@@ -27,7 +27,7 @@ def _triad(a, b, c, factor):
         a[i] = b[i] + factor * c[i]
 
 
-def bandwidth() -> float:
+def measure_bandwidth() -> float:
     """Bytes per second that one core moves in the triad a = b + s c (McCalpin's STREAM), best of some runs."""
     a, b, c = (np.full(TRIAD_NUMBERS, value) for value in (0.0, 1.0, 2.0))
     _triad(a, b, c, 3.0)
@@ -39,7 +39,7 @@ def bandwidth() -> float:
     return 3 * a.nbytes / min(seconds)
 
 
-def factor_bytes(prepared: ProjectivePrepared) -> int:
+def count_factor_bytes(prepared: ProjectivePrepared) -> int:
     """Bytes of the triangular factors of A, counted by SuperLU's symmetric minimum-degree order."""
     matrix, _ = prepared.energy.matrix(prepared.scene)
     total = 0
@@ -54,13 +54,13 @@ def factor_bytes(prepared: ProjectivePrepared) -> int:
     return total
 
 
-def tet_bytes(prepared: ProjectivePrepared) -> int:
+def count_tet_bytes(prepared: ProjectivePrepared) -> int:
     """Bytes of parameters and corners of all tets, which the local step reads."""
     tets = prepared.energy.part(TetBlocks)
     return 0 if tets is None else tets.parameters.nbytes + tets.corners.nbytes
 
 
-def split(prepared: ProjectivePrepared, positions: Floats, iteration_seconds: float) -> dict[str, float]:
+def split_iteration(prepared: ProjectivePrepared, positions: Floats, iteration_seconds: float) -> dict[str, float]:
     """What an iteration of so many seconds spends [ms] on the energy's gradient, on the solve with A, and on the rest.
 
     Both are timed at the positions [mm], shape (n, 3).
@@ -69,8 +69,8 @@ def split(prepared: ProjectivePrepared, positions: Floats, iteration_seconds: fl
     place = coordinates.start(positions - prepared.scene.vertices)
     energy = prepared.energy.for_scene(prepared.scene)
     gradient = coordinates.pull(energy.evaluate(place.u)[1], place)
-    local = _median_seconds(lambda: energy.evaluate(place.u))
-    solve = _median_seconds(lambda: prepared.system.solve(gradient, place.rotations))
+    local = _measure_median(lambda: energy.evaluate(place.u))
+    solve = _measure_median(lambda: prepared.system.solve(gradient, place.rotations))
     return {
         "iteration": 1e3 * iteration_seconds,
         "local": 1e3 * local,
@@ -79,7 +79,7 @@ def split(prepared: ProjectivePrepared, positions: Floats, iteration_seconds: fl
     }
 
 
-def _median_seconds(work: Callable[[], object]) -> float:
+def _measure_median(work: Callable[[], object]) -> float:
     work()
     seconds = []
     for _ in range(REPEATS):

@@ -37,7 +37,7 @@ from ..measures import (
     trace_to_itself,
 )
 from ..person import OfPerson, check_known
-from .floor import factor_bytes
+from .floor import count_factor_bytes
 
 PD, FENICSX, NEO_HOOKEAN = "PD", "FEniCSx, same energy", "FEniCSx, neo-Hookean"
 RATE = 60.0
@@ -87,18 +87,18 @@ class Scaling(OfPerson):
                 raise InputError(f"{what}: whole numbers above 0 were expected, got {', '.join(values)}")
         if self.repeats < 1:
             raise InputError(f"repeats: must be at least 1, got {self.repeats}")
-        found = [Task(f"level {level}", solver) for solver in (PD, FENICSX, NEO_HOOKEAN) for level in self.levels]
-        found += [Task(f"{count} frames", PD) for count in self.frames]
-        return found + [Task(f"{count} processes", PD) for count in self.processes]
+        tasks = [Task(f"level {level}", solver) for solver in (PD, FENICSX, NEO_HOOKEAN) for level in self.levels]
+        tasks += [Task(f"{count} frames", PD) for count in self.frames]
+        return tasks + [Task(f"{count} processes", PD) for count in self.processes]
 
     def measure(self, task: Task) -> Values:
         """The costs of one size."""
         kind, _, last = task.case.partition(" ")
         if kind == "level":
-            return self._level(int(last), task.method)
-        return self._sequence(int(kind)) if last == "frames" else self._side_by_side(int(kind))
+            return self._measure_level(int(last), task.method)
+        return self._measure_sequence(int(kind)) if last == "frames" else self._measure_processes(int(kind))
 
-    def _level(self, level: int, solver: str) -> Values:
+    def _measure_level(self, level: int, solver: str) -> Values:
         of = self.person(level)
         make = partial(facial_scene, of.head, Parameters(), of.shape(self.expression), bones="prescribed")
         found: dict = {"size": len(make().tets)}
@@ -108,19 +108,22 @@ class Scaling(OfPerson):
             _, trace = trace_to_itself(prepared)
             tolerance = trace.tolerance_for(ACCURACY) or TIGHT
             runs = repeat_work(lambda: time_solve(make, tolerance), self.repeats)
-            found |= {"factor_mb": factor_bytes(prepared) / 1e6, "iteration_ms": 1e3 * _per_iteration(trace.seconds)}
+            found |= {
+                "factor_mb": count_factor_bytes(prepared) / 1e6,
+                "iteration_ms": 1e3 * _time_iteration(trace.seconds),
+            }
         else:
             scene = (lambda: apply_law(make(), "neo-Hookean")) if solver == NEO_HOOKEAN else make
             held = measure_megabytes(scene, solver="fenicsx")
             runs = repeat_work(lambda: time_solve(scene, FEM_TOLERANCE, solver="fenicsx"), self.repeats)
-            found["iteration_ms"] = 1e3 * float(np.median([_per_iteration(run.history.time) for run, _ in runs]))
+            found["iteration_ms"] = 1e3 * float(np.median([_time_iteration(run.history.time) for run, _ in runs]))
         return found | merge_repeats([row for _, row in runs]) | {"scene_mb": held}
 
-    def _sequence(self, frames: int) -> Values:
+    def _measure_sequence(self, frames: int) -> Values:
         of = self.person()
         skins = of.blend(expressions.conversation(np.random.default_rng(3), frames + 1, rate=RATE))
 
-        def played() -> Values:
+        def play() -> Values:
             watch = Stopwatch()
             running = Simulation(of.head, Parameters(), time_step=1.0 / RATE)
             running.frame(skins[0])
@@ -131,9 +134,9 @@ class Scaling(OfPerson):
             iterations = sum(s.iterations for s in solutions)
             return {"prepare_s": first, "solve_s": wall, "cpu_s": cpu, **count_work(ended), "iterations": iterations}
 
-        return {"size": frames} | merge_repeats(repeat_work(played, self.repeats))
+        return {"size": frames} | merge_repeats(repeat_work(play, self.repeats))
 
-    def _side_by_side(self, processes: int) -> Values:
+    def _measure_processes(self, processes: int) -> Values:
         with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
             found = list(pool.map(_solve_again_and_again, [self] * processes))
         seconds = [float(np.median(times)) for times, _ in found]
@@ -148,7 +151,7 @@ class Scaling(OfPerson):
         """The exponents of the solve."""
         found = [
             f"{what} {solver} to the power {exponent:.2f}"
-            for what, solver, exponents in _exponents(rows)
+            for what, solver, exponents in _fit_exponents(rows)
             if (exponent := exponents["cpu_s"]) is not None
         ]
         rates = {row.values["size"]: row.values["rate"] for row in rows if row.values.get("rate")}
@@ -159,7 +162,7 @@ class Scaling(OfPerson):
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """The exponents of all that grows."""
         titles = {column.key: column.title for column in self.columns}
-        lines = [[what, solver, *(found[key] for key in GROWING)] for what, solver, found in _exponents(rows)]
+        lines = [[what, solver, *(slopes[key] for key in GROWING)] for what, solver, slopes in _fit_exponents(rows)]
         return [Table("Fitted exponents", ["over", "method", *(titles[key] for key in GROWING)], lines)]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
@@ -177,7 +180,7 @@ class Scaling(OfPerson):
         return {"Cost of a cold frame against the tets of the template's levels.": to_svg(figure)}
 
 
-def _per_iteration(times: Sequence[float] | Floats) -> float:
+def _time_iteration(times: Sequence[float] | Floats) -> float:
     return float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
@@ -185,16 +188,16 @@ def _solve_again_and_again(study: Scaling) -> tuple[list[float], dict]:
     of = study.person()
     prepared = prepare(facial_scene(of.head, Parameters(), of.shape(study.expression)))
 
-    def solved() -> tuple[float, Solution]:
+    def solve_once() -> tuple[float, Solution]:
         watch = Stopwatch()
         solution = prepared.solve()
         return watch.lap()[0], solution
 
-    runs = repeat_work(solved, study.repeats)
+    runs = repeat_work(solve_once, study.repeats)
     return [seconds for seconds, _ in runs], count_work(runs[-1][1])
 
 
-def _exponents(rows: Sequence[Row]) -> list[tuple[str, str, dict[str, float | None]]]:
+def _fit_exponents(rows: Sequence[Row]) -> list[tuple[str, str, dict[str, float | None]]]:
     """Over what, the method, and the exponents of all that grows."""
 
     def summarise(value) -> float | None:

@@ -105,10 +105,13 @@ class Minimal(OfPerson):
             return self._talk(task.method)
         whole = self.model(task.case)
         if task.method == SMALLEST:
-            found = smallest_facial_scene(whole, within=self.within)
-            return _costs(found.model, whole) | {"without": list(found.without), "alone_mm": dict(found.changes)}
+            smallest = smallest_facial_scene(whole, within=self.within)
+            return _measure_costs(smallest.model, whole) | {
+                "without": list(smallest.without),
+                "alone_mm": dict(smallest.changes),
+            }
         change = {**LEFT_OUT, **ADDED}.get(task.method)
-        return _costs(whole if change is None else change(whole), whole)
+        return _measure_costs(whole if change is None else change(whole), whole)
 
     def model(self, case: str) -> FacialModel:
         """The whole scene of an expression, or of a smile under an effect."""
@@ -127,31 +130,31 @@ class Minimal(OfPerson):
         """All can be compared, and the smallest scene is as near as it has to be."""
         unfinished = sum(not row.values["converged"] for row in rows)
         chosen = [row.values["max_mm"] for row in rows if row.method == SMALLEST]
-        found = [at_most("scenes that did not reach what was asked", unfinished, 0)]
-        found += [at_most("change by the smallest scene [mm]", max(chosen), self.within)] if chosen else []
+        gates = [at_most("scenes that did not reach what was asked", unfinished, 0)]
+        gates += [at_most("change by the smallest scene [mm]", max(chosen), self.within)] if chosen else []
         floating = [row.values["max_mm"] for row in rows if row.method == ADDED_GRAVITY]
         what = "change of the skin where a face under more gravity goes without it, largest [mm]"
-        return found + ([at_least(what, min(floating), self.needed)] if floating else [])
+        return gates + ([at_least(what, min(floating), self.needed)] if floating else [])
 
     def words(self, rows: Sequence[Row]) -> str:
         """What may go, and what it saves."""
-        said = []
+        sentences = []
         for row in rows:
             if row.method == SMALLEST:
-                whole = _cost(rows, row.case, WHOLE)
+                whole = _find_cost(rows, row.case, WHOLE)
                 gone = ", ".join(row.values["without"]) or "nothing"
                 saved = f" ({row.values['cpu_s'] / whole:.0%} of the time)" if whole else ""
-                said.append(f"{row.case} does without {gone}{saved}")
-        return f"Within {self.within:g} mm: {'; '.join(said)}." if said else ""
+                sentences.append(f"{row.case} does without {gone}{saved}")
+        return f"Within {self.within:g} mm: {'; '.join(sentences)}." if sentences else ""
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """The change by each piece against what it costs, a mark per scene."""
         figure, axis = subplots(figsize=(9, 4.6))
         for method in (*LEFT_OUT, *ADDED):
             points = [
-                (_cost(rows, row.case, method) / whole, row.values["max_mm"])
+                (_find_cost(rows, row.case, method) / whole, row.values["max_mm"])
                 for row in rows
-                if row.method == method and row.values["max_mm"] > 0 and (whole := _cost(rows, row.case, WHOLE))
+                if row.method == method and row.values["max_mm"] > 0 and (whole := _find_cost(rows, row.case, WHOLE))
             ]
             if points:
                 axis.plot(*zip(*points, strict=True), "o", label=method)
@@ -163,11 +166,11 @@ class Minimal(OfPerson):
         return {"What a piece changes, against the time with or without it. Dotted: what is allowed.": to_svg(figure)}
 
 
-def _cost(rows: Sequence[Row], case: str, method: str) -> float:
+def _find_cost(rows: Sequence[Row], case: str, method: str) -> float:
     return next((row.values["cpu_s"] for row in rows if (row.case, row.method) == (case, method)), 0.0)
 
 
-def _costs(model: FacialModel, whole: FacialModel) -> dict:
+def _measure_costs(model: FacialModel, whole: FacialModel) -> dict:
     held = measure_megabytes(model.scene)
     watch = Stopwatch()
     face = model.settle()

@@ -131,16 +131,16 @@ def solve_mixed(head: LayeredHead, shape: Floats, law: str, tolerance: float) ->
     `volume` is the volume of all tissue over that at rest, by the tets' corners.
     """
     poisson = None if law == INCOMPRESSIBLE else float(law)
-    scene = law_scene(head, shape, poisson)
+    scene = make_law_scene(head, shape, poisson)
     wall, cpu = time.perf_counter(), time.process_time()
     prepared: Any = prepare(scene, solver="fenicsx", element="P2P1")
     solution = prepared.solve(tolerance=tolerance)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     fields = prepared.fields(POINTS)
-    linear = _linear(law_scene(head, shape, STIFFEST if poisson is None else poisson), tolerance)
-    default = _linear(law_scene(head, shape, DEFAULT), tolerance)
+    linear = _solve_linear(make_law_scene(head, shape, STIFFEST if poisson is None else poisson), tolerance)
+    default = _solve_linear(make_law_scene(head, shape, DEFAULT), tolerance)
     J, middles = np.linalg.det(fields.gradient + np.eye(3)), scene.vertices[scene.tets].mean(axis=1)
-    default_around = around_vertices(scene, middles, scene.volumes, default.volume_ratio)
+    default_around = average_around_vertices(scene, middles, scene.volumes, default.volume_ratio)
     n = len(head.bone)
     away = distances(*(head.skin_after(shape, answer.positions[:n]) for answer in (linear, solution)))
     return {
@@ -152,15 +152,15 @@ def solve_mixed(head: LayeredHead, shape: Floats, law: str, tolerance: float) ->
         "processor": cpu,
         "energy": solution.energy,
         "volume": float((solution.volume_ratio @ scene.volumes) / scene.volumes.sum()),
-        **volumes_kept(J, fields.weights),
-        "around": float(np.abs(around_vertices(scene, fields.X, fields.weights, J) - 1.0).mean()),
+        **measure_volumes(J, fields.weights),
+        "around": float(np.abs(average_around_vertices(scene, fields.X, fields.weights, J) - 1.0).mean()),
         "around_default": float(np.abs(default_around - 1.0).mean()),
         "linear_mean": float(away.mean()),
         "linear_max": float(away.max()),
     }
 
 
-def volumes_kept(J: Floats, weights: Floats) -> dict[str, float]:
+def measure_volumes(J: Floats, weights: Floats) -> dict[str, float]:
     """Summarise volume ratios J (q,) at points that stand for volumes (q,) [mm³]: mean |J - 1|, least, percentiles."""
     order = np.argsort(J)
     share = (np.cumsum(weights[order]) - 0.5 * weights[order]) / weights.sum()
@@ -172,7 +172,7 @@ def volumes_kept(J: Floats, weights: Floats) -> dict[str, float]:
     }
 
 
-def around_vertices(scene: Scene, points: Floats, weights: Floats, values: Floats) -> Floats:
+def average_around_vertices(scene: Scene, points: Floats, weights: Floats, values: Floats) -> Floats:
     """Average values (q,) around each vertex by its linear shape function, shape (vertices of tets,).
 
     points (q, 3) [mm] at rest stand for volumes `weights` (q,) [mm³]; as many lie in each tet, next to each other, with
@@ -192,7 +192,7 @@ def around_vertices(scene: Scene, points: Floats, weights: Floats, values: Float
     return (total / np.where(volume > 0.0, volume, 1.0))[volume > 0.0]
 
 
-def law_scene(head: LayeredHead, shape: Floats, poisson: float | None, layers: tuple[int, int] = (1, 1)) -> Scene:
+def make_law_scene(head: LayeredHead, shape: Floats, poisson: float | None, layers: tuple[int, int] = (1, 1)) -> Scene:
     """The neo-Hookean facial scene of an expression with prescribed bones, incompressible or of a Poisson's ratio."""
     scene = apply_law(facial_scene(head, Parameters(), shape, bones="prescribed", layers=layers), "neo-Hookean")
     parts: list[terms.Term] = []
@@ -209,7 +209,7 @@ def law_scene(head: LayeredHead, shape: Floats, poisson: float | None, layers: t
     return replace(scene, terms=tuple(parts))
 
 
-def _linear(scene: Scene, tolerance: float) -> Solution:
+def _solve_linear(scene: Scene, tolerance: float) -> Solution:
     solution = solve(scene, solver="fenicsx", tolerance=tolerance)
     if not solution.converged:
         raise SoftdecaError(f"linear tets: {solution.reason}")

@@ -81,14 +81,14 @@ class Parts(Study):
 
     def words(self, rows: Sequence[Row]) -> str:
         """What the most processes gain."""
-        said = []
+        sentences = []
         for row in rows:
             first, last = row.values["rows"][0], row.values["rows"][-1]
-            said.append(
+            sentences.append(
                 f"{row.case.capitalize()}: the largest of {last['processes']} processes holds {last['peak_mb']:.0f} MB "
                 f"and works {last['cpu_s']:.1f} s, one alone {first['peak_mb']:.0f} MB and {first['cpu_s']:.1f} s."
             )
-        return " ".join(said)
+        return " ".join(sentences)
 
 
 def compare_counts(counts: Sequence[int], unknowns: int, *, each: bool) -> list[dict]:
@@ -102,7 +102,7 @@ def compare_counts(counts: Sequence[int], unknowns: int, *, each: bool) -> list[
         file = Path(folder) / "block.xdmf"
         for count in counts:
             if each or not rows:
-                run_by_mpirun(1, write, file, count_cells(unknowns * (count if each else 1)))
+                run_by_mpirun(1, write_block_file, file, count_cells(unknowns * (count if each else 1)))
             found = run_by_mpirun(count, measure, file)
             positions, moved = found.pop("positions"), found.pop("moved")
             first = positions if first is None else first
@@ -116,7 +116,7 @@ def count_cells(unknowns: int) -> int:
     return round((unknowns / 3.0) ** (1 / 3)) - 1
 
 
-def acts(part) -> list[terms.Term]:
+def make_terms(part) -> list[terms.Term]:
     """What acts on the unit block: held below, pulled and sheared above."""
     height = part.vertices[:, 2]
     low, high = np.flatnonzero(height < 1e-9), np.flatnonzero(height > 1.0 - 1e-9)
@@ -127,7 +127,7 @@ def acts(part) -> list[terms.Term]:
     ]
 
 
-def write(file: Path, cells: int) -> dict:
+def write_block_file(file: Path, cells: int) -> dict:
     """Write a block of so many cells along an edge to XDMF with HDF5."""
     from ....reference.fenicsx.dolfinx_version import write_block
 
@@ -144,11 +144,11 @@ def measure(file: Path) -> dict:
     if ALL.rank == 0:
         write_block(small, 3 + ALL.size)
     ALL.Barrier()
-    solve(read_scene(small, acts), solver="fenicsx", max_iterations=1)  # compiles
+    solve(read_scene(small, make_terms), solver="fenicsx", max_iterations=1)  # compiles
     empty = held_megabytes()
     ALL.Barrier()
     begin, worked = time.perf_counter(), time.process_time()
-    scene = read_scene(file, acts)
+    scene = read_scene(file, make_terms)
     solution = solve(scene, solver="fenicsx", tolerance=TOLERANCE)
     spent, seconds = time.process_time() - worked, time.perf_counter() - begin
     peaks = ALL.allgather((spent, empty, peak_megabytes()))

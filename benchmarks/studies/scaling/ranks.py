@@ -167,30 +167,30 @@ def measure(scene: Scene, repeats: int) -> dict:
     held = np.flatnonzero((order.held(scene.dirichlet()[0]) | problem.unsupported[:, None])[:owned])
     rng = np.random.default_rng(0)
     for _ in range(repeats):
-        seconds, prepared = _timed(lambda: prepare(scene))
+        seconds, prepared = _time(lambda: prepare(scene))
         times["prepare"].append(seconds)
         u = rng.normal(0.0, 1e-3, (owned, 3))
         u.flat[held] = 0.0
         u = order.nodes.spread(u)
-        seconds, state = _timed(lambda u=u: problem.at(u))
+        seconds, state = _time(lambda u=u: problem.at(u))
         times["energy"].append(seconds)
-        seconds, gradient = _timed(state.gradient)
+        seconds, gradient = _time(state.gradient)
         times["gradient"].append(seconds)
         solver = LINEAR_SOLVERS["cg"](problem.matrix)
         for phase in ("first_solve", "next_solve"):
-            seconds, hessian = _timed(lambda state=state: state.softened_hessian(0.0))
+            seconds, hessian = _time(lambda state=state: state.softened_hessian(0.0))
             times["hessian"].append(seconds)
             b = -gradient.ravel()
             hold(hessian, held, np.zeros(len(held)), b)
-            seconds, answer = _timed(lambda solver=solver, b=b: solver.solve(b, relative=RELATIVE))
+            seconds, answer = _time(lambda solver=solver, b=b: solver.solve(b, relative=RELATIVE))
             if not answer.converged:
                 raise SoftdecaError(f"the linear system near rest is not solved: {answer.why}")
             times[phase].append(seconds)
     for _ in range(max(1, repeats // 2)):
-        seconds, solution = _timed(lambda: prepared.solve(tolerance=TIGHT))
+        seconds, solution = _time(lambda: prepared.solve(tolerance=TIGHT))
         times["whole"].append(seconds)
     return {
-        **{phase: min(found) for phase, found in times.items()},
+        **{phase: min(values) for phase, values in times.items()},
         "iterations": solution.iterations,
         "linear_iterations": solution.detail["linear_iterations"],
         "converged": solution.converged,
@@ -199,7 +199,7 @@ def measure(scene: Scene, repeats: int) -> dict:
     }
 
 
-def _timed(work: Callable):
+def _time(work: Callable):
     begin = time.perf_counter()
     result = work()
     return time.perf_counter() - begin, result

@@ -92,10 +92,12 @@ class Throughput(OfPerson):
     def measure(self, task: Task) -> Values:
         """What is told of a kind."""
         if task.case == COLD:
-            return self._cold(task.method)
-        return {SEQUENCE: self._sequence, WORKER: self._memory, ITERATION: self._floor}[task.case]()
+            return self._measure_cold(task.method)
+        return {SEQUENCE: self._measure_sequence, WORKER: self._measure_memory, ITERATION: self._measure_floor}[
+            task.case
+        ]()
 
-    def _frame(self, seed: int, kind: str) -> partial:
+    def _make_frame(self, seed: int, kind: str) -> partial:
         """The scene of a lively frame of talk of a seed's head, with parameters of a kind."""
         of = self.person(seed=seed)
         weights = expressions.conversation(np.random.default_rng([seed, 2]), 120)
@@ -104,9 +106,9 @@ class Throughput(OfPerson):
         drawn = Parameters(**{name: Parameters.info(name).sample(rng) for name in KINDS[kind]})
         return partial(facial_scene, of.head, drawn, shape)
 
-    def _cold(self, kind: str) -> Values:
+    def _measure_cold(self, kind: str) -> Values:
         seeds = range(self.seed, self.seed + self.people)
-        frames = [self._frame(seed, kind) for seed in seeds]
+        frames = [self._make_frame(seed, kind) for seed in seeds]
         tight = [trace_to_itself(prepare(frame()), tolerance=REFERENCE) for frame in frames]
         needed = [trace.tolerance_for(ACCURACY) or REFERENCE for _, trace in tight]
         tolerance = MARGIN * min(needed)
@@ -121,18 +123,18 @@ class Throughput(OfPerson):
             rows.append({"what": f"identity {seed}", **row, **more})
         return {"rows": rows}
 
-    def _sequence(self) -> Values:
+    def _measure_sequence(self) -> Values:
         """The tolerance is that of `Sequence`, halved until the checked frames are within 0.01 mm."""
         of = self.person()
         skins = of.blend(expressions.conversation(np.random.default_rng(3), self.frames, rate=RATE))
         prepared = prepare(facial_scene(of.head, Parameters(), skins[0]))
         for halvings in range(HALVINGS + 1):
-            found = self._played(skins, prepared, TOLERANCE / 2**halvings)
+            found = self._play(skins, prepared, TOLERANCE / 2**halvings)
             if found["error_mm"] <= ACCURACY:
                 break
         return {"rows": [found]}
 
-    def _played(self, skins: Floats, prepared: Prepared, tolerance: float) -> dict:
+    def _play(self, skins: Floats, prepared: Prepared, tolerance: float) -> dict:
         """Errors are to the minimum that a frame is near: closed lids fold, and have more than one."""
         head = self.person().head
         running = Simulation(head, Parameters(), time_step=1.0 / RATE, tolerance=tolerance)
@@ -161,24 +163,28 @@ class Throughput(OfPerson):
             "converged": True,
         }
 
-    def _memory(self) -> Values:
+    def _measure_memory(self) -> Values:
         """Of this process: with its libraries, the fit, and at all."""
         loaded = held_megabytes()
-        frame = self._frame(self.seed, "default p")
+        frame = self._make_frame(self.seed, "default p")
         fitted = peak_megabytes()
         prepare(frame()).solve(max_iterations=30)
         figures = {"libraries [MB]": loaded, "peak of the fit [MB]": fitted, "peak [MB]": peak_megabytes()}
         return {"rows": [{"what": what, "value": value} for what, value in figures.items()]}
 
-    def _floor(self) -> Values:
+    def _measure_floor(self) -> Values:
         """What an iteration must read, at what bandwidth, and how long it takes beside that."""
-        prepared = projective.prepare(self._frame(self.seed, "default p")())
+        prepared = projective.prepare(self._make_frame(self.seed, "default p")())
         solution = prepared.solve(tolerance=1e-5)
         iteration = float(np.median(np.diff(solution.history.time)))
-        factor, tets, bandwidth = floor.factor_bytes(prepared), floor.tet_bytes(prepared), floor.bandwidth()
+        factor, tets, bandwidth = (
+            floor.count_factor_bytes(prepared),
+            floor.count_tet_bytes(prepared),
+            floor.measure_bandwidth(),
+        )
         # Forward and backward substitution each read the factor once, for all three components together.
         least = (2 * factor + tets) / bandwidth
-        split = floor.split(prepared, solution.positions, iteration)
+        split = floor.split_iteration(prepared, solution.positions, iteration)
         figures = {
             "bandwidth of one core, triad [GB/s]": bandwidth / 1e9,
             "factor [MB], read twice an iteration": factor / 1e6,
@@ -196,13 +202,13 @@ class Throughput(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Right to 0.01 mm; fast and small enough."""
-        found: list[dict] = []
+        gates: list[dict] = []
         for row in rows:
             lines = row.values["rows"]
             if row.case == COLD:
                 slowest = float(np.max([line["seconds"] for line in lines]))
                 mean = 3600.0 / float(np.mean([line["seconds"] for line in lines]))
-                found += [
+                gates += [
                     at_most(f"cold frame, {row.method}: slowest, scene to solution [s]", slowest, COLD_SECONDS,
                             answer=False),
                     at_least(f"cold frames per core-hour, {row.method}", mean, COLD_PER_HOUR, answer=False),
@@ -213,30 +219,30 @@ class Throughput(OfPerson):
             elif row.case == SEQUENCE:
                 (line,) = lines
                 median = float(np.median(line["solve_s"]))
-                found += [
+                gates += [
                     at_most("warm frame of a sequence, median [s]", median, WARM_SECONDS, answer=False),
                     at_least("warm frames per core-hour", line["per_hour"], WARM_PER_HOUR, answer=False),
                     at_most("warm frame: largest error [mm]", line["error_mm"], ACCURACY),
                 ]
             elif row.case == WORKER:
-                found.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], WORKER_MB))
+                gates.append(at_most("memory of a worker, fit and frame [MB]", lines[-1]["value"], WORKER_MB))
             else:
                 said = {line["what"]: line["value"] for line in lines}
                 ratio = "time of an iteration over its floor (an aim)"
-                found.append(at_most(ratio, said[RATIO], OVER_FLOOR, answer=False))
-                found.append(at_most(LOCAL_58K, said[LOCAL_58K], LOCAL_STEP_MS, answer=False))
-        return found
+                gates.append(at_most(ratio, said[RATIO], OVER_FLOOR, answer=False))
+                gates.append(at_most(LOCAL_58K, said[LOCAL_58K], LOCAL_STEP_MS, answer=False))
+        return gates
 
     def words(self, rows: Sequence[Row]) -> str:
         """Frames per hour."""
-        said = []
+        sentences = []
         for row in rows:
             if row.case == COLD:
                 mean = 3600.0 / float(np.mean([line["seconds"] for line in row.values["rows"]]))
-                said.append(f"{mean:,.0f} cold frames of {row.method}")
+                sentences.append(f"{mean:,.0f} cold frames of {row.method}")
             elif row.case == SEQUENCE:
-                said.append(f"{row.values['rows'][0]['per_hour']:,.0f} frames of a sequence")
-        return f"A core simulates, per hour, {', '.join(said)}." if said else ""
+                sentences.append(f"{row.values['rows'][0]['per_hour']:,.0f} frames of a sequence")
+        return f"A core simulates, per hour, {', '.join(sentences)}." if sentences else ""
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Milliseconds and iterations of each frame of the sequence."""

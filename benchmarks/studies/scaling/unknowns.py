@@ -34,7 +34,7 @@ from ..measures import (
     time_solve,
 )
 from ..person import OfPerson
-from .floor import bandwidth
+from .floor import measure_bandwidth
 
 TOLERANCE = 1e-8
 CPU_SECONDS = {PD_ENERGY: 4.0, NEO_HOOKEAN: 3.0}
@@ -69,7 +69,7 @@ USUAL = 150_000
 """Meshes up to so many unknowns take some minutes; all of them, to 639 k, about half an hour and 6 GB."""
 
 
-def _named(mesh: Mesh) -> str:
+def _name_mesh(mesh: Mesh) -> str:
     level, layers, element = mesh
     return f"level {level}, {layers} sub-layer{'s' if layers > 1 else ''}, {element}"
 
@@ -118,15 +118,15 @@ class Unknowns(OfPerson):
     @property
     def meshes(self) -> dict[str, Mesh]:
         """Those that are asked for, by name."""
-        return {_named(mesh): mesh for mesh, count in MESHES.items() if count <= self.up_to}
+        return {_name_mesh(mesh): mesh for mesh, count in MESHES.items() if count <= self.up_to}
 
     def tasks(self) -> Sequence[Task]:
         """Each mesh by each energy, and the floors; InputError for fewer unknowns than the smallest mesh has."""
         self.check([self.expression])
         if not self.meshes:
             raise InputError(f"up_to: the smallest mesh has {min(MESHES.values())} unknowns, got {self.up_to}")
-        found = [Task(mesh, law) for law in (NEO_HOOKEAN, PD_ENERGY) for mesh in self.meshes]
-        return [*found, *(Task(FLOORS, part) for part in PARTS)]
+        tasks = [Task(mesh, law) for law in (NEO_HOOKEAN, PD_ENERGY) for mesh in self.meshes]
+        return [*tasks, *(Task(FLOORS, part) for part in PARTS)]
 
     def measure(self, task: Task) -> Values:
         """What a solve costs, or a part of it must."""
@@ -152,32 +152,35 @@ class Unknowns(OfPerson):
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """All converge; the default mesh in time."""
         solves = [row for row in rows if row.case != FLOORS]
-        found = [
+        gates = [
             at_most("solves that did not reach what was asked", count_unfinished([row.values for row in solves]), 0)
         ]
-        return found + [
+        return gates + [
             at_most(f"whole solve to {TOLERANCE:g} on the default mesh, {row.method} [CPU s]", row.values["cpu_s"],
                     CPU_SECONDS[row.method], answer=False)
-            for row in solves if row.case == _named(DEFAULT_MESH)
+            for row in solves if row.case == _name_mesh(DEFAULT_MESH)
         ]  # fmt: skip
 
     def words(self, rows: Sequence[Row]) -> str:
         """The exponents."""
-        said = [f"{law}, {element}: unknowns^{slopes['cpu_s']:.2f}" for law, element, _, slopes in exponents(rows)]
-        return f"Processor time grows as {'; '.join(said)}." if said else ""
+        sentences = [
+            f"{law}, {element}: unknowns^{slopes['cpu_s']:.2f}" for law, element, _, slopes in fit_exponents(rows)
+        ]
+        return f"Processor time grows as {'; '.join(sentences)}." if sentences else ""
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """The exponents of all that grows."""
         head = ["law", "element", "meshes", "processor time", "time of a CG iteration", "CG iterations", "most memory"]
         lines = [
-            [law, element, count, *(slopes[key] for key in GROWING)] for law, element, count, slopes in exponents(rows)
+            [law, element, count, *(slopes[key] for key in GROWING)]
+            for law, element, count, slopes in fit_exponents(rows)
         ]
         return [Table("Exponents over unknowns", head, lines)]
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Processor time per unknown, and memory, against unknowns: a line per energy and element."""
         figure, axes = subplots(1, 2, figsize=(8.6, 3.4))
-        for (law, element), of in _series(rows).items():
+        for (law, element), of in _group_solves(rows).items():
             sizes = [values["unknowns"] for values in of]
             axes[0].plot(sizes, [v["cpu_us_per_unknown"] for v in of], "o-", label=f"{law}, {element}", ms=4)
             axes[1].plot(sizes, [v["peak_mb"] for v in of], "o-", ms=4)
@@ -199,7 +202,7 @@ def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) 
         lambda: apply_law(scene, law), TOLERANCE, start=start, solver="fenicsx", element=element
     )
     costs["cpu_s"] += coarse_cpu_s
-    unknowns, linear = 3 * nodes_of(scene, element), solution.detail["linear_iterations"]
+    unknowns, linear = 3 * count_nodes(scene, element), solution.detail["linear_iterations"]
     return {
         "unknowns": unknowns,
         "tets": len(scene.tets),
@@ -214,20 +217,20 @@ def measure(law: str, scene: Scene, element: str, coarse: Coarse | None = None) 
     }
 
 
-def nodes_of(scene: Scene, element: str) -> int:
+def count_nodes(scene: Scene, element: str) -> int:
     """The nodes of an element on a scene: its vertices in tets, and of quadratic ones the middles of the edges."""
     vertices = len(np.unique(scene.tets))
-    return vertices if element == "P1" else vertices + len(_edges(scene))
+    return vertices if element == "P1" else vertices + len(_find_edges(scene))
 
 
-def _edges(scene: Scene) -> np.ndarray:
+def _find_edges(scene: Scene) -> np.ndarray:
     pairs = np.sort(scene.tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2), axis=1)
     return np.unique(pairs, axis=0)
 
 
-def matrix_entries(scene: Scene) -> int:
+def count_entries(scene: Scene) -> int:
     """Entries of the stiffness matrix of linear tets: nine per vertex and per edge and direction."""
-    return 9 * (len(np.unique(scene.tets)) + 2 * len(_edges(scene)))
+    return 9 * (len(np.unique(scene.tets)) + 2 * len(_find_edges(scene)))
 
 
 PARTS: dict[str, Callable[[int, int], int]] = {
@@ -247,9 +250,9 @@ def measure_floor(scene: Scene, part: str) -> dict:
     problem = Problem(scene, Numbering(scene))
     x, (gradient, assembly, _) = problem.numbering.X, PARTS
     if part == gradient:
-        ms = _median_ms([lambda k=k: problem.at(1e-3 * k * x).gradient() for k in range(1, REPEATS + 1)])
+        ms = _measure_median([lambda k=k: problem.at(1e-3 * k * x).gradient() for k in range(1, REPEATS + 1)])
     elif part == assembly:
-        ms = _median_ms([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
+        ms = _measure_median([problem.at(1e-3 * k * x).hessian for k in range(1, REPEATS + 1)])
     else:
         # An iteration's is the difference of a solve to few digits and one to many.
         held = np.flatnonzero(problem.numbering.held(scene.dirichlet()[0]))
@@ -258,16 +261,19 @@ def measure_floor(scene: Scene, part: str) -> dict:
         solver = ConjugateGradients(matrix)
         solver.solve(b, relative=1e-2)
         few, many = (
-            (_median_ms([partial(solver.solve, b, relative=to)] * REPEATS), solver.solve(b, relative=to).iterations)
+            (
+                _measure_median([partial(solver.solve, b, relative=to)] * REPEATS),
+                solver.solve(b, relative=to).iterations,
+            )
             for to in (1e-2, 1e-8)
         )
         ms = (many[0] - few[0]) / (many[1] - few[1])
-    moved = PARTS[part](len(scene.tets), matrix_entries(scene))
-    floor = 1e3 * moved / bandwidth()
+    moved = PARTS[part](len(scene.tets), count_entries(scene))
+    floor = 1e3 * moved / measure_bandwidth()
     return {"ms": ms, "floor_ms": floor, "ratio": ms / floor, "megabytes": moved / 1e6}
 
 
-def _median_ms(calls: Sequence[Callable[[], object]]) -> float:
+def _measure_median(calls: Sequence[Callable[[], object]]) -> float:
     calls[0]()
     times = []
     for call in calls:
@@ -277,7 +283,7 @@ def _median_ms(calls: Sequence[Callable[[], object]]) -> float:
     return 1e3 * float(np.median(times))
 
 
-def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
+def _group_solves(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
     """The solves by law and element, in the order of their unknowns."""
     found: dict[tuple[str, str], list[Values]] = {}
     for row in sorted((row for row in rows if row.case != FLOORS), key=lambda row: row.values["unknowns"]):
@@ -285,10 +291,10 @@ def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[Values]]:
     return found
 
 
-def exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
+def fit_exponents(rows: Sequence[Row]) -> list[tuple[str, str, int, dict[str, float | None]]]:
     """Law, element, meshes, and the slopes of what grows over unknowns, where there are two meshes or more."""
     return [
         (law, element, len(of), {key: fit_slope([v["unknowns"] for v in of], [v[key] for v in of]) for key in GROWING})
-        for (law, element), of in _series(rows).items()
+        for (law, element), of in _group_solves(rows).items()
         if len(of) > 1
     ]

@@ -43,8 +43,8 @@ class Breakeven:
         return (self.corpus + self.training) / (self.linearised_face - self.own_face)
 
     @property
-    def told(self) -> str:
-        """The same in words."""
+    def sentence(self) -> str:
+        """The same in a sentence."""
         return (
             f"The corpus' training people took {self.corpus:.0f} s of a core, training {self.training:.0f} s. A frame "
             f"of the simulator takes {1e3 * self.simulated_frame:.0f} ms, so the network has paid after "

@@ -48,7 +48,7 @@ COSTED = 3
 
 
 @lru_cache(maxsize=1)
-def learning() -> Mapping[str, Callable[[], Method]]:
+def list_learners() -> Mapping[str, Callable[[], Method]]:
     """Return what is fitted to a corpus' training people in minutes, by name; some need torch, which is an extra.
 
     The paper's networks, which take longer, are in `table_1.py`.

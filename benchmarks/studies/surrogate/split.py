@@ -114,21 +114,21 @@ class Split(OfPerson):
     def measure(self, task: Task) -> Values:
         """Compare the skins of one frame by every method, or by quadratic tets on two levels."""
         if task.method.endswith(FINE):
-            return self._refined(task.case, task.method.removesuffix(FINE))
+            return self._measure_refined(task.case, task.method.removesuffix(FINE))
         of = self.person()
         head, shape = of.head, of.shape(task.method)
-        parameters, linear = EFFECTS[task.case], _prepared(self, task.case)
+        parameters, linear = EFFECTS[task.case], _prepare(self, task.case)
         weights = expressions.parse_weights(task.method)
         network = (
             Surrogate.load().bind(head.skin, of.code, parameters, beyond="clamp").frame(weights).astype(np.float64)
         )
-        trained, tight = linear.solve(shape, accuracy=CorpusPlan.tolerance), _tight(self, task.case, task.method)
+        trained, tight = linear.solve(shape, accuracy=CorpusPlan.tolerance), _solve_tight(self, task.case, task.method)
         if not trained.converged:
             raise SoftdecaError(f"projective dynamics: {trained.reason}")
-        same = _fem(linear.face.scene(shape), tight.positions, NEAR)
+        same = _solve_fem(linear.face.scene(shape), tight.positions, NEAR)
         as_trained, converged = (linear.face.skin_after(shape, x.positions) for x in (trained, tight))
-        law = _neo(self, task.case, self.level, task.method)[0]
-        linear_coarse, quadratic_coarse = _both(self, task.case, COARSE, task.method)
+        law = _solve_by_law(self, task.case, self.level, task.method)[0]
+        linear_coarse, quadratic_coarse = _solve_both(self, task.case, COARSE, task.method)
         carried = shape + carry_skin(head, parameters)
         motion = distances(converged, carried)
         rivals = {"carried": carried, "settled": shape + linear.face.displacement + linear.offset}
@@ -137,34 +137,34 @@ class Split(OfPerson):
         shares = {f"share_{key}": measure(distances(skin, converged), motion).share for key, skin in rivals.items()}
         return {
             "moved": float(motion.mean()),
-            "network": _mean(network, as_trained),
-            "tolerance": _mean(as_trained, converged),
-            "law": _mean(converged, law),
-            "mesh_coarse": _mean(linear_coarse, quadratic_coarse),
-            "total": _mean(network, law),
+            "network": _measure_mean(network, as_trained),
+            "tolerance": _measure_mean(as_trained, converged),
+            "law": _measure_mean(converged, law),
+            "mesh_coarse": _measure_mean(linear_coarse, quadratic_coarse),
+            "total": _measure_mean(network, law),
             "share": measure(distances(network, converged), motion).share,
             **shares,
             "fenicsx": float(np.abs(tight.positions - same).max()),
         }
 
-    def _refined(self, effect: str, text: str) -> Values:
+    def _measure_refined(self, effect: str, text: str) -> Values:
         """Measure the part of the mesh on two levels, and to the limit of quadratic tets by level."""
-        linear_coarse, quadratic_coarse = _both(self, effect, COARSE, text)
-        linear, quadratic = _both(self, effect, self.level, text)
+        linear_coarse, quadratic_coarse = _solve_both(self, effect, COARSE, text)
+        linear, quadratic = _solve_both(self, effect, self.level, text)
         limit = limit_of_two(quadratic_coarse, quadratic, ORDER)
         moved = linear - quadratic, linear_coarse - quadratic_coarse
         return {
-            "mesh": _mean(linear, quadratic),
+            "mesh": _measure_mean(linear, quadratic),
             "mesh_max": float(distances(linear, quadratic).max()),
-            "mesh_coarse": _mean(linear_coarse, quadratic_coarse),
+            "mesh_coarse": _measure_mean(linear_coarse, quadratic_coarse),
             "alike": float(np.sum(moved[0] * moved[1]) / np.sqrt(np.sum(moved[0] ** 2) * np.sum(moved[1] ** 2))),
-            "refined": _mean(linear, limit.positions),
+            "refined": _measure_mean(linear, limit.positions),
             "refined_index": limit.index,
         }
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Check that the reference holds, that the corpus is exact enough, and that the network beats its rivals."""
-        frames = _frames(rows)
+        frames = _select_frames(rows)
         if not frames:
             return []
         apart = max(row.values["fenicsx"] for row in frames)
@@ -182,13 +182,13 @@ class Split(OfPerson):
 
     def words(self, rows: Sequence[Row]) -> str:
         """Tell each part's mean, which is the largest, and where a rival without learning beats the network."""
-        frames = _frames(rows)
+        frames = _select_frames(rows)
         if not frames:
             return ""
         means = {key: float(np.mean([row.values[key] for row in frames])) for key in PARTS if key != "mesh"}
         moved = float(np.mean([row.values["moved"] for row in frames]))
-        said = [f"Simulation moves the skin by {moved:.2f} mm on average beyond what bones carry."]
-        ratios, coarse = _ratios(rows), float(np.mean([row.values["mesh_coarse"] for row in frames]))
+        sentences = [f"Simulation moves the skin by {moved:.2f} mm on average beyond what bones carry."]
+        ratios, coarse = _find_ratios(rows), float(np.mean([row.values["mesh_coarse"] for row in frames]))
         parts = [f"{PARTS[key]} {mean:.3f} mm ({100.0 * mean / moved:.1f} %)" for key, mean in means.items()]
         if ratios:
             low, middle, high = (coarse * ratio for ratio in (min(ratios), float(np.mean(ratios)), max(ratios)))
@@ -196,36 +196,36 @@ class Split(OfPerson):
             band = f"between {low:.3f} and {high:.3f}; measured in {len(ratios)} of the rows, else estimated"
             parts.append(f"{PARTS['mesh']} {middle:.3f} mm ({100.0 * middle / moved:.1f} %; {band})")
         largest = max(means, key=lambda key: means[key])
-        said.append(f"Parts: {', '.join(parts)}. Most is {PARTS[largest]}.")
+        sentences.append(f"Parts: {', '.join(parts)}. Most is {PARTS[largest]}.")
         if not ratios:
-            said.append(f"On level {COARSE} alone linear tets are {coarse:.3f} mm from quadratic ones.")
-        said += [f"{effect}: the network loses to {RIVALS[key]}." for effect, key in _lost(frames)]
-        return " ".join(said)
+            sentences.append(f"On level {COARSE} alone linear tets are {coarse:.3f} mm from quadratic ones.")
+        sentences += [f"{effect}: the network loses to {RIVALS[key]}." for effect, key in _find_losses(frames)]
+        return " ".join(sentences)
 
     def tables(self, rows: Sequence[Row]) -> Sequence[Table]:
         """Lay out the part of the mesh of every frame: measured or estimated, with its band."""
         fine = {(row.case, row.method.removesuffix(FINE)): row.values for row in rows if row.method.endswith(FINE)}
-        ratios = _ratios(rows)
-        found = []
+        ratios = _find_ratios(rows)
+        tables = []
         if ratios:
             lines = []
-            for row in _frames(rows):
+            for row in _select_frames(rows):
                 measured, coarse = fine.get((row.case, row.method)), row.values["mesh_coarse"]
                 middle = measured["mesh"] if measured else coarse * float(np.mean(ratios))
                 band = ("", "") if measured else (coarse * min(ratios), coarse * max(ratios))
                 lines.append((row.case, row.method, coarse, middle, "measured" if measured else "estimated", *band))
             titles = ["effect", "expression", f"level {COARSE} [mm]", "this level [mm]", "", "lowest [mm]", "highest"]
-            found.append(Table("Linear to quadratic tets, mean over the skin", titles, lines))
+            tables.append(Table("Linear to quadratic tets, mean over the skin", titles, lines))
             keys = ("mesh", "mesh_max", "mesh_coarse", "alike", "refined", "refined_index")
             titles = ["effect", "expression", "mean [mm]", "max [mm]", f"level {COARSE} [mm]",
                       "cosine of the two levels' fields", "to the limit, mean [mm]", "GCI [mm]"]  # fmt: skip
             caption = f"Where quadratic tets were solved on the study's own level and on level {COARSE}"
-            found.append(Table(caption, titles, [(*key, *(v[k] for k in keys)) for key, v in fine.items()]))
-        return found
+            tables.append(Table(caption, titles, [(*key, *(v[k] for k in keys)) for key, v in fine.items()]))
+        return tables
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Draw the parts as bars, a group per frame."""
-        frames, ratios = _frames(rows), _ratios(rows)
+        frames, ratios = _select_frames(rows), _find_ratios(rows)
         if not frames:
             return {}
         figure, axis = subplots(figsize=(11, 0.42 * len(frames) + 1.6))
@@ -254,16 +254,16 @@ SHARES: Mapping[str, float] = {"defaults": 0.4, "skin grown by 30 %": 0.3, "soft
 """Bound of the network's share by effect, below both rivals' shares. Effects in which it loses to one have none."""
 
 
-def _frames(rows: Sequence[Row]) -> list[Row]:
+def _select_frames(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if not row.method.endswith(FINE)]
 
 
-def _ratios(rows: Sequence[Row]) -> list[float]:
+def _find_ratios(rows: Sequence[Row]) -> list[float]:
     """Ratios of fine to coarse parts of the mesh, of all rows that measured both."""
     return [row.values["mesh"] / row.values["mesh_coarse"] for row in rows if row.method.endswith(FINE)]
 
 
-def _lost(frames: Sequence[Row]) -> list[tuple[str, str]]:
+def _find_losses(frames: Sequence[Row]) -> list[tuple[str, str]]:
     """Effects and rivals to which the network loses, by mean share."""
     lost = []
     for effect in dict.fromkeys(row.case for row in frames):
@@ -275,21 +275,21 @@ def _lost(frames: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 @lru_cache(maxsize=1)
-def _prepared(study: Split, effect: str) -> FaceDerivatives:
+def _prepare(study: Split, effect: str) -> FaceDerivatives:
     return differentiate_head(study.person().head, EFFECTS[effect])
 
 
 @lru_cache(maxsize=2)
-def _tight(study: Split, effect: str, text: str) -> Solution:
+def _solve_tight(study: Split, effect: str, text: str) -> Solution:
     """PD's converged answer to an expression."""
-    tight = _prepared(study, effect).solve(study.person().shape(text), accuracy=TIGHT_ACCURACY)
+    tight = _prepare(study, effect).solve(study.person().shape(text), accuracy=TIGHT_ACCURACY)
     if not tight.converged:
         raise SoftdecaError(f"projective dynamics: {tight.reason}")
     return tight
 
 
 @lru_cache(maxsize=2)
-def _by_law(study: Split, effect: str, level: int) -> SettledFace:
+def _settle_by_law(study: Split, effect: str, level: int) -> SettledFace:
     """The neutral face that the law has settled by itself with linear tets."""
     face = settle(study.person(level).head, EFFECTS[effect], law=LAW)
     if not face.converged:
@@ -298,42 +298,42 @@ def _by_law(study: Split, effect: str, level: int) -> SettledFace:
 
 
 @lru_cache(maxsize=2)
-def _by_quadratic_tets(study: Split, effect: str, level: int) -> SettledFace:
+def _settle_by_quadratic_tets(study: Split, effect: str, level: int) -> SettledFace:
     """The same with quadratic tets."""
-    face = _by_law(study, effect, level)
+    face = _settle_by_law(study, effect, level)
     if face.solution is None:
         return face
     scene = apply_law(neutral_scene(face.head, face.parameters), LAW)
-    positions = _fem(scene, face.positions, QUADRATIC_NEUTRAL, "P2")
+    positions = _solve_fem(scene, face.positions, QUADRATIC_NEUTRAL, "P2")
     moved = positions[: len(face.head.bone)] - face.head.skin_wrap.vertices
     return replace(face, positions=positions, displacement=face.head.skin_from_wrap @ moved)
 
 
 @lru_cache(maxsize=4)
-def _neo(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
+def _solve_by_law(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
     """Skin and positions [mm] of an expression by the law with linear tets."""
-    face, shape, start = _by_law(study, effect, level), study.person(level).shape(text), None
+    face, shape, start = _settle_by_law(study, effect, level), study.person(level).shape(text), None
     if level == study.level:
-        tight = _tight(study, effect, text)
+        tight = _solve_tight(study, effect, text)
         # The law's energy may be infinite where a tet is inverted.
         start = tight.positions if tight.volume_ratio.min() > 0 else None
-    positions = _fem(face.scene(shape), face.positions if start is None else start, FEM_TOLERANCE)
+    positions = _solve_fem(face.scene(shape), face.positions if start is None else start, FEM_TOLERANCE)
     return face.skin_after(shape, positions), positions
 
 
-def _both(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
+def _solve_both(study: Split, effect: str, level: int, text: str) -> tuple[Floats, Floats]:
     """Skins [mm] of an expression by the law with linear and with quadratic tets, each on its own settled face."""
-    skin, positions = _neo(study, effect, level, text)
-    face, shape = _by_quadratic_tets(study, effect, level), study.person(level).shape(text)
-    return skin, face.skin_after(shape, _fem(face.scene(shape), positions, QUADRATIC, "P2"))
+    skin, positions = _solve_by_law(study, effect, level, text)
+    face, shape = _settle_by_quadratic_tets(study, effect, level), study.person(level).shape(text)
+    return skin, face.skin_after(shape, _solve_fem(face.scene(shape), positions, QUADRATIC, "P2"))
 
 
-def _fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:
+def _solve_fem(scene: Scene, start: Floats | None, tolerance: float, element: str = "P1") -> Floats:
     solution = solve(scene, solver="fenicsx", start=start, tolerance=tolerance, element=element)
     if not solution.converged:
         raise SoftdecaError(f"FEniCSx: {solution.reason}")
     return solution.positions
 
 
-def _mean(a: Floats, b: Floats) -> float:
+def _measure_mean(a: Floats, b: Floats) -> float:
     return float(distances(a, b).mean())

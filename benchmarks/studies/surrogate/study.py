@@ -25,7 +25,16 @@ from .beyond import score_beyond
 from .breakeven import Breakeven, compute_breakeven
 from .frames import draw_worst_frames
 from .gates import BLENDSHAPES, CARRIED, NETWORK, SETTLED, describe_defeats, make_gates
-from .methods import READY, SIMULATE, OnCorpus, learning, load_network, open_corpus, parse_people, simulate_test_pairs
+from .methods import (
+    READY,
+    SIMULATE,
+    OnCorpus,
+    list_learners,
+    load_network,
+    open_corpus,
+    parse_people,
+    simulate_test_pairs,
+)
 
 SNP = "SNP"
 SEEN = 24
@@ -86,12 +95,12 @@ class SurrogateOnCorpus(Study):
 
     def tasks(self) -> Sequence[Task]:
         """Each question by each method; InputError for no corpus, weights of another mesh, options out of range."""
-        return [Task(case, name) for case, (names, _) in self._questions().items() for name in names]
+        return [Task(case, name) for case, (names, _) in self._list_questions().items() for name in names]
 
     def measure(self, task: Task) -> Values:
         """A method's scores on the frames of a question."""
-        scores = self._questions()[task.case][1](task.method)
-        tested, values = self._tested(), {}
+        scores = self._list_questions()[task.case][1](task.method)
+        tested, values = self._open_corpus(), {}
         if task == Task(Path(self.corpus).name, NETWORK):
             paid = (
                 None
@@ -112,14 +121,14 @@ class SurrogateOnCorpus(Study):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Bounds that no trivial rival meets; see `make_gates`."""
-        scores = _scores(rows)
+        scores = _read_scores(rows)
         return make_gates(scores) if any(score.method == NETWORK for score in scores) else []
 
     def words(self, rows: Sequence[Row]) -> str:
         """Where the network loses first, then share and cost of each, and when training has paid."""
-        scores = _scores(rows)
-        said = [
-            f"{score.method} {100 * score.share:.1f} % ({score.mean:.3f} mm)" + _cost(score)
+        scores = _read_scores(rows)
+        sentences = [
+            f"{score.method} {100 * score.share:.1f} % ({score.mean:.3f} mm)" + _describe_cost(score)
             for score in scores
             if score.kind == ALL
         ]
@@ -128,19 +137,21 @@ class SurrogateOnCorpus(Study):
         return describe_defeats(scores).replace("\n", " ") + (
             f"{people} people that training has not seen ({note['frames']} static frames and the derivatives of "
             f"{note['faces']} faces of {note['people']} people). Share left of the motion that bones alone do not "
-            f"explain: {'; '.join(said)}."
-        ) + (f" {Breakeven(**paid[0]).told}" if paid else "")  # fmt: skip
+            f"explain: {'; '.join(sentences)}."
+        ) + (f" {Breakeven(**paid[0]).sentence}" if paid else "")  # fmt: skip
 
     def pictures(self, rows: Sequence[Row]) -> Mapping[str, str]:
         """Mean error against the cost before the first frame, and per frame; and over the number of people."""
-        known = [s for s in _scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
+        known = [s for s in _read_scores(rows) if s.kind == ALL and s.bind_ms is not None and s.frame_ms is not None]
         pictures = {"Error against cost.": to_svg(plot_costs(known))} if known else {}
         grown = sorted((row.values["trained_on"]["people"], row) for row in rows if row.case == CURVE)
         if grown:
             figure, axis = subplots(figsize=(6, 3.4))
             people = [count for count, _ in grown]
             for kind, line in (("people that it has not seen", "o-"), ("people that it has learned from", "s--")):
-                shares = [100.0 * score.share for _, row in grown for score in _scores([row]) if score.kind == kind]
+                shares = [
+                    100.0 * score.share for _, row in grown for score in _read_scores([row]) if score.kind == kind
+                ]
                 axis.plot(people, shares, line, label=kind)
             axis.set(xlabel="people in training", ylabel="error [% of |T - carried(S)|]", xscale="log", ylim=(0, None))
             axis.set_xticks(people, [str(count) for count in people])
@@ -149,38 +160,41 @@ class SurrogateOnCorpus(Study):
             pictures["Error over the number of people trained on."] = to_svg(figure)
         return pictures
 
-    def _tested(self) -> OnCorpus:
+    def _open_corpus(self) -> OnCorpus:
         weights = Path(self.weights) if self.weights else None
         return open_corpus(Path(self.corpus), parse_people(self.people), weights, self.partial)
 
-    def _questions(self) -> dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]]:
+    def _list_questions(self) -> dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]]:
         """Methods, and what scores one of them, by case."""
         if not self.corpus:
             raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
-        tested, corpus = self._tested(), Path(self.corpus).name
+        tested, corpus = self._open_corpus(), Path(self.corpus).name
         ready, counts, swings = tested.ready_names, read_manifest(tested.corpus).counts, tested.looseness is not None
         tested.network.weights.check_mesh(read_template(tested.corpus))
         asked: dict[str, tuple[Sequence[str], Callable[[str], list[Score]]]] = {}
-        asked[corpus] = [*ready, *(learning() if self.rivals else ())], lambda name: self._static(tested, name)
+        asked[corpus] = (
+            [*ready, *(list_learners() if self.rivals else ())],
+            lambda name: self._score_static(tested, name),
+        )
         if counts.sequences and swings:
             also = [SNP] if self.rivals else []
-            asked[f"{corpus}, in motion"] = [*ready, *also], lambda name: self._moving(tested, name)
+            asked[f"{corpus}, in motion"] = [*ready, *also], lambda name: self._score_moving(tested, name)
         if counts.references:
-            asked[f"{corpus}, against FEniCSx"] = [SIMULATOR, *ready], lambda name: self._referenced(tested, name)
+            asked[f"{corpus}, against FEniCSx"] = [SIMULATOR, *ready], lambda name: self._score_referenced(tested, name)
         if self.simulated:
             also = [*ready, *SIMULATE]
-            asked[f"{corpus}, beside simulation"] = also, lambda name: self._beside_simulation(tested, name)
+            asked[f"{corpus}, beside simulation"] = also, lambda name: self._score_beside_simulation(tested, name)
             if tested.network.space == "anny":
                 trivial = [NETWORK, CARRIED, SETTLED, BLENDSHAPES]
-                asked[BEYOND] = trivial, lambda name: [s for s in _beyond(tested.weights) if s.method == name]
+                asked[BEYOND] = trivial, lambda name: [s for s in _score_beyond(tested.weights) if s.method == name]
         if self.external:
             other = open_corpus(Path(self.external), None, tested.weights, self.partial)
-            asked[f"{EXTERNAL}, {other.corpus.name}"] = ready, lambda name: self._external(other, name)
+            asked[f"{EXTERNAL}, {other.corpus.name}"] = ready, lambda name: self._score_external(other, name)
             if read_manifest(other.corpus).counts.sequences and swings:
                 asked[f"{EXTERNAL}, {other.corpus.name}, in motion"] = (
                     ready,
                     lambda name: [
-                        replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in self._moving(other, name)
+                        replace(score, kind=f"{EXTERNAL}, {score.kind}") for score in self._score_moving(other, name)
                     ],
                 )
         if self.generalisation:
@@ -193,15 +207,15 @@ class SurrogateOnCorpus(Study):
         if self.curve:
             if len({load_network(Path(path)).weights.note.people for path in self.curve}) < 2:
                 raise InputError("curve: two weights at least, trained on different numbers of people")
-            asked[CURVE] = self.curve, lambda path: self._grown(tested, path)
+            asked[CURVE] = self.curve, lambda path: self._score_curve(tested, path)
         return asked
 
-    def _static(self, tested: OnCorpus, name: str) -> list[Score]:
+    def _score_static(self, tested: OnCorpus, name: str) -> list[Score]:
         if name in READY:
             return evaluate([tested.make_ready(name)], tested.faces, tested.heads, costs=tested.costs)
-        return evaluate([learning()[name]()], tested.faces, tested.heads, tested.training, costs=tested.costs)
+        return evaluate([list_learners()[name]()], tested.faces, tested.heads, tested.training, costs=tested.costs)
 
-    def _moving(self, tested: OnCorpus, name: str) -> list[Score]:
+    def _score_moving(self, tested: OnCorpus, name: str) -> list[Score]:
         if name == SNP:
             from ....surrogate.networks.snp import SubspacePhysics
 
@@ -211,21 +225,21 @@ class SurrogateOnCorpus(Study):
         ready = [tested.make_ready(name)]
         return evaluate_dynamic(ready, tested.corpus, tested.split, tested.heads, known, partial=self.partial)
 
-    def _referenced(self, tested: OnCorpus, name: str) -> list[Score]:
+    def _score_referenced(self, tested: OnCorpus, name: str) -> list[Score]:
         ready = [] if name == SIMULATOR else [tested.make_ready(name)]
         scores = evaluate_references(ready, tested.corpus, tested.split, tested.heads, partial=self.partial)
         return [score for score in scores if score.method == name]
 
-    def _beside_simulation(self, tested: OnCorpus, name: str) -> list[Score]:
+    def _score_beside_simulation(self, tested: OnCorpus, name: str) -> list[Score]:
         chosen = tested.spread(self.simulated)
         scores = evaluate([tested.make_ready(name)], tested.faces, tested.heads, chosen=chosen, costs=tested.costs)
         return [replace(score, kind=f"{len(chosen)} faces") for score in scores if score.kind == ALL]
 
-    def _external(self, other: OnCorpus, name: str) -> list[Score]:
+    def _score_external(self, other: OnCorpus, name: str) -> list[Score]:
         scores = evaluate([other.make_ready(name)], other.faces, other.heads, costs=other.costs)
         return [replace(score, kind=EXTERNAL) for score in scores if score.kind == ALL]
 
-    def _grown(self, tested: OnCorpus, path: str) -> list[Score]:
+    def _score_curve(self, tested: OnCorpus, path: str) -> list[Score]:
         """Score a network of the curve on unseen people, and on people from whom all of the curve have learned.
 
         Where the share of seen people stays far below that of unseen ones, more people help; where both are level,
@@ -250,15 +264,15 @@ class SurrogateOnCorpus(Study):
 
 
 @lru_cache(maxsize=1)
-def _beyond(weights: Path | None) -> list[Score]:
+def _score_beyond(weights: Path | None) -> list[Score]:
     return score_beyond(load_network(weights), silent)
 
 
-def _scores(rows: Sequence[Row]) -> list[Score]:
+def _read_scores(rows: Sequence[Row]) -> list[Score]:
     return [Score(**line) for row in rows for line in row.values["rows"]]
 
 
-def _cost(score: Score) -> str:
+def _describe_cost(score: Score) -> str:
     if score.bind_ms is None or score.frame_ms is None:
         return ""
     before = 1e-3 * ((score.head_ms or 0.0) + score.bind_ms)

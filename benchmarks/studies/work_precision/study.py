@@ -104,10 +104,10 @@ class WorkPrecision(OfPerson):
         """The curve of a solver, or the one point of what has learned."""
         label, energy = task.method.split("; ")
         if energy == LEARNED:
-            found = self._run_learned(task.case, label)
+            values = self._run_learned(task.case, label)
         else:
-            found = self._solve(_problem(self, task.case, energy), label)
-        return {"energy": energy, "label": label} | found
+            values = self._solve(_pose(self, task.case, energy), label)
+        return {"energy": energy, "label": label} | values
 
     def _solve(self, problem: _Problem, label: str) -> dict:
         if label == IGL:
@@ -118,7 +118,7 @@ class WorkPrecision(OfPerson):
             for _ in range(self.repeats):
                 answer, seconds, trace, _ = arap.solve_by_igl(problem.scene, problem.handles, problem.truth)
                 runs.append(_Run(seconds, trace, answer, None))
-            return _row(runs, problem.truth)
+            return _summarise_runs(runs, problem.truth)
         if label in PROJECTIVE:
             how: dict = {"method": PROJECTIVE[label]}
             limits: dict = {"enough": PLAIN_ENOUGH, "max_iterations": PLAIN_LIMIT} if label == PLAIN else {}
@@ -138,13 +138,13 @@ class WorkPrecision(OfPerson):
             return _Run(seconds, trace, solution.positions, solution.detail.get("linear_iterations"))
 
         # The first, not counted: forms are compiled once per kind of scene and machine, kernels once per process.
-        return _row(repeat_work(run, self.repeats), problem.truth)
+        return _summarise_runs(repeat_work(run, self.repeats), problem.truth)
 
     def _run_learned(self, text: str, label: str) -> dict:
-        of, problem = self.person(), _problem(self, text, FACE)
+        of, problem = self.person(), _pose(self, text, FACE)
         weights, shape = expressions.parse_weights(text), of.shape(text)
         truth = of.head.skin_after(shape, problem.truth[: len(of.head.bone)])
-        bind = _binds(of)[label]
+        bind = _make_binds(of)[label]
         bind()  # not counted, like the first solve
         watch = Stopwatch()
         step = bind()
@@ -169,7 +169,7 @@ class WorkPrecision(OfPerson):
 
     def gates(self, rows: Sequence[Row]) -> list[dict]:
         """Our solver is ahead of others on the same energy, and ends where Newton does."""
-        middles, found = find_medians(rows), []
+        middles, gates = find_medians(rows), []
         for energy, rival in RIVALS:
             if (energy, rival) not in middles:
                 continue
@@ -177,18 +177,18 @@ class WorkPrecision(OfPerson):
                 worst, _ = measure_lead(middles, energy, rival, prepared=prepared)
                 name = f"time of {OURS} over {rival}'s, worst accuracy below 0.1 mm, {what}; {energy}"
                 # An infinite ratio is no JSON: what was not reached is None.
-                found.append(at_most(name, None if worst is None or np.isinf(worst) else worst, 1.0, answer=False))
+                gates.append(at_most(name, None if worst is None or np.isinf(worst) else worst, 1.0, answer=False))
         newton = [
             row.values["to_pd_mm"] for row in rows if row.values["label"] == NEWTON and row.values["energy"] in METHODS
         ]
         if newton:
-            found.append(at_most(f"{OURS} to {NEWTON}, both tight [mm]", max(newton), ACCURACY))
-        return found
+            gates.append(at_most(f"{OURS} to {NEWTON}, both tight [mm]", max(newton), ACCURACY))
+        return gates
 
     def words(self, rows: Sequence[Row]) -> str:
         """How long each takes to 0.01 mm, and what the learned ones reach."""
         at = ACCURACIES.index(ACCURACY)
-        said = [
+        sentences = [
             f"{label} {times[at]:.2f} s"
             for (energy, label), (times, *_) in find_medians(rows).items()
             if energy == FACE and times[at] is not None
@@ -202,7 +202,7 @@ class WorkPrecision(OfPerson):
             f"{label} {1e3 * time:.3f} ms after {bind:.2f} s, and {mean:.3f} mm"
             for label, (time, bind, mean) in learned.items()
         ]
-        return (f"To 0.01 mm from prepared scenes: {', '.join(said)}. " if said else "") + (
+        return (f"To 0.01 mm from prepared scenes: {', '.join(sentences)}. " if sentences else "") + (
             f"A frame, the bind before the first, and its mean error: {', '.join(beside)}." if beside else ""
         )
 
@@ -210,8 +210,8 @@ class WorkPrecision(OfPerson):
         """Medians of times and iterations to accuracies, and who is ahead."""
         middles = find_medians(rows)
         head = ["energy", "method", "prepare [s]", *(f"to {accuracy:g} mm" for accuracy in ACCURACIES[::2])]
-        times = [(energy, label, ready, *found[::2]) for (energy, label), (found, _, ready) in middles.items()]
-        steps = [(energy, label, None, *found[::2]) for (energy, label), (_, found, _) in middles.items()]
+        times = [(energy, label, ready, *reached[::2]) for (energy, label), (reached, _, ready) in middles.items()]
+        steps = [(energy, label, None, *reached[::2]) for (energy, label), (_, reached, _) in middles.items()]
         ahead = [
             (energy, label, "prepared" if prepared else "with preparation", worst, ", ".join(f"{b:g}" for b in behind))
             for energy, label in middles
@@ -295,7 +295,7 @@ class _Run:
     linear_iterations: float | None
 
 
-def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
+def _make_binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     """Binds by method; each gives a function from weights (52,) to the skin [mm] under default parameters."""
     from ....surrogate import Surrogate, derivatives_rig
     from ....surrogate.heads import solve_neutral
@@ -305,7 +305,7 @@ def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
     given: dict = {"skin": head.skin, "code": of.code, "parameters": parameters, "expressions": shapes}
     blend = network.bind(**given).blend
 
-    def moved(by: Callable[[], Floats]) -> Callable:
+    def shift(by: Callable[[], Floats]) -> Callable:
         offset = by().astype(np.float32)
         return lambda weights: blend(weights) + offset
 
@@ -313,14 +313,14 @@ def _binds(of: Person) -> Mapping[str, Callable[[], Callable]]:
         SURROGATE: lambda: network.bind(**given).frame,
         EXACT: lambda: network.bind(**given, exact=True, head=head).frame,
         LINEARISED: lambda: derivatives_rig(head, shapes).frame,
-        SETTLED: lambda: moved(lambda: solve_neutral(head, parameters) - head.skin.vertices),
-        CARRIED: lambda: moved(lambda: carry_skin(head, parameters)),
+        SETTLED: lambda: shift(lambda: solve_neutral(head, parameters) - head.skin.vertices),
+        CARRIED: lambda: shift(lambda: carry_skin(head, parameters)),
         BLENDSHAPES: lambda: blend,
     }
 
 
 @lru_cache(maxsize=2)
-def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
+def _pose(study: WorkPrecision, text: str, energy: str) -> _Problem:
     of: Person = study.person()
     shape = of.shape(text)
     face = facial_scene(of.head, Parameters(), shape)
@@ -335,7 +335,7 @@ def _problem(study: WorkPrecision, text: str, energy: str) -> _Problem:
     return _Problem(scene, solution.positions, handles)
 
 
-def _row(runs: Sequence[_Run], truth: Floats) -> dict:
+def _summarise_runs(runs: Sequence[_Run], truth: Floats) -> dict:
     """Runs of one solver on one scene, whose iterations are the same but for rounding: medians of their times."""
     length = min(len(run.trace.error) for run in runs)
     seconds = np.median([run.trace.seconds[:length] for run in runs], axis=0)
@@ -371,15 +371,15 @@ def find_medians(rows: Sequence[Row]) -> Medians:
             groups.setdefault((row.values["energy"], row.values["label"]), []).append(row.values)
     return {
         key: (
-            [_median([values["seconds_to"][k] for values in of]) for k in range(len(ACCURACIES))],
-            [_median([values["steps_to"][k] for values in of]) for k in range(len(ACCURACIES))],
+            [_find_median([values["seconds_to"][k] for values in of]) for k in range(len(ACCURACIES))],
+            [_find_median([values["steps_to"][k] for values in of]) for k in range(len(ACCURACIES))],
             float(np.median([np.median(values["prepare_s"]) for values in of])),
         )
         for key, of in groups.items()
     }
 
 
-def _median(values: Sequence[float | None]) -> float | None:
+def _find_median(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.median(known)) if len(known) == len(values) else None
 
