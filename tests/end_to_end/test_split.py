@@ -1,4 +1,4 @@
-"""softdeca bench split: the parts of a frame's error, with the check that PD and FEniCSx agree beneath them."""
+"""softdeca bench surrogate --cases split: the parts of a frame's error, with the check that PD and FEniCSx agree beneath them."""
 
 from dataclasses import replace
 

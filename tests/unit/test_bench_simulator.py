@@ -48,7 +48,7 @@ def test_a_trace_counts_from_where_the_error_stays_below():
     assert trace.iterations_to(1e-3) is None and trace.seconds_to(1e-3) is None and trace.tolerance_for(1e-3) is None
     # A solve with this tolerance goes on past iteration 1, whose gradient is 0.1.
     assert trace.tolerance_for(0.03) == 0.1 and trace.tolerance_for(0.01) == 0.01
-    assert Trace([0.0, 1.0], [1.0, float("nan")], [1.0, 1.0]).settled(2.0) is None
+    assert Trace([0.0, 1.0], [1.0, float("nan")], [1.0, 1.0]).iterations_to(2.0) is None
 
 
 def test_a_solve_seen_from_its_end_is_seen_from_the_truth(sphere_head, targets):
