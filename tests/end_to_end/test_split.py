@@ -1,4 +1,4 @@
-"""softdeca bench surrogate --cases split: the parts of a frame's error, with the check that PD and FEniCSx agree beneath them."""
+"""softdeca bench surrogate --cases split: the parts of a frame's error, and that PD and FEniCSx agree beneath."""
 
 from dataclasses import replace
 
