@@ -18,14 +18,17 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 
 from ...lhm.base.mesh import Floats, Ints
+from ..scene import Scene
 from ..terms import Bending
 from .assembly import add_forces, skew
+from .nodal import NodalEnergy
+from .numbering import Numbering
 
 FLAT = 1e-9  # of the largest singular value: below it a ring does not determine its rotation
 
 
 @dataclass(frozen=True, eq=False)
-class Rings:
+class Rings(NodalEnergy):
     """Inner vertices (m,) with k neighbours each, in the solver's numbering.
 
     `nodes` (m, k+1) has the vertex first; a (m, k) [1/mm²], w (m, k) and E (m, k, 3) [mm] are the module's; `stiffness`
@@ -37,6 +40,15 @@ class Rings:
     w: Floats
     E: Floats
     stiffness: Floats
+
+    @classmethod
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[Rings]:
+        """See NodalEnergy."""
+        rings = []
+        for term in scene.of(Bending):
+            order.dofs_of(term.name, term.triangles)
+            rings += cls.from_term(term, scene.vertices, order.dof, order.nodes.owned)
+        return rings
 
     @classmethod
     def from_term(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
@@ -72,12 +84,12 @@ class Rings:
         return R, Y, p, np.einsum("mj,mjc->mc", self.a, self.E)
 
     def energy(self, x: Floats) -> float:
-        """Energy [µJ] at vertices x [mm], shape (n, 3)."""
+        """See NodalEnergy."""
         _, _, p, b = self._turned(x)
         return 0.5 * float(self.stiffness @ np.sum((p - b) ** 2, axis=1))
 
     def add_gradient(self, x: Floats, into: Floats):
-        """Add the energy's gradient [mN] to an array (n, 3)."""
+        """See NodalEnergy."""
         R, Y, p, b = self._turned(x)
         z = np.einsum("mik,mk->mi", _turning(Y), np.cross(b, p))
         turned = self.a[:, :, None] * (p - b)[:, None, :] - self.w[:, :, None] * np.cross(z[:, None, :], self.E)
@@ -86,10 +98,7 @@ class Rings:
         add_forces(self.nodes, force, into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
-        """The Hessian's blocks [mN/mm], shape (m, k+1, k+1, 3, 3): vertex, vertex, component, component.
-
-        Negative curvature is multiplied by `kept`: 1 for the exact Hessian, 0 for its projection.
-        """
+        """See NodalEnergy."""
         R, Y, p, b = self._turned(x)
         m, k = self.a.shape
         G = _turning(Y)

@@ -226,10 +226,6 @@ class RigidState:
         """The energy's gradient [mN], shape (count, 3), held components included."""
         return self._owner.reduce(self._state.gradient(), self.poses)
 
-    def hessian(self) -> PETSc.Mat:
-        """The exact Hessian [mN/mm], in the owner's matrix."""
-        return self._owner.project(self._state.hessian(), self._state.gradient(), self.poses, 1.0)
-
-    def softened_hessian(self, kept: float) -> PETSc.Mat:
-        """The Hessian with negative eigenvalues of points' tangents and of bodies' turning multiplied by `kept`."""
-        return self._owner.project(self._state.softened_hessian(kept), self._state.gradient(), self.poses, kept)
+    def hessian(self, kept: float = 1.0) -> PETSc.Mat:
+        """The Hessian [mN/mm], in the owner's matrix; negative eigenvalues, of turning too, are times `kept`."""
+        return self._owner.project(self._state.hessian(kept), self._state.gradient(), self.poses, kept)

@@ -81,15 +81,9 @@ class MovingState:
         """The gradient [mN], a vector (owned, 3), held components included."""
         return self.static.gradient() + self._pull - self._owner.r
 
-    def hessian(self) -> PETSc.Mat:
-        """The exact Hessian [mN/mm], in the problem's matrix."""
-        return self._add_inertia(self.static.hessian())
-
-    def softened_hessian(self, kept: float) -> PETSc.Mat:
-        """The Hessian with negative eigenvalues of the scene's part multiplied by `kept`."""
-        return self._add_inertia(self.static.softened_hessian(kept))
-
-    def _add_inertia(self, matrix: PETSc.Mat) -> PETSc.Mat:
+    def hessian(self, kept: float = 1.0) -> PETSc.Mat:
+        """The Hessian [mN/mm], in the problem's matrix; negative eigenvalues of the scene's part are times `kept`."""
+        matrix = self.static.hessian(kept)
         matrix.axpy(1.0, self._owner.added, structure=SAME)
         return matrix
 

@@ -8,6 +8,7 @@ of the triangles is held or slides in a plane that closes the volume, and not el
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ..scene import Scene
 from ..terms import Gravity, Pressure, Target, Traction
 from . import dolfinx_version as seam
 from .assembly import add_forces, skew
+from .nodal import NodalEnergy
 from .numbering import CELL_SHARES, FACE_SHARES, Numbering
 
 PRESSURE_DEGREES = {3: 2, 6: 6}
@@ -44,14 +46,22 @@ def dead_loads(scene: Scene, order: Numbering) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class FollowerPressure:
+class FollowerPressure(NodalEnergy):
     """Triangles' nodes (m, k), pressure (m,) [kPa], and a rule: weights (q,), shapes (q, k), derivatives (q, k, 2)."""
+
+    is_load: ClassVar[bool] = True
 
     nodes: Ints
     value: Floats
     weights: Floats
     shapes: Floats
     derivatives: Floats
+
+    @classmethod
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[FollowerPressure]:
+        """See NodalEnergy."""
+        faces = [(term, *order.faces(term.name, term.triangles)) for term in scene.of(Pressure)]
+        return [cls.from_term(term, nodes, here) for term, here, nodes in faces]
 
     @classmethod
     def from_term(cls, term: Pressure, nodes: Ints, here: Ints | None = None) -> FollowerPressure:
@@ -67,10 +77,10 @@ class FollowerPressure:
         both = np.einsum("mkc,qkd->dmqc", x[self.nodes], self.derivatives)
         return both[0], both[1]
 
-    def add_gradient(self, x: Floats, into: Floats, share: float = 1.0):
-        """Add a share of the pressure's part of the gradient [mN] at nodes x [mm], shape (n, 3), to an array (n, 3)."""
+    def add_gradient(self, x: Floats, into: Floats):
+        """See NodalEnergy."""
         along, across = self._tangents(x)
-        force = np.einsum("m,q,qk,mqc->mkc", share * self.value, self.weights, self.shapes, np.cross(along, across))
+        force = np.einsum("m,q,qk,mqc->mkc", self.value, self.weights, self.shapes, np.cross(along, across))
         add_forces(self.nodes, force, into)
 
     def energy(self, x: Floats) -> float:
@@ -79,8 +89,8 @@ class FollowerPressure:
         at = np.einsum("mkc,qk->mqc", x[self.nodes], self.shapes)
         return float(np.einsum("m,q,mqc,mqc->", self.value, self.weights, at, np.cross(along, across)) / 3.0)
 
-    def tangent(self, x: Floats) -> Floats:
-        """The derivative of the gradient [mN/mm], shape (m, k, k, 3, 3): node, node, component, component."""
+    def hessian(self, x: Floats, kept: float = 1.0) -> Floats:
+        """Return the derivative of the gradient, exact whatever is `kept`; see NodalEnergy."""
         along, across = (skew(t) for t in self._tangents(x))
         by_along, by_across = self.derivatives[:, :, 0], self.derivatives[:, :, 1]
         scaled = np.einsum("m,q,qa->mqa", self.value, self.weights, self.shapes)
@@ -89,41 +99,36 @@ class FollowerPressure:
 
 
 @dataclass(frozen=True, eq=False)
-class Springs:
+class Springs(NodalEnergy):
     """Springs of a Target, or of inertia, at nodes that this process owns.
 
-    dofs (k,), positions [mm] (k, 3), stiffness [mN/mm] (k,).
+    nodes (k, 1), positions [mm] (k, 3), stiffness [mN/mm] (k,).
     """
 
-    dofs: Ints
+    nodes: Ints
     positions: Floats
     stiffness: Floats
 
     @classmethod
     def from_scene(cls, scene: Scene, order: Numbering) -> list[Springs]:
-        """The springs of a scene's targets, and of its inertia."""
+        """Make the springs of each target, and of all inertia together."""
         springs = [(term.name, term.vertices, term.positions, term.stiffness) for term in scene.of(Target)]
         stiffness, places = scene.inertia()
         moving = np.flatnonzero(stiffness)
         owned = []
         for name, vertices, positions, values in (*springs, ("Inertia", moving, places[moving], stiffness[moving])):
             mine, dofs = order.own_dofs(name, vertices)
-            owned.append(cls(dofs, positions[mine], np.broadcast_to(values, len(vertices))[mine]))
+            owned.append(cls(dofs[:, None], positions[mine], np.broadcast_to(values, len(vertices))[mine]))
         return owned
 
-    @property
-    def nodes(self) -> Ints:
-        """The node of each spring, shape (k, 1)."""
-        return self.dofs[:, None]
-
     def energy(self, x: Floats) -> float:
-        """Energy [µJ] at nodes x [mm], shape (n, 3)."""
-        return 0.5 * float(self.stiffness @ np.sum((x[self.dofs] - self.positions) ** 2, axis=1))
+        """See NodalEnergy."""
+        return 0.5 * float(self.stiffness @ np.sum((x[self.nodes[:, 0]] - self.positions) ** 2, axis=1))
 
     def add_gradient(self, x: Floats, into: Floats):
-        """Add the energy's gradient [mN] to an array (n, 3)."""
-        into[self.dofs] += self.stiffness[:, None] * (x[self.dofs] - self.positions)
+        """See NodalEnergy."""
+        into[self.nodes[:, 0]] += self.stiffness[:, None] * (x[self.nodes[:, 0]] - self.positions)
 
-    def hessian(self) -> Floats:
-        """The Hessian's blocks [mN/mm], shape (k, 1, 1, 3, 3)."""
+    def hessian(self, x: Floats, kept: float) -> Floats:
+        """See NodalEnergy."""
         return np.multiply.outer(self.stiffness, np.eye(3))[:, None, None]

@@ -9,7 +9,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ..restraint import has_free_motion
 from ..solution import Limits, Reason
-from ..terms import Bending, RigidBody, Strain, SurfaceStrain, Traction, Volume
+from ..terms import Traction
 from .bodies import RigidProblem
 from .linear_solvers import LinearSolver
 from .load_path import DRIFT, PATH_TOLERANCE
@@ -21,8 +21,6 @@ MAX_ITERATIONS = 100
 LOAD_STEP_TOLERANCE = 1e-2
 STRAIGHT_ITERATIONS = 10  # beyond them descent may have left the path that the load grows along
 ROUNDING = 1e-14  # of the largest coordinate: closer to its goal, what is held has arrived
-# Terms whose energy may lose stiffness in directions that cost nothing, and those that the load path has no room for.
-INDEFINITE = (Strain, Volume, SurfaceStrain, Bending, RigidBody)
 
 
 class Minimisation:
@@ -72,7 +70,7 @@ class Minimisation:
         scene = self._run.scene
         if reason is Reason.CONVERGED:
             end = replace(end, sound=True)
-            if scene.of(Traction) and not any(scene.of(kind) for kind in INDEFINITE):
+            if scene.of(Traction) and not any(term.may_soften for term in scene.terms):
                 stable = self._newton.is_stable(self._at(state.u), DRIFT if has_free_motion(scene) else 0.0)
                 many = self._run.record.iterations - before > STRAIGHT_ITERATIONS
                 end = replace(end, sound=stable, doubtful=many or not stable)

@@ -111,15 +111,10 @@ class CondensedState:
         """Π's derivative by the pressure [mm³], a vector (n_p,)."""
         return self._static.strain()
 
-    def hessian(self) -> PETSc.Mat:
-        """Π's second derivative by the displacement [mN/mm], and all blocks of the owner's matrix."""
+    def hessian(self, kept: float = 1.0) -> PETSc.Mat:
+        """Π's second derivative by the displacement [mN/mm], as of `State`, and all blocks of the owner's matrix."""
         self._owner.matrix.assemble(self._static, springs=self._springs)
-        return self._static.hessian()
-
-    def softened_hessian(self, kept: float) -> PETSc.Mat:
-        """The same with negative eigenvalues of points' tangents multiplied by `kept`."""
-        self._owner.matrix.assemble(self._static, springs=self._springs)
-        return self._static.softened_hessian(kept)
+        return self._static.hessian(kept)
 
 
 class MultiplierDescent:

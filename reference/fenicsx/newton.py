@@ -48,12 +48,11 @@ class AnyState(Protocol):
         """Its gradient [mN] by the unknowns, a vector, held ones included."""
         ...
 
-    def hessian(self) -> PETSc.Mat:
-        """Its Hessian [mN/mm], in a matrix that is always the same."""
-        ...
+    def hessian(self, kept: float = 1.0) -> PETSc.Mat:
+        """Its Hessian [mN/mm], in a matrix that is always the same.
 
-    def softened_hessian(self, kept: float) -> PETSc.Mat:
-        """The Hessian with negative eigenvalues of points' tangents multiplied by `kept` in [0, 1]."""
+        Negative eigenvalues of points' tangents are multiplied by `kept` in [0, 1].
+        """
         ...
 
 
@@ -121,7 +120,7 @@ class Newton:
         def set_up(shift: float) -> Floats:
             nonlocal forces
             forces = np.zeros(jump.size)
-            matrix = self._shifted(state.softened_hessian(0.0), shift)
+            matrix = self._shifted(state.hessian(0.0), shift)
             hold(matrix, self.held, values, forces)
             return forces
 
@@ -232,8 +231,7 @@ class Newton:
 
         def set_up(shift: float) -> Floats:
             b = -gradient
-            hessian = state.hessian() if kept == 1.0 else state.softened_hessian(kept)
-            hold(self._shifted(hessian, shift), self.held, np.zeros(len(self.held)), b)
+            hold(self._shifted(state.hessian(kept), shift), self.held, np.zeros(len(self.held)), b)
             return b
 
         if kept == 0.0:

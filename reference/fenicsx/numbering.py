@@ -14,7 +14,7 @@ import numpy as np
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
 from ..scene import Scene
-from ..terms import Bending, Pressure, SurfaceStrain, Traction
+from ..terms import OnTriangles
 from . import dolfinx_version as seam
 from .dolfinx_version import ALL, ALONE, MPI
 from .parallel import IndexMap, gather
@@ -109,13 +109,10 @@ class Numbering:
         number[vertices] = gather(self.comm, ids[self.dof[self._own_vertices]])
         self._owner = owner
         needed = [np.empty(0, dtype=np.int64)]
-        triangles = [term.triangles for term in scene.terms if isinstance(term, (SurfaceStrain, Traction, Pressure))]
-        for each in (*triangles, *([] if skin is None else [skin])):
+        triangles = [term.triangles for term in scene.of(OnTriangles)] + ([] if skin is None else [skin])
+        for each in triangles:  # a ring of vertices needs all triangles around one that is owned here
             if self._in_tets[each].all():
-                needed.append(each[self._here(each)].ravel())
-        for term in scene.of(Bending):
-            mine = owner[term.triangles] == self.comm.rank
-            needed.append(term.triangles[mine.any(axis=1)].ravel())
+                needed += [each[self._here(each)].ravel(), each[(owner[each] == self.comm.rank).any(axis=1)].ravel()]
         needed_vertices = np.unique(np.concatenate(needed))
         distant = needed_vertices[self.dof[needed_vertices] < 0]
         self._number(np.concatenate([self.ends, np.column_stack([distant, distant])]))

@@ -26,50 +26,24 @@ from ..materials.material import HasDensity, HasStretches
 from ..restraint import check_restrained
 from ..scene import Scene, refuse_unknown
 from ..solution import Limits, OnIteration, Reason, Solution, first_positions
-from ..terms import (
-    Bending,
-    Fixed,
-    Gravity,
-    Hyperelastic,
-    Inertia,
-    Pressure,
-    RigidBody,
-    Strain,
-    SurfaceStrain,
-    Target,
-    Term,
-    Traction,
-    Volume,
-)
+from ..terms import Fixed, Gravity, Hyperelastic, Inertia, Pressure, RigidBody, Term, Traction
 from .bodies import RigidProblem
 from .dolfinx_version import ALONE
 from .dynamics import March
 from .fields import Fields, NodalAnswer, Sampling, recover
-from .hyperelastic import check_mixed
 from .linear_solvers import LINEAR_SOLVERS, LinearSolver, Mumps
 from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
 from .multipliers import Condensed, MultiplierDescent
 from .numbering import DEGREE_OF, Numbering, ranks_for
 from .parallel import anywhere, check_same, gather
-from .problem import Problem
+from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
 from .saddle import LARGE_SADDLE, SADDLES
+from .solids import check_solids
 
-TERMS = (
-    Hyperelastic,
-    Strain,
-    Volume,
-    SurfaceStrain,
-    Bending,
-    Target,
-    Fixed,
-    RigidBody,
-    Gravity,
-    Traction,
-    Pressure,
-    Inertia,
-)
+TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
+"""Those with an energy or a force that follows, dead loads, and those that restrict the unknowns."""
 MOVING_TERMS = tuple(kind for kind in TERMS if kind not in (RigidBody, Pressure, Inertia))
 """Those of a march: mass is given to it."""
 LAWS = tuple(law for law in materials.LAWS if issubclass(law, (HasDensity, HasStretches)))
@@ -115,17 +89,9 @@ def _check_terms(scene: Scene, element: str):
         raise SceneError("solver 'fenicsx': the scene has no tets")
     refuse_unknown(scene, "fenicsx", TERMS, (*LAWS, Incompressible))
     for term in scene.terms if scene.in_parts else ():
-        if isinstance(term, (Bending, RigidBody, Inertia)):  # they join vertices of several ranks
+        if not term.is_divisible:
             raise SceneError(f"solver 'fenicsx' cannot model {term.name} of a scene that ranks have in parts")
-    for term in scene.of(Hyperelastic):
-        if element == "P2P1":
-            check_mixed(term.material)
-        elif isinstance(term.material, Incompressible):
-            raise SceneError(f"solver 'fenicsx' cannot model Incompressible by element {element!r}; 'P2P1' models it")
-    if element == "P2P1" and scene.of(Volume):
-        raise SceneError("element 'P2P1' cannot model Volume by a pressure; element 'P2' models it")
-    if element == "P2P1" and not scene.of(Hyperelastic):
-        raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
+    check_solids(scene, element)
     if scene.of(RigidBody) and (element == "P2P1" or scene.of(Pressure)):
         raise SceneError("solver 'fenicsx' cannot model RigidBody with element 'P2P1' or Pressure; fix its vertices")
 

@@ -1,4 +1,4 @@
-"""The scene's energy, gradient and Hessian over the displacement's dofs: FEniCSx's forms and the discrete terms."""
+"""The scene's energy, gradient and Hessian over the displacement's dofs: of its solids, of nodal terms, and loads."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ import numpy as np
 
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
-from ..terms import (
-    Bending,
-    Hyperelastic,
-    Pressure,
-    RigidBody,
-    Strain,
-    SurfaceStrain,
-    Volume,
-)
+from ..terms import Bending, Hyperelastic, Inertia, Pressure, RigidBody, Strain, SurfaceStrain, Target, Term, Volume
 from . import dolfinx_version as seam
-from . import principal
 from .assembly import Stiffness, rigid_motions
 from .bending import Rings
 from .dolfinx_version import MPI, PETSc
 from .hyperelastic import HyperelasticForms
 from .loads import FollowerPressure, Springs, dead_loads
+from .nodal import NodalEnergy
 from .numbering import Numbering
 from .parallel import IndexMap, anywhere
-from .quadrature import DEGREES, Quadrature
-from .solids import Grown, Solid, StrainLaw, VolumeLaw, add_at
+from .quadrature import Quadrature
+from .solids import Solids
 from .surface_strain import Membrane
 
-Law = tuple[Ints, HasStretches]
-"""A law and the quadrature points, counted within Quadrature, that it acts on."""
+MODELS: dict[type[Term], type[Solids | NodalEnergy]] = {
+    Hyperelastic: Solids,
+    Strain: Solids,
+    Volume: Solids,
+    SurfaceStrain: Membrane,
+    Bending: Rings,
+    Pressure: FollowerPressure,
+    Target: Springs,
+    Inertia: Springs,
+}
+"""The class that models each term that has an energy, or a force that follows."""
 
 
 class Problem:
@@ -42,13 +42,12 @@ class Problem:
 
     Fields are of shape (n, 3), by node, vectors (owned, 3): see `parallel`. The laws of a mixed problem have the
     pressure [kPa] of linear elements, whose nodes are shared as `pressures` say and lie at the scene's vertices
-    `pressure_vertex`; of another one there are none. `softness` is the sum of their 1/mu [1/kPa] per cell.
+    `pressure_vertex`; of another one there are none.
     """
 
     def __init__(self, scene: Scene, numbering: Numbering, *, mixed: bool = False):
         self.numbering, self.comm = numbering, numbering.comm
         self.assemblies = 0
-        self._displacement = seam.function(numbering.space)
         self.mixed = mixed
         self.pressure: Any = None
         owned, ids = 0, np.empty(0, dtype=np.int64)
@@ -61,36 +60,18 @@ class Problem:
         self.pressure_vertex: Ints = np.empty(len(ids), dtype=np.int64)
         if mixed:
             self.pressure_vertex[self.pressure_dofs] = numbering.cell_vertices
-        solids = self._solids(scene)
-        self._degree = DEGREES[numbering.degree]
-        cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
-        self._quadrature = Quadrature(numbering, cells, self._degree)
-        by_ufl = [solid for solid in solids if self._is_by_ufl(solid.term)]
-        self._hyperelastic = [self._forms(solid) for solid in by_ufl]
-        self.softness = np.zeros(len(numbering.cell_dofs))
-        for solid in by_ufl if mixed else []:
-            self.softness[solid.cells] += 1.0 / solid.hyperelastic.material.shear_modulus
-        self._tensors = [
-            (self._points(forms.cells), forms)
-            for forms, solid in zip(self._hyperelastic, by_ufl, strict=True)
-            if mixed or not isinstance(solid.hyperelastic.material, HasStretches)
-        ]
-        self._faces = [numbering.faces(term.name, term.triangles) for term in scene.of(SurfaceStrain)]
-        self._pressed = [numbering.faces(term.name, term.triangles) for term in scene.of(Pressure)]
-        self._surfaces = self._surfaces_of(scene)
-        nodes = [surface.nodes for surface in self._surfaces]
-        pressed = [nodes for _, nodes in self._pressed]
-        self.stiffness = Stiffness([numbering.cell_dofs, *nodes, *pressed], numbering.nodes)
-        self._slots = [self.stiffness.slots(surface) for surface in nodes]
-        self._pressed_slots = [self.stiffness.slots(faces) for faces in pressed]
-        self.symmetric = not anywhere(self.comm, bool(pressed))
+        self.solids = Solids(scene, numbering, self.pressure)
+        self._parts = self._parts_of(scene)
+        nodes = [part.nodes for part in self._parts]
+        self.stiffness = Stiffness([numbering.cell_dofs, *nodes], numbering.nodes)
+        self.symmetric = not anywhere(self.comm, [part.is_load for part in self._parts])
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, self.symmetric)
-        owned = numbering.nodes.owned
-        self.matrix.setNearNullSpace(rigid_motions(numbering.X[:owned], self.comm))
-        springs = [spring.dofs for spring in Springs.from_scene(scene, numbering)]
+        self.matrix.setNearNullSpace(rigid_motions(numbering.X[: numbering.nodes.owned], self.comm))
         supported = np.zeros(len(numbering.X), dtype=bool)
-        for dofs in (numbering.cell_dofs[cells], *nodes, *springs):
-            supported[dofs.ravel()] = True
+        supported[numbering.cell_dofs[self.solids.cells].ravel()] = True
+        for part in self._parts:
+            if not part.is_load:
+                supported[part.nodes.ravel()] = True
         self.unsupported = ~numbering.nodes.spread_mask(supported)
         for body in scene.of(RigidBody):
             dofs = numbering.own_dofs(body.name, body.vertices)[1]
@@ -102,50 +83,13 @@ class Problem:
         """The matrix that every Hessian is assembled into."""
         return self.stiffness.matrix
 
-    def _solids(self, scene: Scene) -> list[Solid]:
-        return [
-            Solid.from_term(scene, term, self.numbering)
-            for term in scene.terms
-            if isinstance(term, (Strain, Volume, Hyperelastic))
-        ]
-
-    def _points(self, cells: Ints) -> Ints:
-        """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
-        q = self._quadrature.per_cell
-        return (np.searchsorted(self._quadrature.cells, cells)[:, None] * q + np.arange(q)).ravel()
-
-    def _is_by_ufl(self, term) -> bool:
-        return isinstance(term, Hyperelastic) and (self.mixed or isinstance(term.material, HasDensity))
-
-    def _forms(self, solid: Solid) -> HyperelasticForms:
-        cells, material, growth = solid.cells, solid.hyperelastic.material, solid.hyperelastic.growth
-        pressure = self.pressure if self.mixed else None
-        return HyperelasticForms.compile(self._displacement, cells, material, self._degree, growth, pressure)
+    def _parts_of(self, scene: Scene) -> list[NodalEnergy]:
+        models = [model for model in dict.fromkeys(MODELS.values()) if issubclass(model, NodalEnergy)]
+        return [part for model in models for part in model.from_scene(scene, self.numbering)]
 
     def set(self, scene: Scene):
         """Take a scene's stiffnesses, targets and loads; SceneError for a load on a vertex that no energy holds."""
-        order = self.numbering
-        self._check_loads(scene)
-        self.loads = dead_loads(scene, order)
-        self._surfaces = self._surfaces_of(scene)
-        self._followers = [
-            FollowerPressure.from_term(term, nodes, here)
-            for term, (here, nodes) in zip(scene.of(Pressure), self._pressed, strict=True)
-        ]
-        self._springs = Springs.from_scene(scene, order)
-        solids = self._solids(scene)
-        by_law = [solid for solid in solids if not isinstance(solid.term, Hyperelastic)]
-        hyperelastic = [solid for solid in solids if isinstance(solid.term, Hyperelastic)]
-        self._laws = [self._law(s) for s in by_law]
-        self._laws += [self._law(s) for s in hyperelastic if not self._is_by_ufl(s.term)]
-        by_ufl = [s for s in hyperelastic if self._is_by_ufl(s.term) and not self.mixed]
-        self._stretched = [self._law(s) for s in by_ufl if isinstance(s.hyperelastic.material, HasStretches)]
-        sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
-        self.energy_scale = scene.force_scale() * sizes
-
-    def _check_loads(self, scene: Scene):
-        order = self.numbering
-        owned = order.own_corners
+        order, owned = self.numbering, self.numbering.own_corners
         supported = np.zeros(len(scene.vertices), dtype=bool)
         supported[order.vertex[np.searchsorted(order.corners, owned)][~self.unsupported[owned]]] = True
         if order.divided:
@@ -153,36 +97,17 @@ class Problem:
         bad = np.flatnonzero(~supported & scene.loads().any(axis=1) & ~scene.dirichlet()[0].all(axis=1))
         if bad.size:
             raise SceneError(f"vertex {bad[0]} carries a load, but no energy acts on it")
-
-    def _surfaces_of(self, scene: Scene) -> list[Membrane | Rings]:
-        surfaces: list[Membrane | Rings] = [
-            Membrane.from_term(term, scene.vertices, *faces)
-            for term, faces in zip(scene.of(SurfaceStrain), self._faces, strict=True)
-        ]
-        for term in scene.of(Bending):
-            self.numbering.dofs_of(term.name, term.triangles)
-            surfaces += Rings.from_term(term, scene.vertices, self.numbering.dof, self.numbering.nodes.owned)
-        return surfaces
-
-    def _law(self, solid: Solid) -> Law:
-        term, points = solid.term, self._points(solid.cells)
-
-        def at_points(values) -> Floats:
-            count = len(solid.cells)
-            return np.repeat(np.broadcast_to(values, count), self._quadrature.per_cell).astype(np.float64)
-
-        if isinstance(term, Strain):
-            return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
-        if isinstance(term, Volume):
-            return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
-        law = term.material
-        assert isinstance(law, HasStretches)
-        return points, law if np.all(term.growth == 1.0) else Grown(law, at_points(term.growth))
+        self.loads = dead_loads(scene, order)
+        self.solids.set(scene)
+        self._parts = self._parts_of(scene)
+        self._slots = [self.stiffness.slots(part.nodes) for part in self._parts]
+        sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
+        self.energy_scale = scene.force_scale() * sizes
 
     @property
     def mixed_forms(self) -> list[HyperelasticForms]:
         """The forms of laws with a pressure."""
-        return self._hyperelastic if self.mixed else []
+        return self.solids.forms if self.mixed else []
 
     def force_per_volume(self, diagonal: Floats) -> float:
         """The force that a mean node's displacement causes by its volume [mN/mm³], from a diagonal [mN/mm], a vector.
@@ -206,148 +131,78 @@ class Problem:
 
     def moved(self, state: State, step: Floats) -> State:
         """The problem after a step of all dofs [mm], a vector (3 owned,)."""
-        return State(self, state.u + self.numbering.nodes.spread(step.reshape(-1, 3)), state.p, state.share)
+        return self.at(state.u + self.numbering.nodes.spread(step.reshape(-1, 3)), state.p, state.share)
 
 
 class State:
-    """Energy, gradient and Hessian at one displacement and pressure; what they share is computed once.
+    """Energy, gradient and Hessian at one displacement and pressure.
 
     Dead loads and follower pressures are scaled by `share`; the energy has the latter's as far as they have one.
     """
 
     def __init__(self, problem: Problem, u: Floats, p: Floats, share: float):
         self.u, self.p, self.share = u, p, share
-        self._problem = problem
+        self._problem, self._solids = problem, problem.solids.at(u, p)
         self._x = problem.numbering.X + u
-        self._frame: tuple[Floats, Floats, Floats] | None = None
-        if problem._laws:
-            self._psi, self._p, self._h = self._principal(problem._laws)
 
     def place(self):
         """Have the forms take this displacement and pressure."""
-        problem = self._problem
-        problem._displacement.x.array[:] = self.u[: problem.numbering.function_nodes].ravel()
-        if problem.mixed:
-            problem.pressure.x.array[:] = self.p
-
-    def _svd(self) -> tuple[Floats, Floats, Floats]:
-        """U, s, V of F at the quadrature points."""
-        if self._frame is None:
-            self._frame = principal.signed_svd(self._problem._quadrature.deformation_gradient(self.u))
-        return self._frame
-
-    def _principal(self, laws: list[Law]) -> tuple[Floats, Floats, Floats]:
-        s = self._svd()[1]
-        psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
-        for points, law in laws:
-            add_at(points, *law.by_stretches(s[points]), psi, p, h)
-        return psi, p, h
+        self._solids.place()
 
     @cached_property
     def energy(self) -> float:
         """The energy [µJ], of all ranks; not finite where a law does not hold."""
         problem = self._problem
-        self.place()
-        energy = -self.share * float(np.sum(problem.loads * self.u[: len(problem.loads)]))
-        if problem._laws:
-            energy += float(self._psi @ problem._quadrature.volume)
-        energy += sum(forms.assemble_energy() for forms in problem._hyperelastic)
-        energy += sum(surface.energy(self._x) for surface in problem._surfaces)
-        energy += sum(self.share * follower.energy(self._x) for follower in problem._followers)
-        energy += sum(spring.energy(self._x) for spring in problem._springs)
+        energy = -self.share * float(np.sum(problem.loads * self.u[: len(problem.loads)])) + self._solids.energy()
+        for part in problem._parts:
+            energy += (self.share if part.is_load else 1.0) * part.energy(self._x)
         return problem.comm.allreduce(energy)
 
     def gradient(self) -> Floats:
         """The energy's gradient [mN], a vector (owned, 3), held components included."""
         problem = self._problem
-        self.place()
-        total = np.zeros_like(self.u)
-        total[: len(problem.loads)] = -self.share * problem.loads
-        flat = total.reshape(-1)
-        if problem._laws:
-            U, _, V = self._svd()
-            problem._quadrature.add_gradient(principal.stress(U, V, self._p), total)
-        for forms in problem._hyperelastic:
-            forms.add_gradient(flat)
-        for surface in problem._surfaces:
-            surface.add_gradient(self._x, total)
-        for follower in problem._followers:
-            follower.add_gradient(self._x, total, self.share)
-        for spring in problem._springs:
-            spring.add_gradient(self._x, total)
+        total = self.share * self._loads()
+        self._solids.add_gradient(total)
+        for part in problem._parts:
+            if not part.is_load:
+                part.add_gradient(self._x, total)
         return problem.numbering.nodes.sum_up(total)
-
-    def strain(self) -> Floats:
-        """The energy's derivative by the pressure [mm³], a vector."""
-        self.place()
-        parts = np.zeros(self._problem.pressures.count)
-        for forms in self._problem.mixed_forms:
-            seam.add_vector(forms.by_pressure, parts)
-        return self._problem.pressures.sum_up(parts)
 
     def by_share(self) -> Floats:
         """The gradient's derivative by the share of the loads [mN], a vector (owned, 3)."""
+        return self._problem.numbering.nodes.sum_up(self._loads())
+
+    def _loads(self) -> Floats:
+        """What this rank adds to the gradient for the whole of the loads [mN], a field (n, 3)."""
         problem = self._problem
         forces = np.zeros_like(self.u)
-        for follower in problem._followers:
-            follower.add_gradient(self._x, forces)
-        return problem.numbering.nodes.sum_up(forces) - problem.loads
+        forces[: len(problem.loads)] = -problem.loads
+        for part in problem._parts:
+            if part.is_load:
+                part.add_gradient(self._x, forces)
+        return forces
+
+    def strain(self) -> Floats:
+        """The energy's derivative by the pressure [mm³], a vector."""
+        parts = np.zeros(self._problem.pressures.count)
+        self._solids.add_strain(parts)
+        return self._problem.pressures.sum_up(parts)
 
     def stresses(self) -> tuple[Floats, Floats, Quadrature]:
         """F and P [kPa] at the points of this rank, shape (k q, 3, 3), of all laws together, and the quadrature."""
-        problem = self._problem
-        self.place()
-        F = problem._quadrature.deformation_gradient(self.u)
-        P = np.zeros_like(F)
-        if problem._laws:
-            U, _, V = self._svd()
-            P += principal.stress(U, V, self._p)
-        for forms in problem._hyperelastic:
-            P[problem._points(forms.cells)] += forms.point_stress()
-        return F, P, problem._quadrature
+        return *self._solids.stresses(), self._problem.solids.quadrature
 
-    def hessian(self) -> PETSc.Mat:
-        """The gradient's exact derivative [mN/mm], in the problem's matrix."""
-        self._begin()
-        for _, forms in self._problem._tensors:
-            seam.add_matrix(forms.tangent, self._problem.stiffness.local)
-        return self._finish(kept=1.0)
+    def hessian(self, kept: float = 1.0) -> PETSc.Mat:
+        """The gradient's derivative [mN/mm], in the problem's matrix.
 
-    def softened_hessian(self, kept: float) -> PETSc.Mat:
-        """The Hessian with every negative eigenvalue of every point's tangent multiplied by `kept` in [0, 1].
-
-        At 0 it is positive semi-definite.
+        Every negative eigenvalue of every point's tangent is multiplied by `kept` in [0, 1]: at 1 it is exact, at 0
+        positive semi-definite.
         """
-        problem = self._problem
-        self._begin()
-        for points, forms in problem._tensors:
-            problem._quadrature.add_tangent(points, forms.softened_tangent(kept), problem.stiffness)
-        return self._finish(kept)
-
-    def _begin(self):
-        self.place()
-        self._problem.assemblies += 1
-        self._problem.stiffness.clear()
-
-    def _finish(self, kept: float) -> PETSc.Mat:
-        """Add what does not come from UFL."""
         problem, stiffness = self._problem, self._problem.stiffness
-        stiffness.local.assemble()
-        if problem._laws or problem._stretched:
-            U, s, V = self._svd()
-            p, h = self._curvature()
-            problem._quadrature.add_modes(U, V, principal.modes(s, p, h).soften(kept), stiffness)
-        for slots, surface in zip(problem._slots, problem._surfaces, strict=True):
-            stiffness.add(surface.nodes, slots, surface.hessian(self._x, kept))
-        for slots, follower in zip(problem._pressed_slots, problem._followers, strict=True):
-            stiffness.add(follower.nodes, slots, self.share * follower.tangent(self._x))
-        for spring in problem._springs:
-            stiffness.add(spring.nodes, stiffness.slots(spring.nodes), spring.hessian())
+        problem.assemblies += 1
+        stiffness.clear()
+        self._solids.add_hessian(stiffness, kept)
+        for slots, part in zip(problem._slots, problem._parts, strict=True):
+            blocks = part.hessian(self._x, kept)
+            stiffness.add(part.nodes, slots, self.share * blocks if part.is_load else blocks)
         return stiffness.assemble()
-
-    def _curvature(self) -> tuple[Floats, Floats]:
-        """Gradient and Hessian of all laws of the singular values."""
-        problem = self._problem
-        if problem._stretched:
-            return self._principal([*problem._laws, *problem._stretched])[1:]
-        return self._p, self._h

@@ -72,7 +72,7 @@ class SaddleMatrix:
         self.idle = problem.idle_pressures()
         space = problem.pressure.function_space
         p, q, v = ufl.TrialFunction(space), ufl.TestFunction(space), ufl.TestFunction(problem.numbering.space)
-        softness = seam.cell_numbers(space.mesh, np.arange(len(problem.softness)), problem.softness)
+        softness = seam.cell_numbers(space.mesh, np.arange(len(problem.solids.softness)), problem.solids.softness)
         self.B = _assemble_form(ufl.div(v) * p * ufl.dx)
         self.mass = _assemble_form(softness * p * q * ufl.dx)
         self.D, self.springs = self.mass.copy(), 1.0 / PENALTY

@@ -1,4 +1,4 @@
-"""Terms of the solid by the cells of a process, and PD's energies, Strain and Volume, by singular values.
+"""The energies of tets: laws by singular values at quadrature points, and laws by UFL's forms, all together.
 
 Singular values s (m, 3) come ordered as `principal.signed_svd` orders them. Hyperelastic laws by singular values are in
 `materials`.
@@ -6,50 +6,44 @@ Singular values s (m, 3) come ordered as `principal.signed_svd` orders them. Hyp
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numba import njit
 
+from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats, Ints
-from ..materials.material import HasStretches
+from ..materials import Incompressible
+from ..materials.material import HasDensity, HasStretches
 from ..scene import Scene
 from ..terms import Hyperelastic, Strain, Volume
+from ..terms import Solid as SolidTerm
+from . import dolfinx_version as seam
+from . import principal
+from .assembly import Stiffness
+from .hyperelastic import HyperelasticForms, check_mixed
+from .nearest import nearest_derivative, nearest_with_determinant
 from .numbering import Numbering
+from .quadrature import DEGREES, Quadrature
+
+AtPoints = Callable[[Floats | float], Floats]
+"""Gives a term's values per tet, or its one, at its quadrature points."""
+Law = tuple[Ints, HasStretches]
+"""A law and the quadrature points, counted within Quadrature, that it acts on."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solid:
-    """A term whose values per tet, if any, are those of the cells (k,) that it acts on here."""
-
-    term: Strain | Volume | Hyperelastic
-    cells: Ints
-
-    @property
-    def hyperelastic(self) -> Hyperelastic:
-        """The term, which is known to be one."""
-        assert isinstance(self.term, Hyperelastic)
-        return self.term
-
-    @classmethod
-    def from_term(cls, scene: Scene, term: Strain | Volume | Hyperelastic, numbering: Numbering) -> Solid:
-        """The part of a scene's term on the cells of this process."""
-        cells = numbering.cell[scene.tets_of(term)]
-        mine = cells >= 0
-        if mine.all():
-            return cls(term, cells)
-        changes: dict[str, object] = {"tets": scene.tets_of(term)[mine]}
-        changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
-        if isinstance(term, Hyperelastic):
-            law = term.material
-            values = {field.name: getattr(law, field.name) for field in fields(law)}
-            by_tet = {key: value[mine] for key, value in values.items() if _per_tet(value, 2)}
-            changes["material"] = replace(law, **by_tet) if by_tet else law
-        return cls(replace(term, **changes), cells[mine])  # type: ignore[arg-type]
-
-
-def _per_tet(value, dimensions: int) -> bool:
-    return isinstance(value, np.ndarray) and value.ndim == dimensions
+def check_solids(scene: Scene, element: str):
+    """Raise SceneError for energies of tets that an element cannot model."""
+    for term in scene.of(Hyperelastic):
+        if element == "P2P1":
+            check_mixed(term.material)
+        elif isinstance(term.material, Incompressible):
+            raise SceneError(f"solver 'fenicsx' cannot model Incompressible by element {element!r}; 'P2P1' models it")
+    if element == "P2P1" and scene.of(Volume):
+        raise SceneError("element 'P2P1' cannot model Volume by a pressure; element 'P2' models it")
+    if element == "P2P1" and not scene.of(Hyperelastic):
+        raise SceneError("element 'P2P1' needs a Hyperelastic term for its pressure; element 'P2' does without")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +56,11 @@ class StrainLaw:
     stiffness: Floats
     limit: Floats
     growth: Floats
+
+    @classmethod
+    def from_term(cls, term: Strain, at_points: AtPoints) -> StrainLaw:
+        """Take a term's numbers."""
+        return cls(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
 
     def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """See HasStretches; at a limit above 1 the curvature is that of the free side."""
@@ -80,11 +79,16 @@ class VolumeLaw:
     stiffness: Floats
     target: Floats
 
+    @classmethod
+    def from_term(cls, term: Volume, at_points: AtPoints) -> VolumeLaw:
+        """Take a term's numbers."""
+        return cls(at_points(term.stiffness), at_points(term.target))
+
     def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """See HasStretches; the nearest point's derivative is implicit (see `_nearest_derivative`)."""
+        """See HasStretches; the nearest point's derivative is implicit (see `nearest_derivative`)."""
         t = nearest_with_determinant(s, self.target)
         away = s - t
-        h = self.stiffness[:, None, None] * (np.eye(3) - _nearest_derivative(s, t))
+        h = self.stiffness[:, None, None] * (np.eye(3) - nearest_derivative(s, t))
         return 0.5 * self.stiffness * np.sum(away**2, axis=1), self.stiffness[:, None] * away, h
 
 
@@ -102,6 +106,192 @@ class Grown:
         return self.growth * psi, (size**2)[:, None] * p, size[:, None, None] * h
 
 
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A term whose values per tet, if any, are those of the cells (k,) that it acts on here."""
+
+    term: SolidTerm
+    cells: Ints
+
+    @classmethod
+    def from_term(cls, scene: Scene, term: SolidTerm, order: Numbering) -> Solid:
+        """The part of a scene's term on the cells of this process."""
+        cells = order.cell[scene.tets_of(term)]
+        mine = cells >= 0
+        if mine.all():
+            return cls(term, cells)
+        changes: dict[str, object] = {"tets": scene.tets_of(term)[mine]}
+        changes |= {key: value[mine] for key, value in vars(term).items() if _per_tet(value, 1) and key != "tets"}
+        if isinstance(term, Hyperelastic):
+            law = term.material
+            values = {field.name: getattr(law, field.name) for field in fields(law)}
+            by_tet = {key: value[mine] for key, value in values.items() if _per_tet(value, 2)}
+            changes["material"] = replace(law, **by_tet) if by_tet else law
+        return cls(replace(term, **changes), cells[mine])  # type: ignore[type-var]
+
+
+def _per_tet(value, dimensions: int) -> bool:
+    return isinstance(value, np.ndarray) and value.ndim == dimensions
+
+
+class Solids:
+    """What a scene's solids have in common: quadrature, forms, and the present numbers of their laws.
+
+    A law goes by UFL's forms if it has a density, or with a pressure, if one is given; else by its singular values.
+    `forms` are the former, `softness` (cells,) [1/kPa] the sum of 1/mu of laws with a pressure.
+    """
+
+    def __init__(self, scene: Scene, order: Numbering, pressure):
+        self._order, self._pressure = order, pressure
+        self._displacement = seam.function(order.space)
+        solids = self._solids(scene)
+        cells = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *(solid.cells for solid in solids)]))
+        degree = DEGREES[order.degree]
+        self.cells, self.quadrature = cells, Quadrature(order, cells, degree)
+        self.forms: list[HyperelasticForms] = []
+        self._tensors: list[tuple[Ints, HyperelasticForms]] = []
+        self.softness = np.zeros(len(order.cell_dofs))
+        for solid in solids:
+            term = solid.term
+            if not self._is_by_ufl(term):
+                continue
+            assert isinstance(term, Hyperelastic)
+            forms = HyperelasticForms.compile(
+                self._displacement, solid.cells, term.material, degree, term.growth, pressure
+            )
+            self.forms.append(forms)
+            if pressure is not None:
+                self.softness[solid.cells] += 1.0 / term.material.shear_modulus
+            if pressure is not None or not isinstance(term.material, HasStretches):
+                self._tensors.append((self._points(solid.cells), forms))
+        self.set(scene)
+
+    def set(self, scene: Scene):
+        """Take a scene's numbers."""
+        self._laws: list[Law] = []
+        self._stretched: list[Law] = []
+        for solid in self._solids(scene):
+            term = solid.term
+            if not self._is_by_ufl(term):
+                self._laws.append(self._law(solid))
+            elif self._pressure is None and isinstance(term, Hyperelastic) and isinstance(term.material, HasStretches):
+                self._stretched.append(self._law(solid))
+
+    def _solids(self, scene: Scene) -> list[Solid]:
+        return [Solid.from_term(scene, term, self._order) for term in scene.of(SolidTerm)]
+
+    def _points(self, cells: Ints) -> Ints:
+        """The quadrature points of cells (k,), counted within Quadrature, shape (k q,)."""
+        q = self.quadrature.per_cell
+        return (np.searchsorted(self.cells, cells)[:, None] * q + np.arange(q)).ravel()
+
+    def _is_by_ufl(self, term: SolidTerm) -> bool:
+        by_density = self._pressure is not None or isinstance(getattr(term, "material", None), HasDensity)
+        return isinstance(term, Hyperelastic) and by_density
+
+    def _law(self, solid: Solid) -> Law:
+        term = solid.term
+
+        def at_points(values: Floats | float) -> Floats:
+            per_cell = np.broadcast_to(values, len(solid.cells))
+            return np.repeat(per_cell, self.quadrature.per_cell).astype(np.float64)
+
+        points = self._points(solid.cells)
+        if isinstance(term, Strain):
+            return points, StrainLaw.from_term(term, at_points)
+        if isinstance(term, Volume):
+            return points, VolumeLaw.from_term(term, at_points)
+        assert isinstance(term, Hyperelastic) and isinstance(term.material, HasStretches)
+        return points, term.material if np.all(term.growth == 1.0) else Grown(term.material, at_points(term.growth))
+
+    def at(self, u: Floats, p: Floats) -> SolidState:
+        """The solids at a displacement [mm], (n, 3), and a pressure [kPa], (n_p,), if there is one."""
+        return SolidState(self, u, p)
+
+
+class SolidState:
+    """Energy, gradient and Hessian of the solids at one displacement and pressure; what they share is computed once."""
+
+    def __init__(self, solids: Solids, u: Floats, p: Floats):
+        self._solids, self._u, self._pressure = solids, u, p
+        self._frame: tuple[Floats, Floats, Floats] | None = None
+        if solids._laws:
+            self._psi, self._p, self._h = self._by_stretches(solids._laws)
+
+    def place(self):
+        """Have the forms take this displacement and pressure."""
+        solids = self._solids
+        solids._displacement.x.array[:] = self._u[: solids._order.function_nodes].ravel()
+        if solids._pressure is not None:
+            solids._pressure.x.array[:] = self._pressure
+
+    def _svd(self) -> tuple[Floats, Floats, Floats]:
+        """U, s, V of F at the quadrature points."""
+        if self._frame is None:
+            self._frame = principal.signed_svd(self._solids.quadrature.deformation_gradient(self._u))
+        return self._frame
+
+    def _by_stretches(self, laws: list[Law]) -> tuple[Floats, Floats, Floats]:
+        """Sum up psi, its gradient and its Hessian by the singular values at all points."""
+        s = self._svd()[1]
+        psi, p, h = np.zeros(len(s)), np.zeros((len(s), 3)), np.zeros((len(s), 3, 3))
+        for points, law in laws:
+            add_at(points, *law.by_stretches(s[points]), psi, p, h)
+        return psi, p, h
+
+    def energy(self) -> float:
+        """Energy [µJ] of this process' cells; infinite where a law does not hold."""
+        self.place()
+        energy = float(self._psi @ self._solids.quadrature.volume) if self._solids._laws else 0.0
+        return energy + sum(forms.assemble_energy() for forms in self._solids.forms)
+
+    def add_gradient(self, into: Floats):
+        """Add the gradient [mN] of this process' cells to a field (n, 3)."""
+        self.place()
+        if self._solids._laws:
+            U, _, V = self._svd()
+            self._solids.quadrature.add_gradient(principal.stress(U, V, self._p), into)
+        for forms in self._solids.forms:
+            forms.add_gradient(into.reshape(-1))
+
+    def add_hessian(self, into: Stiffness, kept: float):
+        """Add the Hessian [mN/mm], every negative eigenvalue of every point's tangent multiplied by `kept`."""
+        solids = self._solids
+        self.place()
+        for points, forms in solids._tensors:
+            if kept == 1.0:
+                seam.add_matrix(forms.tangent, into.local)
+            else:
+                solids.quadrature.add_tangent(points, forms.softened_tangent(kept), into)
+        into.local.assemble()
+        if solids._laws or solids._stretched:
+            U, s, V = self._svd()
+            if solids._stretched:
+                _, p, h = self._by_stretches([*solids._laws, *solids._stretched])
+            else:
+                p, h = self._p, self._h
+            solids.quadrature.add_modes(U, V, principal.modes(s, p, h).soften(kept), into)
+
+    def add_strain(self, into: Floats):
+        """Add the energy's derivative by the pressure [mm³], if there is one, to a field (n_p,)."""
+        self.place()
+        for forms in self._solids.forms if self._solids._pressure is not None else ():
+            seam.add_vector(forms.by_pressure, into)
+
+    def stresses(self) -> tuple[Floats, Floats]:
+        """F and P [kPa] at the points of this rank, shape (k q, 3, 3), of all laws together."""
+        solids = self._solids
+        self.place()
+        F = solids.quadrature.deformation_gradient(self._u)
+        P = np.zeros_like(F)
+        if solids._laws:
+            U, _, V = self._svd()
+            P += principal.stress(U, V, self._p)
+        for forms in solids.forms:
+            P[solids._points(forms.cells)] += forms.point_stress()
+        return F, P
+
+
 @njit(cache=True)
 def add_at(points, psi, p, h, into_psi, into_p, into_h):
     """Add what a law gives at some points (m,) to the sums of all laws at all points."""
@@ -112,87 +302,3 @@ def add_at(points, psi, p, h, into_psi, into_p, into_h):
             into_p[at, i] += p[n, i]
             for j in range(3):
                 into_h[at, i, j] += h[n, i, j]
-
-
-@njit(cache=True)
-def _others(s1, s2, s3, tau):
-    """The two larger entries of a stationary point whose third is tau, and d ln(t1 t2)/d tau."""
-    mu = tau * (tau - s3)
-    r1, r2 = np.sqrt(max(s1 * s1 + 4.0 * mu, 0.0)), np.sqrt(max(s2 * s2 + 4.0 * mu, 0.0))
-    t1, t2 = 0.5 * (s1 + r1), 0.5 * (s2 + r2)
-    slope = (2.0 * tau - s3) * (1.0 / max(t1 * r1, 1e-300) + 1.0 / max(t2 * r2, 1e-300))
-    return t1, t2, slope
-
-
-@njit(cache=True)
-def nearest_with_determinant(s, target):
-    """The t (m, 3) nearest to s (m, 3) with t₁ t₂ t₃ = target > 0, all entries positive.
-
-    Stationary points obey t_i (t_i - s_i) = μ, so t₃ = τ alone decides: μ = τ(τ - s₃), and t₁, t₂ take the larger root.
-    The product grows with τ on the bracket chosen below, where Newton is kept by bisection.
-    """
-    out = np.empty_like(s)
-    for e in range(len(s)):
-        s1, s2, s3, v = s[e, 0], s[e, 1], s[e, 2], target[e]
-        if s3 <= 0.0 or s1 * s2 * s3 <= v:
-            low, high = max(s3, 0.0), v ** (1.0 / 3.0)
-        else:
-            low, high = 0.5 * s3, s3
-            t1, t2, _ = _others(s1, s2, s3, low)
-            if t1 * t2 * low > v:  # far above the target: the smallest stretch takes the smaller root
-                low, high = 0.0, low
-        tau = min(max(s3, low), high)
-        if tau <= 0.0:
-            tau = high
-        for _ in range(200):
-            t1, t2, slope = _others(s1, s2, s3, tau)
-            product = t1 * t2 * tau
-            if product > v:
-                high = tau
-            else:
-                low = tau
-            gain = product * (1.0 / tau + slope)
-            step = (product - v) / gain if gain > 0.0 else np.inf
-            after = tau - step
-            if not (low <= after <= high):
-                after = 0.5 * (low + high)
-            if abs(after - tau) <= 4e-16 * tau:
-                break
-            tau = after
-        t1, t2, _ = _others(s1, s2, s3, tau)
-        out[e, 0], out[e, 1], out[e, 2] = t1, t2, tau
-    return out
-
-
-@njit(inline="always")
-def _unit(x, y, z):
-    length = np.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
-
-
-@njit(cache=True)
-def _nearest_derivative(s, t):
-    """dt/ds (m, 3, 3) of the nearest point with a given determinant.
-
-    Differentiating t - s = λ∇c(t), c(t) = target: dt = Z (Zᵀ M Z)⁻¹ Zᵀ ds, Z a basis of the surface's tangent plane and
-    M = I - λ∇²c, whose entries off the diagonal are -μ/(t_i t_j), μ = t_i (t_i - s_i).
-    """
-    out = np.empty((len(s), 3, 3))
-    for e in range(len(s)):
-        t1, t2, t3 = t[e, 0], t[e, 1], t[e, 2]
-        mu = t3 * (t3 - s[e, 2])
-        m12, m13, m23 = -mu / (t1 * t2), -mu / (t1 * t3), -mu / (t2 * t3)
-        n = _unit(t2 * t3, t1 * t3, t1 * t2)
-        a = (n[1] - n[2], n[2] - n[0], n[0] - n[1])
-        if a[0] * a[0] + a[1] * a[1] + a[2] * a[2] < 0.25:
-            a = (-n[1], n[0], 0.0)
-        a = _unit(a[0], a[1], a[2])
-        b = (n[1] * a[2] - n[2] * a[1], n[2] * a[0] - n[0] * a[2], n[0] * a[1] - n[1] * a[0])
-        maa = 1.0 + 2.0 * (m12 * a[0] * a[1] + m13 * a[0] * a[2] + m23 * a[1] * a[2])
-        mbb = 1.0 + 2.0 * (m12 * b[0] * b[1] + m13 * b[0] * b[2] + m23 * b[1] * b[2])
-        mab = m12 * (a[0] * b[1] + a[1] * b[0]) + m13 * (a[0] * b[2] + a[2] * b[0]) + m23 * (a[1] * b[2] + a[2] * b[1])
-        det = max(maa * mbb - mab * mab, 1e-12)  # zero where two nearest points merge
-        for i in range(3):
-            for j in range(3):
-                out[e, i, j] = (mbb * a[i] * a[j] - mab * (a[i] * b[j] + b[i] * a[j]) + maa * b[i] * b[j]) / det
-    return out

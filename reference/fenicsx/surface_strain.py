@@ -12,9 +12,12 @@ import numpy as np
 from numba import njit
 
 from ...lhm.base.mesh import Floats, Ints
+from ..scene import Scene
 from ..terms import SurfaceStrain
 from . import dolfinx_version as seam
 from .assembly import add_forces
+from .nodal import NodalEnergy
+from .numbering import Numbering
 
 FLAT = 1e-8  # stretch below which a triangle's directions are not defined, and its curvature not finite
 TINY = 1e-15  # of the longer stretch: a shorter one has no direction
@@ -23,7 +26,7 @@ DEGREES = {3: 1, 6: 4}
 
 
 @dataclass(frozen=True, eq=False)
-class Membrane:
+class Membrane(NodalEnergy):
     """Points (m,): the nodes they hang on (m, k), shape gradients (m, k, 2) [1/mm], area [mm²], w [mN/mm], c."""
 
     nodes: Ints
@@ -31,6 +34,14 @@ class Membrane:
     area: Floats
     stiffness: Floats
     stretch: Floats
+
+    @classmethod
+    def from_scene(cls, scene: Scene, order: Numbering) -> list[Membrane]:
+        """See NodalEnergy."""
+        return [
+            cls.from_term(term, scene.vertices, *order.faces(term.name, term.triangles))
+            for term in scene.of(SurfaceStrain)
+        ]
 
     @classmethod
     def from_term(cls, term: SurfaceStrain, vertices: Floats, here: Ints, nodes: Ints) -> Membrane:
@@ -61,23 +72,20 @@ class Membrane:
         return _planar_svd(x[self.nodes].transpose(0, 2, 1) @ self.gradients)
 
     def energy(self, x: Floats) -> float:
-        """Energy [µJ] at vertices x [mm], shape (n, 3)."""
+        """See NodalEnergy."""
         _, s, _ = self._svd(x)
         away = s - self.stretch[:, None]
         return float(0.5 * np.sum(self.area * self.stiffness * np.sum(away**2, axis=1)))
 
     def add_gradient(self, x: Floats, into: Floats):
-        """Add the energy's gradient [mN] to an array (n, 3)."""
+        """See NodalEnergy."""
         U, s, Vt = self._svd(x)
         P = (U[:, :, :2] * (self.stiffness[:, None] * (s - self.stretch[:, None]))[:, None, :]) @ Vt
         force = self.area[:, None, None] * self.gradients @ P.transpose(0, 2, 1)
         add_forces(self.nodes, force, into)
 
     def hessian(self, x: Floats, kept: float) -> Floats:
-        """The Hessian's blocks [mN/mm], shape (m, k, k, 3, 3): node, node, component, component.
-
-        Negative curvature is multiplied by `kept`: 1 for the exact Hessian, 0 for its projection.
-        """
+        """See NodalEnergy."""
         U, s, Vt = self._svd(x)
         w, c = self.stiffness, self.stretch
         u, n, v = U[:, :, :2], U[:, :, 2], Vt.transpose(0, 2, 1)

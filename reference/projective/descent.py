@@ -53,8 +53,8 @@ class Problem:
     """What is minimised: `at` evaluates a place, `move` takes a step, `precondition` is A⁻¹ on a vector at a point.
 
     `untangling`, where given, is the problem of an energy that leads out of inverted tets. `bounded` says that A bounds
-    the energies of free vertices, so that a plain step never raises them; those of Bending it does not, whose rest
-    shape turns along. `memory` is what L-BFGS starts with and adds to.
+    the energies of free vertices, so that a plain step never raises them; see `Part.is_bounded`. `memory` is what
+    L-BFGS starts with and adds to.
     """
 
     at: Callable[[Place], Point]

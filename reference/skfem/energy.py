@@ -6,7 +6,7 @@ applied to the tangent at each point. x holds positions [mm] by degree of freedo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -22,6 +22,11 @@ from .surfaces import Bends, Membranes
 
 class Part(Protocol):
     """One part of the energy; see the module."""
+
+    @classmethod
+    def from_scene(cls, scene: Scene, at: Discretisation) -> Sequence[Part]:
+        """Make the parts of all terms of one kind."""
+        ...
 
     def value(self, x: Floats) -> float:
         """Energy [µJ]; infinite where a law does not hold."""
@@ -44,6 +49,15 @@ class Springs:
         self._positions = positions
         self._stiffness = np.zeros(at.size)
         self._stiffness[self._dofs] = np.broadcast_to(stiffness, (len(vertices),))[:, None]
+
+    @classmethod
+    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Springs]:
+        """Make those of each Target, and of all inertia together."""
+        springs = [cls(term.vertices, term.positions, term.stiffness, at) for term in scene.of(terms.Target)]
+        if scene.of(terms.Inertia):
+            stiffness, places = scene.inertia()
+            springs.append(cls(np.arange(len(places)), places, stiffness, at))
+        return springs
 
     def _stretch(self, x: Floats) -> Floats:
         stretch = np.zeros(len(x))
@@ -78,6 +92,11 @@ class DeadLoads:
             self._forces += faces.loads(np.broadcast_to(term.vector, (len(term.triangles), 3)))
         self._rest = at.by_dof(scene.vertices)
 
+    @classmethod
+    def from_scene(cls, scene: Scene, at: Discretisation) -> list[DeadLoads]:
+        """See Part."""
+        return [cls(scene, at)]
+
     def value(self, x: Floats) -> float:
         """See Part."""
         return -float(self._forces @ (x - self._rest))
@@ -91,23 +110,19 @@ class DeadLoads:
         return csr_matrix((len(x), len(x)))
 
 
-def _inertia(scene: Scene, at: Discretisation) -> list[Part]:
-    stiffness, places = scene.inertia()
-    return [Springs(np.arange(len(places)), places, stiffness, at)] if scene.of(terms.Inertia) else []
-
-
-PARTS: dict[tuple[type[terms.Term], ...], Callable[[Scene, Discretisation], list[Part]]] = {
-    (terms.Hyperelastic, terms.Strain, terms.Volume): lambda scene, at: [Tets(scene, at)],
-    (terms.Gravity, terms.Traction): lambda scene, at: [DeadLoads(scene, at)],
-    (terms.SurfaceStrain,): lambda scene, at: [Membranes(scene, term, at) for term in scene.of(terms.SurfaceStrain)],
-    (terms.Bending,): lambda scene, at: [Bends(scene, term, at) for term in scene.of(terms.Bending)],
-    (terms.Target,): lambda scene, at: [
-        Springs(term.vertices, term.positions, term.stiffness, at) for term in scene.of(terms.Target)
-    ],
-    (terms.Inertia,): _inertia,
+PARTS: dict[type[terms.Term], type[Part]] = {
+    terms.Hyperelastic: Tets,
+    terms.Strain: Tets,
+    terms.Volume: Tets,
+    terms.Gravity: DeadLoads,
+    terms.Traction: DeadLoads,
+    terms.SurfaceStrain: Membranes,
+    terms.Bending: Bends,
+    terms.Target: Springs,
+    terms.Inertia: Springs,
 }
-"""The parts of a scene's terms, by kind of term."""
-TERMS = (*(kind for kinds in PARTS for kind in kinds), terms.Fixed, terms.RigidBody)
+"""The class that models each term that has an energy."""
+TERMS = (*PARTS, terms.Fixed, terms.RigidBody)
 """The terms that this solver models; the last two restrict `unknowns`."""
 
 
@@ -115,7 +130,7 @@ class Energy:
     """The energy [µJ] that a scene's positions minimise; x holds positions [mm] by degree of freedom, shape (size,)."""
 
     def __init__(self, scene: Scene, at: Discretisation):
-        self._parts = [part for parts_of in PARTS.values() for part in parts_of(scene, at)]
+        self._parts = [part for kind in dict.fromkeys(PARTS.values()) for part in kind.from_scene(scene, at)]
 
     def value(self, x: Floats) -> float:
         """The energy [µJ]; infinite where a law does not hold."""

@@ -49,7 +49,7 @@ class Prepared:
 
         `warm`, a solution before, gives the default start; there is nothing else to `remember`. Held components are
         carried to their places first, before the first iteration of the history, and rigid bodies to their first ones:
-        that of their shape, or the nearest to a given start. From inverted tets a scene with Volume goes down by Strain
+        that of their shape, or the nearest to a given start. Inverted tets of stiff volume are led out by shape
         alone first; its iterations count, and may raise the energy.
         Raises SceneError if `scene` needs a new preparation, if the tolerance or start is out of range, or if loads
         push a part that nothing holds.

@@ -40,10 +40,14 @@ class Tets:
     def __init__(self, scene: Scene, at: Discretisation):
         self._elements = at.tets
         self._laws: list[tuple[Law, Ints]] = []
-        for term in scene.terms:
-            if isinstance(term, (terms.Hyperelastic, terms.Strain, terms.Volume)):
-                tets = scene.tets_of(term)
-                self._laws.append((_law(term, len(tets), at.tets.weights.shape[1]), at.tets.points(tets)))
+        for term in scene.of(terms.Solid):
+            tets = scene.tets_of(term)
+            self._laws.append((_law(term, len(tets), at.tets.weights.shape[1]), at.tets.points(tets)))
+
+    @classmethod
+    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Tets]:
+        """See Part."""
+        return [cls(scene, at)]
 
     def value(self, x: Floats) -> float:
         """See Part."""

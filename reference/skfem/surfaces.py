@@ -40,6 +40,11 @@ class Membranes:
         self._elements = at.triangles(term.name, term.triangles, term.rest)
         self._law = Membrane(self._elements.at_points(term.stiffness), self._elements.at_points(term.growth))
 
+    @classmethod
+    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Membranes]:
+        """See Part."""
+        return [cls(scene, term, at) for term in scene.of(terms.SurfaceStrain)]
+
     def value(self, x: Floats) -> float:
         """See Part."""
         return self._elements.integral(self._law.psi(self._elements.deformation_gradients(x)))
@@ -158,6 +163,11 @@ class Bends:
         edge -= coo_matrix((coefficients.ravel(), (rows.ravel(), np.repeat(i, 4))), (4 * len(inner), n))
         place = coo_matrix((np.ones(3 * n), (np.arange(3 * n), at.vertex_dofs.ravel())), (3 * n, at.size))
         self._variables: csr_matrix = (kron(edge, np.eye(3)) @ place).tocsr()
+
+    @classmethod
+    def from_scene(cls, scene: Scene, at: Discretisation) -> list[Bends]:
+        """See Part."""
+        return [cls(scene, term, at) for term in scene.of(terms.Bending)]
 
     def _at(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Laplacians l (m, 3); T and P (m, 4, 4); K q for K of each unit of S (m, 9, 4); and q (m, 4)."""

@@ -26,7 +26,7 @@ def box():
 
 def solved(solver, problem, held, stretch, shift, b, relative):
     """The answer at a stretch along z, to a Hessian less a multiple of the identity, and its true residual."""
-    matrix = problem.at(problem.numbering.X * [0.0, 0.0, stretch - 1.0]).softened_hessian(0.0)
+    matrix = problem.at(problem.numbering.X * [0.0, 0.0, stretch - 1.0]).hessian(0.0)
     matrix.shift(-shift * matrix.getDiagonal().norm())
     right = np.array(b)
     hold(matrix, held, np.zeros(len(held)), right)

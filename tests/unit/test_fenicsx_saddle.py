@@ -63,7 +63,7 @@ def test_what_newton_asks_of_the_residual(law, relative):
     condensed, state, held = strained(law)
     solver = make_saddle_solver("block", condensed.matrix, held)
     b = -state.gradient().ravel()
-    hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
+    hold(state.hessian(0.0), held, np.zeros(len(held)), b)
     answer = solver.solve(b, relative=relative)
     assert answer.converged and 1 < answer.iterations < 80
     assert condensed_residual(condensed, held, answer.x, b) <= relative
@@ -77,7 +77,7 @@ def test_held_motions_spread_as_by_factors(law):
     answers = []
     for kind in ("mumps", "block"):
         b = np.zeros(state.u.size)
-        hold(state.softened_hessian(0.0), held, values, b)
+        hold(state.hessian(0.0), held, values, b)
         solver = make_saddle_solver(kind, condensed.matrix, held)
         answers.append(solver.solve(b, relative=1e-10))
         solver.release()
@@ -111,7 +111,7 @@ def test_iterations_grow_slowly_with_the_mesh():
         condensed, state, held = strained(LAWS["incompressible"], cells)
         solver = make_saddle_solver("block", condensed.matrix, held)
         b = -state.gradient().ravel()
-        hold(state.softened_hessian(0.0), held, np.zeros(len(held)), b)
+        hold(state.hessian(0.0), held, np.zeros(len(held)), b)
         counts.append(solver.solve(b, relative=1e-6).iterations)
         solver.release()
     assert counts[2] < 2 * counts[0]
@@ -121,7 +121,7 @@ def test_energies_that_curve_downwards_are_told():
     condensed, state, held = strained(LAWS["incompressible"])
     solver = make_saddle_solver("block", condensed.matrix, held)
     for shift, found in ((-0.5, False), (0.0, True)):
-        hessian = state.softened_hessian(0.0)
+        hessian = state.hessian(0.0)
         hessian.shift(shift * hessian.getDiagonal().norm())
         b = -state.gradient().ravel()
         hold(hessian, held, np.zeros(len(held)), b)

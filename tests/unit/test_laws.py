@@ -16,9 +16,10 @@ from softdeca.reference import Scene, materials, prepare, terms
 from softdeca.reference.fenicsx import dolfinx_version as seam
 from softdeca.reference.fenicsx import principal
 from softdeca.reference.fenicsx.hyperelastic import HyperelasticForms, density
+from softdeca.reference.fenicsx.nearest import nearest_with_determinant
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.solids import Grown as GrownStretches
-from softdeca.reference.fenicsx.solids import StrainLaw, VolumeLaw, nearest_with_determinant
+from softdeca.reference.fenicsx.solids import StrainLaw, VolumeLaw
 from softdeca.reference.materials.material import HasDensity, HasInvariants, HasRotation, HasStretches
 from softdeca.reference.problems import meshes
 from softdeca.reference.projective import projections as projective

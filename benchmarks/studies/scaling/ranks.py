@@ -178,7 +178,7 @@ def measure(scene: Scene, repeats: int) -> dict:
         times["gradient"].append(seconds)
         solver = LINEAR_SOLVERS["cg"](problem.matrix)
         for phase in ("first_solve", "next_solve"):
-            seconds, hessian = _time(lambda state=state: state.softened_hessian(0.0))
+            seconds, hessian = _time(lambda state=state: state.hessian(0.0))
             times["hessian"].append(seconds)
             b = -gradient.ravel()
             hold(hessian, held, np.zeros(len(held)), b)

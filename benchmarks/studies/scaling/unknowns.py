@@ -256,7 +256,7 @@ def measure_floor(scene: Scene, part: str) -> dict:
     else:
         # An iteration's is the difference of a solve to few digits and one to many.
         held = np.flatnonzero(problem.numbering.held(scene.dirichlet()[0]))
-        matrix, b = problem.at(np.zeros_like(x)).softened_hessian(0.0), np.random.default_rng(0).normal(size=x.size)
+        matrix, b = problem.at(np.zeros_like(x)).hessian(0.0), np.random.default_rng(0).normal(size=x.size)
         hold(matrix, held, np.zeros(len(held)), b)
         solver = ConjugateGradients(matrix)
         solver.solve(b, relative=1e-2)
