@@ -16,6 +16,7 @@ from .numbering import Numbering, ranks_for
 from .parallel import gather
 from .problem import Problem
 from .quadrature import Quadrature
+from .run import Attempt
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,18 @@ class NodalAnswer:
     u: Floats
     force: tuple[Ints, Floats] | None
     pressure: Floats | None
+
+    @classmethod
+    def collect(cls, problem: Problem, end: Attempt, force: Floats | None) -> NodalAnswer:
+        """Collect where an attempt at a problem ended, and a force beside loads [mN], a vector, if there is one."""
+        order = problem.numbering
+        pressure = None
+        if end.pressure is not None:
+            mine = problem.pressures.owned if order.divided else len(end.pressure)
+            pressure = np.zeros(len(order.dof))
+            vertices = gather(order.asked, problem.pressure_vertex[:mine])
+            pressure[vertices] = gather(order.asked, end.pressure[:mine])
+        return cls(*order.all_nodes(end.u), None if force is None else order.all_nodes(force), pressure)
 
 
 def recover(scene: Scene, degree: int, answer: NodalAnswer) -> Stresses:

@@ -69,9 +69,10 @@ class Equilibrium:
 
     Dead loads and follower pressures are scaled by a share in [0, 1]; the derivative is symmetric without the latter.
     `held` are displacements of this process that keep their place, flat and sorted, and the pressures that no law has.
+    A mixed problem may lend its `saddle` matrix.
     """
 
-    def __init__(self, problem: Problem, held: Ints):
+    def __init__(self, problem: Problem, held: Ints, saddle: SaddleMatrix | None = None):
         self._problem, self.comm, self.symmetric = problem, problem.comm, problem.symmetric
         self.displacements = 3 * problem.numbering.nodes.owned
         self.count = self.displacements + problem.pressures.owned
@@ -79,7 +80,7 @@ class Equilibrium:
         self.free = np.setdiff1d(np.arange(self.count), self.held)
         self.free_pressures = problem.comm.allreduce(int((self.free >= self.displacements).sum()))
         self._per_volume = 0.0
-        self._saddle = SaddleMatrix(problem) if problem.mixed else None
+        self._saddle = SaddleMatrix(problem) if saddle is None and problem.mixed else saddle
 
     def at(self, z: Floats, share: float) -> Point:
         """The equations at displacement and pressure z (count,) and a share of the loads."""
@@ -142,16 +143,19 @@ class PathStep:
 
 
 class Continuation:
-    """A run's load path on a problem; `descent` is asked where a part of the body may have snapped."""
+    """A run's load path on a problem; `descent` is asked where a part of the body may have snapped.
 
-    def __init__(self, run: Run, problem: Problem, descent: Descent | None = None):
+    `saddle` is as of `Equilibrium`.
+    """
+
+    def __init__(
+        self, run: Run, problem: Problem, descent: Descent | None = None, *, saddle: SaddleMatrix | None = None
+    ):
         self._run, self._problem, self._descent = run, problem, descent
-        held = (run.held | problem.unsupported[:, None])[: run.numbering.nodes.owned]
-        self.equations = Equilibrium(problem, np.flatnonzero(held))
+        self.equations = Equilibrium(problem, problem.held_dofs(run.held), saddle)
         self.start, self.goal = (self.equations.vector(u, run.pressure) for u in (run.u, run.goal))
         self._drifts = has_free_motion(run.scene)
         self._limit = run.record.left(MAX_ITERATIONS)
-        self._assemblies = problem.assemblies
         self.factors = Factorisation()
         self._factored = self._iterations = 0
         self._share = self._first = self._away = 0.0
@@ -159,12 +163,19 @@ class Continuation:
         self._origin: Floats = np.zeros(0)
 
     def attempt(self) -> Attempt:
-        """Follow the load path to its end."""
-        point, reason = self._follow()
+        """Take all of the load at once or, where that fails or ends unstable, in steps; give the last equilibrium."""
+        point, reason = self.equations.at(self.start, 0.0), Reason.NOT_FINITE
+        if not point.finite:
+            self._report(point, np.inf)
+        else:
+            whole = self._correct(self.start, 1.0, final=True)
+            point, reason = whole.point, whole.reason
+            if whole.converged and whole.stable:
+                self._share = 1.0
+            elif reason not in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS, Reason.STAGNATED):
+                point, reason = self._grow()
         record = self._run.record
-        record.add(
-            self._iterations, linear_solves=self._factored, assemblies=self._problem.assemblies - self._assemblies
-        )
+        record.add(self._iterations, linear_solves=self._factored)
         record.detail["load_share"] = self._share  # type: ignore[assignment]
         pressure = point.state.p if self._problem.mixed else None
         return Attempt(reason, self._run.numbering, point.state.u, pressure, point.state.energy)
@@ -172,22 +183,8 @@ class Continuation:
     def _report(self, point: Point, norm: float) -> bool:
         return self._run.report(point.state.u, point.state.energy, norm)
 
-    def _follow(self) -> tuple[Point, Reason]:
-        """All of the load at once or, where that fails or ends unstable, in steps; the last equilibrium and why."""
-        begin = self.equations.at(self.start, 0.0)
-        if not begin.finite:
-            self._report(begin, np.inf)
-            return begin, Reason.NOT_FINITE
-        whole = self._correct(self.start, 1.0, final=True)
-        if whole.converged and whole.stable:
-            self._share = 1.0
-            return whole.point, Reason.CONVERGED
-        if whole.reason in (Reason.INTERRUPTED, Reason.MAX_ITERATIONS, Reason.STAGNATED):
-            return whole.point, whole.reason
-        return self._grow()
-
     def _grow(self) -> tuple[Point, Reason]:
-        """Follow the path from the start."""
+        """Follow the path from the start in steps; give the last equilibrium and why it ends there."""
         first = self._correct(self.start, 0.0)
         if not first.converged:
             return first.point, first.reason

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ...lhm.base.mesh import Floats
@@ -41,7 +39,7 @@ class Minimisation:
     ):
         self._run, self._problem, self._nodes = run, problem, run.numbering.nodes
         owned, X = self._nodes.owned, run.numbering.X
-        self._assemblies, self._work = problem.assemblies, Work()
+        self._work = Work()
         self._goal = np.array(run.goal)
         held = run.held | problem.unsupported[:, None]
         self._rigid: RigidProblem | None = None
@@ -60,23 +58,34 @@ class Minimisation:
         self._newton = Newton(problem, np.flatnonzero(held[:owned]), linear, direct, self._report, self._work)
 
     def attempt(self) -> Attempt:
-        """Minimise.
+        """Bring what is held to its goal, in load steps if need be, and minimise.
 
         A body of elastic tissue alone, pulled at its surface, may be in equilibrium and yet unstable, or have snapped.
         """
-        before = self._run.record.iterations
-        state, reason = self._descend()
-        end = Attempt(reason, self._run.numbering, state.u, None, state.energy, sound=False)
-        scene = self._run.scene
-        if reason is Reason.CONVERGED:
-            end = replace(end, sound=True)
-            if scene.of(Traction) and not any(term.may_soften for term in scene.terms):
-                stable = self._newton.is_stable(self._at(state.u), DRIFT if has_free_motion(scene) else 0.0)
-                many = self._run.record.iterations - before > STRAIGHT_ITERATIONS
-                end = replace(end, sound=stable, doubtful=many or not stable)
-        assemblies = self._problem.assemblies - self._assemblies
-        self._run.record.add(0, assemblies=assemblies, **vars(self._work))
-        return end
+        run, loose = self._run, Limits(LOAD_STEP_TOLERANCE)
+        left = run.record.left(MAX_ITERATIONS)
+
+        def end_step(force: float, first: float) -> float:
+            return loose.threshold(run.scene, max(first, force))
+
+        state, force, reason, iterations = self._newton.approach(
+            self._at(run.u), self._goal, self._nodes, self._at, threshold=end_step, max_iterations=left
+        )
+        if reason is None:
+            newton = self._newton
+            if self._rigid is not None:
+                newton, state = self._freed, self._rigid.at(state.u, self._poses)
+            state, reason, more = newton.minimise(
+                state, threshold=lambda first: run.threshold(max(first, force)), max_iterations=left - iterations
+            )
+            iterations += more
+        sound, doubtful = reason is Reason.CONVERGED, False
+        if sound and run.scene.of(Traction) and not any(term.may_soften for term in run.scene.terms):
+            drift = DRIFT if has_free_motion(run.scene) else 0.0
+            sound = self._newton.is_stable(self._at(state.u), drift)
+            doubtful = iterations > STRAIGHT_ITERATIONS or not sound
+        run.record.add(iterations, **vars(self._work))
+        return Attempt(reason, run.numbering, state.u, None, state.energy, sound=sound, doubtful=doubtful)
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
         """See `load_path.Descent`: what is held stays where it is."""
@@ -94,30 +103,3 @@ class Minimisation:
 
     def _report(self, state: AnyState, norm: float) -> bool:
         return self._run.report(state.u, state.energy, norm)
-
-    def _descend(self) -> tuple[AnyState, Reason]:
-        """Bring what is held to its goal, in load steps if need be, and minimise."""
-        run, loose = self._run, Limits(LOAD_STEP_TOLERANCE)
-        left = run.record.left(MAX_ITERATIONS)
-        begin = self._at(run.u)
-        if not np.isfinite(begin.energy):
-            self._report(begin, np.inf)
-            return begin, Reason.NOT_FINITE
-
-        def end_step(force: float, first: float) -> float:
-            return loose.threshold(run.scene, max(first, force))
-
-        state, force, failure, made = self._newton.approach(
-            begin, self._goal, self._nodes, self._at, threshold=end_step, max_iterations=left
-        )
-        run.record.add(made)
-        if failure is not None:
-            return state, failure
-        newton = self._newton
-        if self._rigid is not None:
-            newton, state = self._freed, self._rigid.at(state.u, self._poses)
-        state, reason, iterations = newton.minimise(
-            state, threshold=lambda first: run.threshold(max(first, force)), max_iterations=left - made
-        )
-        run.record.add(iterations)
-        return state, reason

@@ -11,6 +11,8 @@ Newton's method on displacement and pressure at once follows as soon as its full
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ...lhm.base.mesh import Floats
@@ -40,8 +42,9 @@ class Condensed:
     `centre` is p₀ [kPa], a vector (n_p,), and `matrix` the saddle point's, whose springs are kappa's.
     """
 
-    def __init__(self, problem: Problem):
-        self.problem, self.comm, self.matrix = problem, problem.comm, SaddleMatrix(problem)
+    def __init__(self, problem: Problem, matrix: SaddleMatrix | None = None):
+        self.problem, self.comm = problem, problem.comm
+        self.matrix = SaddleMatrix(problem) if matrix is None else matrix
         self.centre: Floats = np.zeros(self.matrix.pressures)
         self._pressures = PressureSolver(self.matrix)
 
@@ -120,43 +123,59 @@ class CondensedState:
 class MultiplierDescent:
     """A run on a mixed problem, for energies without follower loads.
 
-    `linear_solver` is as in `make_saddle_solver`.
+    `linear_solver` is as in `make_saddle_solver`; `find_start` gives the same run from a better start.
     """
 
-    def __init__(self, run: Run, condensed: Condensed, *, linear_solver: str = "cg"):
+    def __init__(
+        self,
+        run: Run,
+        condensed: Condensed,
+        *,
+        linear_solver: str = "cg",
+        find_start: Callable[[Run], Run] | None = None,
+    ):
         self._run, self._condensed, self._comm = run, condensed, condensed.comm
-        self._nodes = run.numbering.nodes
-        held = (run.held | condensed.problem.unsupported[:, None])[: self._nodes.owned]
-        self._held = np.flatnonzero(held)
-        self._assemblies = condensed.problem.assemblies
-        self._saddle = make_saddle_solver(linear_solver, condensed.matrix, self._held)
-        self._newton = Newton(condensed, self._held, self._saddle, self._saddle.direct, self._report, Work())
+        self._find_start, self._nodes = find_start, run.numbering.nodes
+        held = condensed.problem.held_dofs(run.held)
+        self._saddle = make_saddle_solver(linear_solver, condensed.matrix, held)
+        self._newton = Newton(condensed, held, self._saddle, self._saddle.direct, self._report, Work())
         self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
-        self._limit = run.record.left(MAX_ITERATIONS)
+        self._limit = MAX_ITERATIONS
 
     def attempt(self) -> Attempt:
         """Lift what is held to its place, in as few load steps as keep the energy finite, and descend."""
-        condensed = self._condensed
-        count, pressure = condensed.matrix.pressures, self._run.pressure
-        condensed.begin(np.zeros(count) if pressure is None else pressure[:count])
+        run = self._run if self._find_start is None else self._find_start(self._run)
+        condensed, record = self._condensed, run.record
+        count, self._limit = condensed.matrix.pressures, record.left(MAX_ITERATIONS)
+        condensed.begin(np.zeros(count) if run.pressure is None else run.pressure[:count])
+
+        def end_step(force: float, first: float) -> float:
+            self._first = max(self._first, force)
+            return LOAD_STEP_TOLERANCE * max(first, self._first)
+
         try:
-            state, reason = self._descend()
+            state, force, reason, self._iterations = self._newton.approach(
+                condensed.at(run.u),
+                run.goal,
+                self._nodes,
+                condensed.at,
+                threshold=end_step,
+                max_iterations=self._limit,
+            )
+            assert isinstance(state, CondensedState)
+            if reason is None:
+                self._first = max(self._first, force)
+                state, reason = self._alternate(state)
         finally:
             self._saddle.release()
-        record = self._run.record
-        record.add(
-            self._iterations,
-            linear_solves=self._saddle.factored,
-            linear_iterations=self._saddle.iterations,
-            assemblies=condensed.problem.assemblies - self._assemblies,
-        )
+        record.add(self._iterations, linear_solves=self._saddle.factored, linear_iterations=self._saddle.iterations)
         record.detail["load_share"] = int(reason is Reason.CONVERGED)
-        return Attempt(reason, self._run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
+        return Attempt(reason, run.numbering, state.u, condensed.problem.pressures.spread(state.p), state.energy)
 
     def settle(self, u: Floats, p: Floats, share: float) -> tuple[Floats, Floats, Reason, int]:
         """See `load_path.Descent`: what is held stays where it is."""
         self._condensed.begin(p)
-        self._iterations = 0
+        self._iterations, self._limit = 0, self._run.record.left(MAX_ITERATIONS)
         try:
             state = self._condensed.at(u, share)
             reason = Reason.NOT_FINITE
@@ -169,30 +188,6 @@ class MultiplierDescent:
 
     def _report(self, state: AnyState, norm: float) -> bool:
         return self._run.report(state.u, state.energy, norm)
-
-    def _descend(self) -> tuple[CondensedState, Reason]:
-        state = self._condensed.at(self._run.u)
-        if not np.isfinite(state.energy):
-            self._report(state, np.inf)
-            return state, Reason.NOT_FINITE
-
-        def end_step(force: float, first: float) -> float:
-            self._first = max(self._first, force)
-            return LOAD_STEP_TOLERANCE * max(first, self._first)
-
-        lifted, force, failure, self._iterations = self._newton.approach(
-            state,
-            self._run.goal,
-            self._nodes,
-            self._condensed.at,
-            threshold=end_step,
-            max_iterations=self._limit,
-        )
-        assert isinstance(lifted, CondensedState)
-        if failure is not None:
-            return lifted, failure
-        self._first = max(self._first, force)
-        return self._alternate(lifted)
 
     def _alternate(self, state: CondensedState) -> tuple[CondensedState, Reason]:
         """Minimise and correct the pressure in turns, until forces and volumes are in balance."""

@@ -144,13 +144,17 @@ class Newton:
     ) -> tuple[AnyState, float, Reason | None, int]:
         """Move what is held to a goal [mm], a field (n, 3), in as few load steps as keep the energy finite.
 
-        `at` gives the state at a field. A step before the last is minimised to the gradient norm that `threshold` gives
-        from its first one and the norm of the forces that its motion causes [mN].
+        From a state of no finite energy there is no way, which is reported. `at` gives the state at a field. A step
+        before the last is minimised to the gradient norm that `threshold` gives from its first one and the norm of the
+        forces that its motion causes [mN].
 
         Returns the state with everything in place, the norm of the last step's forces, the reason where it did not get
         there (None if it did), and the iterations made.
         """
         made = 0
+        if not np.isfinite(state.energy):
+            self.report(state, np.inf)
+            return state, 0.0, Reason.NOT_FINITE, made
         while True:
             begin, end = (field[: nodes.owned] for field in (state.u, goal))
             jump = np.zeros_like(begin)

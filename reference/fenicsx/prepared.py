@@ -13,8 +13,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import SceneError
 from ...lhm.base.mesh import Floats
@@ -36,10 +34,10 @@ from .load_path import Continuation
 from .minimise import LOAD_STEP_TOLERANCE, Minimisation
 from .multipliers import Condensed, MultiplierDescent
 from .numbering import DEGREE_OF, Numbering, ranks_for
-from .parallel import anywhere, check_same, gather
+from .parallel import anywhere, check_same
 from .problem import MODELS, Problem
 from .run import Attempt, Record, Run
-from .saddle import LARGE_SADDLE, SADDLES
+from .saddle import LARGE_SADDLE, SADDLES, SaddleMatrix
 from .solids import check_solids
 
 TERMS: tuple[type[Term], ...] = (*MODELS, Gravity, Traction, Fixed, RigidBody)
@@ -117,7 +115,10 @@ class PreparedFenicsx:
         if scene.of(RigidBody):
             rigid = RigidProblem(scene, self._numbering, self._problem)
             self._rigid = rigid, make(rigid.matrix), Mumps(rigid.matrix)
-        self._condensed = Condensed(self._problem) if element == "P2P1" and not scene.of(Pressure) else None
+        self._saddle = SaddleMatrix(self._problem) if element == "P2P1" else None
+        self._condensed: Condensed | None = None
+        if self._saddle is not None and not scene.of(Pressure):
+            self._condensed = Condensed(self._problem, self._saddle)
         self._force: Floats | None = None
         self._end: Attempt | None = None
         self._spent = clock.read()
@@ -161,7 +162,8 @@ class PreparedFenicsx:
         record = Record(max_iterations, on_iteration)
         run = Run(scene, self._numbering, begin, limits, record, before=before, warm=is_warm)
         self._end = end = self._try_strategies(run)
-        recovery = partial(recover, scene, self._numbering.degree, self._nodal_answer(end))
+        answer = NodalAnswer.collect(self._problem, end, self._force)
+        recovery = partial(recover, scene, self._numbering.degree, answer)
         return replace(run.solution(end, self._spent, remember=remember), recovery=recovery)
 
     def _try_strategies(self, run: Run) -> Attempt:
@@ -169,41 +171,43 @@ class PreparedFenicsx:
 
         A path that ends where others branch off leaves what descent has found beyond it.
         """
-        scene, names = run.scene, ["minimise", "continuation"]
+        scene, problem = run.scene, self._problem
         leaves: tuple[Reason, ...] = GIVEN_UP
-        if self._condensed is not None:
-            names = ["continuation", "augmented Lagrangian"]
-            if self._linear_solver == "block" or (self._large and not scene.of(Traction)):
-                names.reverse()
-            if not anywhere(self.comm, self._problem.loads):  # a limit point without dead loads is no reason to stop
-                leaves = (*GIVEN_UP, Reason.LIMIT_POINT)
-        elif scene.of(Pressure):
-            names = ["continuation"]
+        strategies: list[Callable[[], Attempt]]
+
+        def descent(find_start: Callable[[Run], Run] | None = None) -> Minimisation | MultiplierDescent:
+            if self._condensed is None:
+                return Minimisation(run, problem, self._linear, self._direct, self._rigid)
+            kind = self._linear_solver
+            return MultiplierDescent(run, self._condensed, linear_solver=kind, find_start=find_start)
+
+        def follow() -> Attempt:
+            settle = None if scene.of(Pressure) else descent().settle  # where a part of the body may have snapped
+            return Continuation(run, problem, settle, saddle=self._saddle).attempt()
+
+        if scene.of(Pressure):
+            strategies = [follow]
         elif self._rigid is not None:
-            names = ["minimise"]
+            strategies = [descent().attempt]
+        elif self._condensed is None:
+            strategies = [descent().attempt, follow]
+        else:
+            strategies = [follow, descent(self._start_from_linear if self._large and not run.warm else None).attempt]
+            if self._linear_solver == "block" or (self._large and not scene.of(Traction)):
+                strategies.reverse()
+            if not anywhere(self.comm, problem.loads):  # a limit point without dead loads is no reason to stop
+                leaves = (*GIVEN_UP, Reason.LIMIT_POINT)
         best: Attempt | None = None
-        for name in names:
-            end = self._attempt(name, run)
+        for attempt in strategies:
+            assembled = problem.assemblies
+            end = attempt()
+            run.record.add(0, assemblies=problem.assemblies - assembled)
             if best is None or not best.sound or end.reason not in (*GIVEN_UP, Reason.BIFURCATION):
                 best = end
             if end.reason not in leaves and not end.doubtful:
                 break
         assert best is not None
         return best
-
-    def _attempt(self, strategy: str, run: Run) -> Attempt:
-        if strategy == "minimise":
-            return Minimisation(run, self._problem, self._linear, self._direct, self._rigid).attempt()
-        if strategy == "augmented Lagrangian":
-            assert self._condensed is not None
-            start = self._start_from_linear(run) if self._large and not run.warm else run
-            return MultiplierDescent(start, self._condensed, linear_solver=self._linear_solver).attempt()
-        descent: Minimisation | MultiplierDescent | None = None  # where a part of the body may have snapped
-        if self._condensed is not None:
-            descent = MultiplierDescent(run, self._condensed, linear_solver=self._linear_solver)
-        elif not run.scene.of(Pressure):
-            descent = Minimisation(run, self._problem, self._linear, self._direct)
-        return Continuation(run, self._problem, None if descent is None else descent.settle).attempt()
 
     def _start_from_linear(self, run: Run) -> Run:
         """The run from where linear tets of compressible tissue end, if they find a sound answer."""
@@ -213,18 +217,6 @@ class PreparedFenicsx:
         run.record.add(near.iterations, **near.detail)
         sound = near.converged and not anywhere(self.comm, near.volume_ratio <= 0.0)
         return run.restart(near.positions if sound else run.scene.vertices)
-
-    def _nodal_answer(self, end: Attempt) -> NodalAnswer:
-        """An answer by node, of all ranks, its pressure by vertex."""
-        ends, values = end.numbering.all_nodes(end.u)
-        force = None if self._force is None else self._numbering.all_nodes(self._force)
-        pressure = None
-        if end.pressure is not None:
-            problem, asked = self._problem, self._numbering.asked
-            mine = problem.pressures.owned if self._numbering.divided else len(end.pressure)
-            pressure = np.zeros(len(self.scene.vertices))
-            pressure[gather(asked, problem.pressure_vertex[:mine])] = gather(asked, end.pressure[:mine])
-        return NodalAnswer(ends, values, force, pressure)
 
     def march(self, **course: Any) -> Trajectory:
         """March the prepared scene through time, on its mesh, forms and matrix; see `softdeca.reference.march`."""

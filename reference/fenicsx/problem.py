@@ -104,6 +104,10 @@ class Problem:
         sizes = self.comm.allreduce(float(np.cbrt(order.cell_volumes).sum()))
         self.energy_scale = scene.force_scale() * sizes
 
+    def held_dofs(self, held: np.ndarray) -> Ints:
+        """The dofs that this rank owns, flat and sorted, which a mask (n, 3) holds, or which no energy acts on."""
+        return np.flatnonzero((held | self.unsupported[:, None])[: self.numbering.nodes.owned])
+
     @property
     def mixed_forms(self) -> list[HyperelasticForms]:
         """The forms of laws with a pressure."""

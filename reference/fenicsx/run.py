@@ -76,7 +76,7 @@ class Run:
         self.scene, self.numbering, self.limits, self.record = scene, numbering, limits, record
         self.start, self.warm = start, warm
         self.pressure = None if before is None else before.pressure
-        held, positions = scene.dirichlet()
+        self._held, self._places = held, positions = scene.dirichlet()
         self._elsewhere = np.where(held, positions, start)
         self.held = numbering.held(held)
         self.u = numbering.to_dofs(start) - numbering.X if before is None else before.u
@@ -93,18 +93,17 @@ class Run:
 
     def report(self, u: Floats, energy: float, norm: float) -> bool:
         """Record an iteration; whether any rank's caller asks to stop."""
-        positions = self._positions(self.numbering, u) if self._has_listener else u
+        positions = self._positions(u) if self._has_listener else u
         return anywhere(self.numbering.comm, self.record.recorder.record(positions, energy, norm))
 
-    def _positions(self, numbering: Numbering, u: Floats) -> Floats:
-        return numbering.to_scene(numbering.X + u, self._elsewhere)
+    def _positions(self, u: Floats) -> Floats:
+        return self.numbering.to_scene(self.numbering.X + u, self._elsewhere)
 
     def solution(self, end: Attempt, preparation: Seconds, *, remember: bool = False) -> Solution:
         """Give an attempt's answer, which another solve may start from if it is to be remembered."""
-        positions = self._positions(end.numbering, end.u)
-        held, values = self.scene.dirichlet()
+        positions = self._positions(end.u)
         if end.reason is Reason.CONVERGED:
-            positions[held] = values[held]
+            positions[self._held] = self._places[self._held]
         record = self.record
         return Solution(
             positions,

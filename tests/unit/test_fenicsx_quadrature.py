@@ -112,8 +112,8 @@ def test_a_law_s_tangent_by_stretches_is_that_of_its_density():
     u = np.random.default_rng(3).normal(0.0, 0.3, X.shape)  # some tets are inverted
     state = problem.at(u)
     found = dense(state.hessian())
-    expected = seam.empty_matrix(problem._hyperelastic[0].tangent)
-    seam.add_matrix(problem._hyperelastic[0].tangent, expected)
+    expected = seam.empty_matrix(problem.solids.forms[0].tangent)
+    seam.add_matrix(problem.solids.forms[0].tangent, expected)
     expected.assemble()
     np.testing.assert_allclose(found, dense(expected), atol=1e-11 * np.abs(found).max())
     np.testing.assert_allclose(dense(state.softened_hessian(1.0)), found, atol=1e-11 * np.abs(found).max())
