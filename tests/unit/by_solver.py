@@ -115,7 +115,7 @@ class Fenicsx:
         return dense(state.hessian())
 
     def projected_hessian(self, state):
-        return dense(state.softened_hessian(0.0))
+        return dense(state.hessian(0.0))
 
     def at(self, positions):
         """The state at positions [mm] by node."""
