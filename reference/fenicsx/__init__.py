@@ -5,7 +5,7 @@ How to read it, from what is asked to what is solved:
 - `prepared`: prepare and solve; which strategies are tried and when the next one is. A `run` is one call of solve, with
   the record of what all attempts spend. `fields` gives stresses and functions inside the tets.
 - The strategies: `minimise` (Newton's method of `newton` on an energy), `multipliers` (augmented Lagrangian, for
-  elements with a pressure), `load_path` (continuation of the equations of equilibrium). `dynamics` marches through
+  elements with a pressure), `load_path` (continuation of the equations of `equilibrium`). `dynamics` marches through
   time by minimisations.
 - What they solve: `problem` has energy, gradient and Hessian of a scene, and the table of terms: `solids` (laws by
   their singular values by `principal` and `nearest`, integrated by `quadrature`; `hyperelastic` laws by UFL), and what

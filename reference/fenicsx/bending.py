@@ -12,6 +12,7 @@ differentiating that once more, with dY = Σ w_j q_j E_jᵀ - [ω]ₓ Y.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,33 +44,24 @@ class Rings(NodalEnergy):
 
     @classmethod
     def from_scene(cls, scene: Scene, order: Numbering) -> list[Rings]:
-        """See NodalEnergy."""
-        rings = []
-        for term in scene.of(Bending):
-            order.dofs_of(term.name, term.triangles)
-            rings += cls.from_term(term, scene.vertices, order.dof, order.nodes.owned)
-        return rings
+        """See NodalEnergy; of each term there is one for every number of neighbours."""
+        return [rings for term in scene.of(Bending) for rings in cls._from_term(scene, term, order)]
 
     @classmethod
-    def from_term(cls, term: Bending, vertices: Floats, order: Ints, owned: int) -> list[Rings]:
-        """The term's rings, one Rings per number of neighbours.
-
-        vertices [mm], shape (n, 3), are the scene's; `order` (n,) numbers them for the solver, the `owned` ones first.
-        """
-        X = vertices if term.rest is None else term.rest
+    def _from_term(cls, scene: Scene, term: Bending, order: Numbering) -> Iterator[Rings]:
+        order.dofs_of(term.name, term.triangles)
+        X = scene.vertices if term.rest is None else term.rest
         cotangents, area, stiffness = _weights(term, X)
         inner = _inner(term.triangles, len(X))
-        inner = inner[(order[inner] >= 0) & (order[inner] < owned)]
+        inner = inner[(order.dof[inner] >= 0) & (order.dof[inner] < order.nodes.owned)]
         count = np.diff(cotangents.indptr)
-        rings = []
         for k in np.unique(count[inner]):
             centre = inner[count[inner] == k]
             slots = cotangents.indptr[centre][:, None] + np.arange(k)
             ring, w = cotangents.indices[slots], cotangents.data[slots]
             s = stiffness[centre] * area[centre]
-            nodes = order[np.column_stack([centre, ring])]
-            rings.append(cls(nodes, w / area[centre][:, None], np.maximum(w, 0.0), X[ring] - X[centre][:, None], s))
-        return rings
+            nodes = order.dof[np.column_stack([centre, ring])]
+            yield cls(nodes, w / area[centre][:, None], np.maximum(w, 0.0), X[ring] - X[centre][:, None], s)
 
     def _turned(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """R, Y, Rᵀl and b at positions x."""

@@ -121,8 +121,10 @@ class Chord:
             if norm <= threshold:
                 return Minimum(state, Reason.CONVERGED, iteration, factored)
             if not self._has_factors:
-                self._factor(state)
-                factored, fresh = factored + 1, True
+                hessian = state.hessian()
+                hold(hessian, self._held, np.zeros(len(self._held)), np.zeros(hessian.getLocalSize()[0]))
+                hessian.copy(self._matrix, structure=SAME)
+                self._has_factors, factored, fresh = True, factored + 1, True
             after, gradient_after, norm_after = self._step(state, gradient)
             fell = norm_after <= FAST * norm
             if not fell:
@@ -138,15 +140,8 @@ class Chord:
         return self._newton.extension(state, jump)[0]
 
     def _gradient(self, state: MovingState) -> tuple[Floats, float]:
-        gradient = state.gradient().ravel()
-        gradient[self._held] = 0.0
+        gradient = self._newton.free_gradient(state)
         return gradient, self._newton.norm(gradient)
-
-    def _factor(self, state: MovingState):
-        hessian = state.hessian()
-        hold(hessian, self._held, np.zeros(len(self._held)), np.zeros(hessian.getLocalSize()[0]))
-        hessian.copy(self._matrix, structure=SAME)
-        self._has_factors = True
 
     def _step(self, state: MovingState, gradient: Floats) -> tuple[MovingState | None, Floats, float]:
         """The state after a full step, its gradient and its norm: infinite where the step is none to take."""

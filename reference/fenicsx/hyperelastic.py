@@ -6,8 +6,8 @@ An independent pressure is an argument of the density like F, and what it adds a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from functools import cache
+from dataclasses import fields
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -77,72 +77,49 @@ def elastic_part(F, growth: Floats | float, domain, cells: Ints):
     return F * ratio ** (-1 / 3), ratio
 
 
-LazyEvaluator = Callable[[], Callable[[Ints], Floats]]
-
-
-def lazy_evaluator(expression, degree: int, domain) -> LazyEvaluator:
-    """Compile an expression's evaluator at a rule's points on first use: its code may be large, and not needed."""
-
-    @cache
-    def evaluator() -> Callable[[Ints], Floats]:
-        return seam.evaluator(expression, seam.quadrature_rule(degree)[0], domain)
-
-    return evaluator
-
-
-def stress_and_tangent(psi, F, degree: int, domain) -> tuple[LazyEvaluator, LazyEvaluator]:
-    """P and dP/dF of a density, evaluated when asked."""
-    P = ufl.diff(psi, F)
-    return lazy_evaluator(P, degree, domain), lazy_evaluator(ufl.diff(P, F), degree, domain)
-
-
-@dataclass(frozen=True, eq=False)
 class HyperelasticForms:
     """Compiled energy, gradient and tangent of a law on some cells (k,), and P and dP/dF there.
 
-    For a law with a pressure [kPa] also the energy's derivative by it [mm³], that by displacement and pressure [mm²],
-    and that by the pressure twice, negative semi-definite [mm³/kPa].
+    They are of a displacement function [mm], and of a pressure's [kPa] if there is one: then there is also the energy's
+    derivative by it [mm³], that by displacement and pressure [mm²], and that by the pressure twice, negative
+    semi-definite [mm³/kPa]. A law's vectors and growth go by the cells; all is by the rule of a degree.
     """
 
-    cells: Ints
-    energy: Any
-    gradient: Any
-    tangent: Any
-    _P: LazyEvaluator
-    _dP_dF: LazyEvaluator
-    by_pressure: Any = None
-    coupling: Any = None
-    by_pressure_twice: Any = None
-
-    @classmethod
-    def compile(
-        cls,
+    def __init__(
+        self,
         displacement,
         cells: Ints,
         material: Material,
         degree: int = 1,
         growth: Floats | float = 1.0,
         pressure=None,
-    ) -> HyperelasticForms:
-        """Forms for the displacement function [mm] on cells (k,), which a law's vectors and growth go by.
-
-        Integrals, P and dP/dF are by the rule of a degree.
-        """
+    ):
         space = displacement.function_space
-        psi, F = density(displacement, cells, material, growth, pressure)
-        dx = seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
-        energy = psi * dx
+        self.cells, self._degree, self._domain = cells, degree, space.mesh
+        self._psi, self._F = density(displacement, cells, material, growth, pressure)
+        energy = self._psi * seam.cell_measure(space.mesh, cells)(metadata={"quadrature_degree": degree})
         gradient = ufl.derivative(energy, displacement, ufl.TestFunction(space))
-        forms = [energy, gradient, ufl.derivative(gradient, displacement, ufl.TrialFunction(space))]
+        self.energy, self.gradient = seam.compile_form(energy), seam.compile_form(gradient)
+        self.tangent = seam.compile_form(ufl.derivative(gradient, displacement, ufl.TrialFunction(space)))
         if pressure is not None:
-            pressures = pressure.function_space
-            trial = ufl.TrialFunction(pressures)
-            by_pressure = ufl.derivative(energy, pressure, ufl.TestFunction(pressures))
-            forms += [by_pressure, ufl.derivative(gradient, pressure, trial)]
-            forms += [ufl.derivative(by_pressure, pressure, trial)]
-        by_displacement, by_both = ([seam.compile_form(form) for form in part] for part in (forms[:3], forms[3:]))
-        P, dP_dF = stress_and_tangent(psi, F, degree, space.mesh)
-        return cls(cells, by_displacement[0], by_displacement[1], by_displacement[2], P, dP_dF, *by_both)
+            trial, test = (make(pressure.function_space) for make in (ufl.TrialFunction, ufl.TestFunction))
+            by_pressure = ufl.derivative(energy, pressure, test)
+            self.by_pressure = seam.compile_form(by_pressure)
+            self.coupling = seam.compile_form(ufl.derivative(gradient, pressure, trial))
+            self.by_pressure_twice = seam.compile_form(ufl.derivative(by_pressure, pressure, trial))
+
+    # The code of these two may be large, and is not always needed.
+    @cached_property
+    def _stress(self) -> Callable[[Ints], Floats]:
+        return self._evaluator(ufl.diff(self._psi, self._F))
+
+    @cached_property
+    def _stress_derivative(self) -> Callable[[Ints], Floats]:
+        return self._evaluator(ufl.diff(ufl.diff(self._psi, self._F), self._F))
+
+    def _evaluator(self, expression) -> Callable[[Ints], Floats]:
+        """Compile an expression's evaluator at the rule's points."""
+        return seam.evaluator(expression, seam.quadrature_rule(self._degree)[0], self._domain)
 
     def assemble_energy(self) -> float:
         """Energy [µJ] of this process' cells; infinite where the law does not hold in any of them."""
@@ -155,11 +132,11 @@ class HyperelasticForms:
 
     def point_stress(self) -> Floats:
         """P [kPa] at the points, shape (k q, 3, 3)."""
-        return self._P()(self.cells).reshape(-1, 3, 3)
+        return self._stress(self.cells).reshape(-1, 3, 3)
 
     def point_tangent(self) -> Floats:
         """dP/dF [kPa] at the points, shape (k q, 9, 9)."""
-        return self._dP_dF()(self.cells).reshape(-1, 9, 9)
+        return self._stress_derivative(self.cells).reshape(-1, 9, 9)
 
     def softened_tangent(self, kept: float) -> Floats:
         """dP/dF [kPa] at the points, shape (k q, 9, 9), every negative eigenvalue multiplied by `kept`."""

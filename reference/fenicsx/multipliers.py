@@ -18,6 +18,7 @@ import numpy as np
 from ...lhm.base.mesh import Floats
 from ..solution import Reason
 from .dolfinx_version import PETSc
+from .equilibrium import Equilibrium
 from .linear_solvers import multiply
 from .minimise import LOAD_STEP_TOLERANCE
 from .newton import AnyState, Newton, Work
@@ -139,7 +140,8 @@ class MultiplierDescent:
         held = condensed.problem.held_dofs(run.held)
         self._saddle = make_saddle_solver(linear_solver, condensed.matrix, held)
         self._newton = Newton(condensed, held, self._saddle, self._saddle.direct, self._report, Work())
-        self._iterations, self._per_volume, self._first = 0, 0.0, 0.0
+        self._equations = Equilibrium(condensed.problem, held, condensed.matrix)
+        self._iterations, self._first = 0, 0.0
         self._limit = MAX_ITERATIONS
 
     def attempt(self) -> Attempt:
@@ -192,7 +194,7 @@ class MultiplierDescent:
     def _alternate(self, state: CondensedState) -> tuple[CondensedState, Reason]:
         """Minimise and correct the pressure in turns, until forces and volumes are in balance."""
         condensed = self._condensed
-        self._per_volume = condensed.problem.force_per_volume(state.hessian().getDiagonal().array_r)
+        self._equations.scale_volumes(state.hessian())
         self._first = max(self._first, self._norm(self._newton.free_gradient(state)))
         last = self._run.threshold(self._first)
         before = np.inf
@@ -254,9 +256,8 @@ class MultiplierDescent:
 
     def _residual(self, state: CondensedState) -> tuple[Floats, float]:
         """Forces [mN] and volumes [mm³], a vector that is zero where held, and its norm as a force [mN]."""
-        forces, volumes = self._newton.free_gradient(state), state.strain()
-        size = np.hypot(self._norm(forces), self._per_volume * self._norm(volumes))
-        return np.concatenate([forces, volumes]), float(size)
+        residual = np.concatenate([self._newton.free_gradient(state), state.strain()])
+        return residual, self._equations.norm(residual)
 
     def _norm(self, vector: Floats) -> float:
         return norm(self._comm, vector)

@@ -205,12 +205,12 @@ class FactoredSaddle:
 
 
 class BlockSaddle:
-    """See Saddle: the same system, the same questions.
+    """See FactoredSaddle: the same system, the same questions.
 
     Nothing counts the inertia. A matrix with springs counts as positive definite unless it curves the energy downwards
     along the answer, which then is no descent direction. `newton_step` looks further, for it ends a solve: at the
     softest motions, which SLEPc finds by the inverse. Where these curve the energy downwards,
-    `Saddle` takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
+    FactoredSaddle takes over for good, which sees all of them; so it does for one step where GMRES does not find that.
     """
 
     def __init__(self, matrix: SaddleMatrix, held: Ints):
@@ -253,7 +253,7 @@ class BlockSaddle:
         return LinearAnswer(x, not why, self._last, why)
 
     def newton_step(self, residual: Floats) -> Floats | None:
-        """See Saddle."""
+        """See FactoredSaddle."""
         if self._lost:
             return self.direct.newton_step(residual)
         H = self._matrix.H
@@ -271,7 +271,7 @@ class BlockSaddle:
         return step
 
     def simplified_step(self, residual: Floats) -> Floats:
-        """See Saddle; by the same preconditioner."""
+        """See FactoredSaddle; by the same preconditioner."""
         return self.direct.simplified_step(residual) if self._by_factors else self._solve(-residual, FOLLOWING)[0]
 
     def _free(self, motion: Floats) -> Floats:

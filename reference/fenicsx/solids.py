@@ -6,7 +6,6 @@ Singular values s (m, 3) come ordered as `principal.signed_svd` orders them. Hyp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -27,8 +26,6 @@ from .nearest import nearest_derivative, nearest_with_determinant
 from .numbering import Numbering
 from .quadrature import DEGREES, Quadrature
 
-AtPoints = Callable[[Floats | float], Floats]
-"""Gives a term's values per tet, or its one, at its quadrature points."""
 Law = tuple[Ints, HasStretches]
 """A law and the quadrature points, counted within Quadrature, that it acts on."""
 
@@ -57,11 +54,6 @@ class StrainLaw:
     limit: Floats
     growth: Floats
 
-    @classmethod
-    def from_term(cls, term: Strain, at_points: AtPoints) -> StrainLaw:
-        """Take a term's numbers."""
-        return cls(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
-
     def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """See HasStretches; at a limit above 1 the curvature is that of the free side."""
         limit, stiffness = self.limit[:, None], self.stiffness[:, None]
@@ -78,11 +70,6 @@ class VolumeLaw:
 
     stiffness: Floats
     target: Floats
-
-    @classmethod
-    def from_term(cls, term: Volume, at_points: AtPoints) -> VolumeLaw:
-        """Take a term's numbers."""
-        return cls(at_points(term.stiffness), at_points(term.target))
 
     def by_stretches(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """See HasStretches; the nearest point's derivative is implicit (see `nearest_derivative`)."""
@@ -156,9 +143,7 @@ class Solids:
             if not self._is_by_ufl(term):
                 continue
             assert isinstance(term, Hyperelastic)
-            forms = HyperelasticForms.compile(
-                self._displacement, solid.cells, term.material, degree, term.growth, pressure
-            )
+            forms = HyperelasticForms(self._displacement, solid.cells, term.material, degree, term.growth, pressure)
             self.forms.append(forms)
             if pressure is not None:
                 self.softness[solid.cells] += 1.0 / term.material.shear_modulus
@@ -198,9 +183,9 @@ class Solids:
 
         points = self._points(solid.cells)
         if isinstance(term, Strain):
-            return points, StrainLaw.from_term(term, at_points)
+            return points, StrainLaw(at_points(term.stiffness), at_points(term.limit), at_points(term.growth))
         if isinstance(term, Volume):
-            return points, VolumeLaw.from_term(term, at_points)
+            return points, VolumeLaw(at_points(term.stiffness), at_points(term.target))
         assert isinstance(term, Hyperelastic) and isinstance(term.material, HasStretches)
         return points, term.material if np.all(term.growth == 1.0) else Grown(term.material, at_points(term.growth))
 

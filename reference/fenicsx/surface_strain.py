@@ -38,20 +38,14 @@ class Membrane(NodalEnergy):
     @classmethod
     def from_scene(cls, scene: Scene, order: Numbering) -> list[Membrane]:
         """See NodalEnergy."""
-        return [
-            cls.from_term(term, scene.vertices, *order.faces(term.name, term.triangles))
-            for term in scene.of(SurfaceStrain)
-        ]
+        return [cls._from_term(scene, term, order) for term in scene.of(SurfaceStrain)]
 
     @classmethod
-    def from_term(cls, term: SurfaceStrain, vertices: Floats, here: Ints, nodes: Ints) -> Membrane:
-        """The term on rest vertices [mm], shape (n, 3), and on those of its triangles (t,) that are `here`.
-
-        Of these the nodes are (t, 3), or (t, 6) of quadratic ones, those on edges numbered by the opposite corner.
-        """
+    def _from_term(cls, scene: Scene, term: SurfaceStrain, order: Numbering) -> Membrane:
+        here, nodes = order.faces(term.name, term.triangles)
         triangles = term.triangles[here]
-        _, area = _plane(vertices, triangles)
-        inverse, _ = _plane(vertices if term.rest is None else term.rest, triangles)
+        _, area = _plane(scene.vertices, triangles)
+        inverse, _ = _plane(scene.vertices if term.rest is None else term.rest, triangles)
         k = nodes.shape[1]
         points, weights = seam.quadrature_rule(DEGREES[k], "triangle")
         q, derivatives = len(points), seam.shapes(k // 3, points, "triangle")[1]

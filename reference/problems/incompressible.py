@@ -33,7 +33,7 @@ from ..solution import Reason, Solution
 from ..terms import Fixed, Hyperelastic, Pressure, Traction
 from .homogeneous import rollers
 from .meshes import block, boundary_triangles, box, positive, triangles_at, vertices_at
-from .problem import Attempt, HardCase, Problem
+from .problem import Attempt, HardCase, Problem, energy, mixed_problem
 
 SPHERE_SOURCE = "closed form: Ogden 1984, Section 5.3.2"
 INNER, OUTER = 1.0, 2.0
@@ -75,7 +75,7 @@ def sphere(pressure: float, cells: int, layers: int) -> Scene:
         tets,
         (
             Hyperelastic(Incompressible(NeoHookean(1.0, 1.0))),
-            *(Fixed(vertices_at(X, axis, 0.0), components=(axis,)) for axis in range(3)),
+            *rollers(X),
             Pressure(inner, pressure),
         ),
     )
@@ -97,27 +97,23 @@ def _spheres(
     sizes: tuple[tuple[int, int], ...], bounds: tuple[float, ...], limited: tuple[int, int]
 ) -> tuple[Problem, ...]:
     inflated = [
-        Problem(
+        mixed_problem(
             f"thick sphere, P/mu=.755, P2P1, {n}x{layers} cells: inner stretch",
             SPHERE_SOURCE,
             partial(sphere, PRESSURE_AT_HALF, n, layers),
             inner_stretch,
             1.5,
             {"fenicsx": bound},
-            options={"element": "P2P1"},
-            tolerance=1e-9,
         )
         for (n, layers), bound in zip(sizes, bounds, strict=True)
     ]
-    beyond = Problem(
+    beyond = mixed_problem(
         f"thick sphere, P/mu=.83, P2P1, {limited[0]}x{limited[1]} cells: limit point",
         SPHERE_SOURCE,
         partial(sphere, 0.83, *limited),
         load_reached,
         LIMIT_PRESSURE,
         {"fenicsx": 1e-2},
-        options={"element": "P2P1"},
-        tolerance=1e-9,
         reason=Reason.LIMIT_POINT,
     )
     return (*inflated, beyond)
@@ -177,15 +173,13 @@ def inner_radius(scene: Scene, solution: Solution) -> float:
 def _bent(cells: int, bounds: tuple[float, float]) -> tuple[Problem, ...]:
     radius = float(np.sqrt(offset() - BLOCK_RADIUS))
     return tuple(
-        Problem(
+        mixed_problem(
             f"bent block, {law.law.name}, P2P1, {cells} cells: {name}",
             FLEXURE_SOURCE,
             partial(bent_block, law, cells),
             quantity,
             value,
             {"fenicsx": bound},
-            options={"element": "P2P1"},
-            tolerance=1e-9,
         )
         for law in BLOCK_LAWS
         for (name, quantity, value), bound in zip(
@@ -246,22 +240,15 @@ def twisted_cylinder(C10: float, C01: float, stretch: float, cells: int) -> Scen
     return Scene(X, tets, (Hyperelastic(Incompressible(law)), Fixed(ends, twist(X, stretch)[ends])))
 
 
-def total_energy(scene: Scene, solution: Solution) -> float:
-    """The energy [µJ]."""
-    return solution.energy
-
-
 def _twisted(cells: int, bound: float) -> tuple[Problem, ...]:
     return tuple(
-        Problem(
+        mixed_problem(
             f"twisted cylinder, {label}, stretch {stretch:.3f}, P2P1, {cells} cells: energy",
             TORSION_SOURCE,
             partial(twisted_cylinder, *moduli, stretch, cells),
-            total_energy,
+            energy,
             twisting_energy(*moduli, stretch),
             {"fenicsx": bound},
-            options={"element": "P2P1"},
-            tolerance=1e-9,
         )
         for label, moduli in CYLINDER_LAWS.items()
         for stretch in (1.0, POYNTING)

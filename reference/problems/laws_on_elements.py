@@ -29,9 +29,9 @@ from ..materials import (
 )
 from ..materials.material import HasMixedDensity
 from ..scene import Scene
-from ..terms import Fixed, Hyperelastic, Strain, Term, Traction, Volume
+from ..terms import Fixed, Hyperelastic, Strain, Term, Volume
 from . import bars, cook, recovery, time_steps
-from .meshes import block, box, triangles_at, vertices_at
+from .meshes import block, vertices_at
 from .problem import Attempt, HardCase
 
 FIBRE = np.array([1.0, 2.0, 0.0])
@@ -104,18 +104,8 @@ def _allowed_after_crush(law: str, share: float, element: str) -> tuple[str, ...
 def layers_error(ratio: float, attempt: Attempt) -> float:
     """Relative error of the elongation of two neo-Hookean layers in series, held across, under a pull."""
     first, second = NeoHookean.from_young(1.0, 0.3), NeoHookean.from_young(ratio, 0.3)
-    X, tets = box(bars.CELLS, (1.0, 0.25, 0.25))
-    near = X[tets, 0].mean(axis=1) < 0.5
-    scene = Scene(
-        X,
-        tets,
-        (
-            Hyperelastic(first, np.flatnonzero(near)),
-            Hyperelastic(second, np.flatnonzero(~near)),
-            Traction(triangles_at(X, tets, 0, 1.0), np.array([0.1, 0.0, 0.0])),
-            Fixed(vertices_at(X, 0, 0.0), components=(0,)),
-            Fixed(np.arange(len(X)), components=(1, 2)),
-        ),
+    scene = bars.pulled_layers(
+        lambda near: (Hyperelastic(first, np.flatnonzero(near)), Hyperelastic(second, np.flatnonzero(~near)))
     )
     expected = sum(0.5 * (_stretch(law, 0.1) - 1.0) for law in (first, second))
     solution = attempt.solve(attempt.prepare(scene), tolerance=1e-11)
@@ -129,12 +119,9 @@ def _stretch(law: NeoHookean, stress: float) -> float:
 
 def twist_error(law: str, attempt: Attempt) -> float:
     """How much the volume of a bar changed, relative to it, one end turned against the other by TURN."""
-    X, tets = box(bars.TWISTED_CELLS, (bars.TWISTED_LENGTH, 1.0, 1.0))
-    ends = np.concatenate([vertices_at(X, 0, 0.0), vertices_at(X, 0, bars.TWISTED_LENGTH)])
-    turned = bars.twist(X, TURN)
-    scene = Scene(X, tets, (*energies_of(law, STIFF_IN_VOLUME), Fixed(ends, turned[ends])))
-    solution = attempt.solve(attempt.prepare(scene), start=turned, tolerance=1e-8)
-    return abs(float(solution.volume_ratio @ scene.volumes / scene.volumes.sum()) - 1.0)
+    scene = bars.twisted_bar(energies_of(law, STIFF_IN_VOLUME), TURN)
+    start = bars.twist(scene.vertices, TURN)
+    return bars.change_of_volume(scene, attempt.solve(attempt.prepare(scene), start=start, tolerance=1e-8))
 
 
 def share_error(poisson: float, attempt: Attempt) -> float:

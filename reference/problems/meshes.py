@@ -54,6 +54,12 @@ def vertices_at(X: Floats, axis: int, position: float) -> Ints:
     return np.flatnonzero(np.isclose(X[:, axis], position))
 
 
+def principal_stretches(X: Floats, x: Floats, tets: Ints) -> Floats:
+    """The singular values of each tet's F from rest X to x [mm], largest first, shape (m, 3)."""
+    rest, edges = ((p[tets][:, 1:] - p[tets][:, :1]).transpose(0, 2, 1) for p in (X, x))
+    return np.linalg.svd(edges @ np.linalg.inv(rest), compute_uv=False)
+
+
 def positive(X: Floats, tets: Ints) -> Ints:
     """Tets (m, 4) with two corners exchanged where that makes the volume positive; changes them in place."""
     inverted = tet_volumes(X, tets) < 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..scene import Scene
 from ..solution import Reason, Solution
 from ..solve import Prepared, prepare, solve
 
+EVERY_SOLVER = ("projective", "fenicsx", "skfem")
 TOLERANCE = 1e-11
 """The relative gradient norm that problems are solved to."""
 HARD_TOLERANCE = 1e-10
@@ -50,6 +52,15 @@ class Problem:
     def bound(self, solver: str) -> float:
         """The largest error that passes; of a solver that a file has added, the largest of any."""
         return self.bounds.get(solver, max(self.bounds.values()))
+
+
+mixed_problem = partial(Problem, options={"element": "P2P1"}, tolerance=1e-9)
+"""A problem for Taylor-Hood's element."""
+
+
+def energy(scene: Scene, solution: Solution) -> float:
+    """The energy [µJ], which for the unit cube is the density [kPa]."""
+    return solution.energy
 
 
 @dataclass(frozen=True)

@@ -81,8 +81,11 @@ class Coordinates:
         taken = held.copy()
         for body in bodies:
             taken[body.vertices] = True
+        alike: dict[bytes, list[int]] = {}
+        for c in range(3):
+            alike.setdefault(held[:, c].tobytes(), []).append(c)
         groups = []
-        for components in _alike(held):
+        for components in map(np.array, alike.values()):
             free = np.flatnonzero(~taken[:, components[0]])
             if len(free) or bodies:
                 groups.append((components, free))
@@ -160,11 +163,3 @@ def _rotation(vector: Floats) -> Floats:
     cross = CROSS @ vector
     sine, versine = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     return np.eye(3) + sine * cross + versine * cross @ cross
-
-
-def _alike(held: np.ndarray) -> list[Ints]:
-    """Gather the components of x, y, z by equal columns of `held`."""
-    gathered: dict[bytes, list[int]] = {}
-    for c in range(3):
-        gathered.setdefault(held[:, c].tobytes(), []).append(c)
-    return [np.array(components) for components in gathered.values()]

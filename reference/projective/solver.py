@@ -135,8 +135,12 @@ class ProjectivePrepared:
             raise SceneError(f"metric: it has {metric.coordinates.size} unknowns, the scene {coordinates.size}")
         work = _Work(self.system)
         precondition = work.precondition if metric is None else work.by(metric)
+        memory = None
+        if self.method == "lbfgs":
+            left = None if warm is None else warm.memory
+            same = isinstance(left, Memory) and left.size == coordinates.size
+            memory = left.copy() if same else Memory(coordinates.size)  # type: ignore[union-attr]
         bounded = energy.is_bounded and metric is None
-        memory = self._memory(warm)
         problem = Problem(work.on(energy), coordinates.move, precondition, bounded=bounded, memory=memory)
         if untangle and (volume_ratio(scene, scene.vertices + place.u) <= 0).any():
             relaxed = work.on(energy.untangling(VOLUME_SHARE[self.method]))
@@ -185,14 +189,6 @@ class ProjectivePrepared:
         place = self.system.coordinates.start(np.where(held, values, solution.positions) - scene.vertices)
         energy = self.energy.for_scene(scene)
         return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
-
-    def _memory(self, warm: Solution | None) -> Memory | None:
-        """Copy the memory that a solution of as many unknowns left, or make an empty one; None unless by L-BFGS."""
-        if self.method != "lbfgs":
-            return None
-        left = None if warm is None else warm.memory
-        size = self.system.coordinates.size
-        return left.copy() if isinstance(left, Memory) and left.size == size else Memory(size)
 
 
 def prepare(

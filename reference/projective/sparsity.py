@@ -44,12 +44,14 @@ class Sparsity:
         known = np.unique(np.concatenate(keys))
         slots = tuple(np.searchsorted(known, key) for key in keys)
         pairs = np.column_stack([known // n, known % n])
-        own = elements_of(scene, parts, coordinates)
-        return cls(own, pairs, slots, *_entries(pairs, n, coordinates))
+        elements = _elements_of(scene, parts, coordinates)
+        return cls(elements, pairs, slots, *_entries(pairs, n, coordinates))
 
-    def fits(self, elements: tuple[Ints, ...]) -> bool:
-        """Whether this is the pattern of these `elements_of` a scene."""
-        return len(self.elements) == len(elements) and all(map(np.array_equal, self.elements, elements))
+    def fits(self, scene: Scene, parts: Sequence[Part], coordinates: Coordinates) -> bool:
+        """Whether this is the pattern of a scene's energy over its unknowns."""
+        elements = _elements_of(scene, parts, coordinates)
+        same = len(self.slots) == len(parts) and len(self.elements) == len(elements)
+        return same and all(map(np.array_equal, self.elements, elements))
 
     def matrix(self, blocks: Floats, bodies: Floats) -> csc_matrix:
         """Assemble the matrix (size, size) [mN/mm] of blocks (pairs, 3, 3) and bodies' rows (6 bodies, size)."""
@@ -58,7 +60,7 @@ class Sparsity:
         return csc_matrix((flat[self.source], self.indices, self.indptr), shape=(size, size))
 
 
-def elements_of(scene: Scene, parts: Sequence[Part], coordinates: Coordinates) -> tuple[Ints, ...]:
+def _elements_of(scene: Scene, parts: Sequence[Part], coordinates: Coordinates) -> tuple[Ints, ...]:
     """Return all that the pattern follows from: who joins whom, and which components are unknowns."""
     elements = (array for part in parts for array in part.elements(scene))
     return (*elements, coordinates.index, *(body.vertices for body in coordinates.bodies))

@@ -17,7 +17,7 @@ from ..scene import Scene
 from ..terms import Contact, Target
 from .coordinates import Coordinates, Place
 from .energy import PARTS, Energy
-from .sparsity import Sparsity, elements_of
+from .sparsity import Sparsity
 
 EXACT = -1.0
 """Of `least`: no eigenvalue is raised."""
@@ -81,7 +81,7 @@ class Tangent:
         if scene.of(Contact):
             raise SceneError("a tangent knows no Contact: take the scene without it")
         pattern = like.pattern if isinstance(like, Tangent) else like
-        if pattern is None or not pattern.sparsity.fits(elements_of(scene, energy.parts, coordinates)):
+        if pattern is None or not pattern.sparsity.fits(scene, energy.parts, coordinates):
             pattern = Pattern(Sparsity.from_scene(scene, energy.parts, coordinates), None)
         sparsity, before = pattern.sparsity, pattern.analysis
         if least < 0.0:

@@ -1,8 +1,8 @@
 """The way down to a minimiser: Newton's method, where tets are inverted first on an energy that leads out of that.
 
-Volume has minima among inverted tets; Strain alone was never seen to stay in one. Measured on a block of 4³ cells
-(nu = .45) with vertices scattered anywhere: Newton's method on both left tets inside out after 200 iterations, from
-three starts of three. On Strain alone first, it was at rest after 18 to 33 iterations, from 20 starts of 20.
+Stiff volumes have minima among inverted tets; shape alone was never seen to stay in one. Measured on a block of 4³
+cells (nu = .45) with vertices scattered anywhere: Newton's method on both left tets inside out after 200 iterations,
+from three starts of three. On shape alone first, it was at rest after 18 to 33 iterations, from 20 starts of 20.
 
 Before it, held vertices are moved to their places without crushing the elements next to them.
 """
@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...lhm.base.mesh import Floats
-from .. import terms
 from ..scene import Scene
 from ..solution import Limits, Reason, Recorder
 from .discretisation import Discretisation
@@ -24,7 +23,7 @@ from .unknowns import Unknowns
 
 UNTANGLED = 1e-5  # of the first gradient norm
 MAX_UNTANGLING = 100
-VOLUME_SHARE = 0.3  # of Volume's stiffness that Strain takes over
+VOLUME_SHARE = 0.3  # of a volume's stiffness that shape takes over
 SMALLEST_PART = 1 / 64
 # Between two parts of a motion the free vertices need to follow only roughly.
 RELAXED = 1e-2
@@ -55,8 +54,9 @@ class Descent:
         iterations = 0
         if is_tangled(self.scene, self.at, x):
             forces = max(forces, self._norm(x))
+            eased = replace(self.scene, terms=tuple(term.eased(VOLUME_SHARE) for term in self.scene.terms))
             x, reason, iterations = self._minimise(
-                Energy(replace_volume(self.scene), self.at),
+                Energy(eased, self.at),
                 x,
                 lambda first: UNTANGLED * first,
                 min(limit, MAX_UNTANGLING),
@@ -95,19 +95,9 @@ class Descent:
 
 
 def is_tangled(scene: Scene, at: Discretisation, x: Floats) -> bool:
-    """Whether a scene with Volume has tets that are inside out or flat anywhere, at positions by dof [mm]."""
-    return bool(scene.of(terms.Volume)) and bool((np.linalg.det(at.tets.deformation_gradients(x)) <= 0).any())
-
-
-def replace_volume(scene: Scene) -> Scene:
-    """The scene with Strain in Volume's place, and no limits of strain."""
-    return replace(scene, terms=tuple(_ease(term) for term in scene.terms))
-
-
-def _ease(term: terms.Term) -> terms.Term:
-    if isinstance(term, terms.Volume):
-        return terms.Strain(VOLUME_SHARE * term.stiffness, tets=term.tets)
-    return replace(term, limit=1.0) if isinstance(term, terms.Strain) else term
+    """Whether a scene that minds has tets that are inside out or flat anywhere, at positions by dof [mm]."""
+    minds = any(term.may_tangle for term in scene.terms)
+    return minds and bool((np.linalg.det(at.tets.deformation_gradients(x)) <= 0).any())
 
 
 def carry(energy: Energy, x: Floats, goal: Floats, *, free: np.ndarray, scales: Scales) -> tuple[Floats, float] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
@@ -111,6 +111,10 @@ class Strain(Solid):
         """See Term."""
         return self._force_by(self.stiffness, mesh)
 
+    def eased(self, share: float) -> Strain:
+        """See Term; no stretch is free."""
+        return replace(self, limit=1.0)
+
     def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
         """See Term."""
         return None if self.rule in rules else f"Strain with rule {self.rule!r}: its energy jumps"
@@ -125,6 +129,7 @@ class Volume(Solid):
 
     varying: ClassVar[tuple[str, ...]] = ("target",)
     may_soften: ClassVar[bool] = True
+    may_tangle: ClassVar[bool] = True
     amounts: ClassVar[dict[str, Amount]] = {"stiffness": Amount(0.0), "target": Amount(0.0, strict=True)}
 
     stiffness: float | np.ndarray
@@ -134,3 +139,7 @@ class Volume(Solid):
     def unit_force(self, mesh: Mesh) -> float:
         """See Term."""
         return self._force_by(self.stiffness, mesh)
+
+    def eased(self, share: float) -> Strain:
+        """See Term; Strain alone was never seen to stay among inverted tets."""
+        return Strain(share * self.stiffness, tets=self.tets)

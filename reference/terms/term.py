@@ -32,12 +32,14 @@ class Term:
     A term says what no solver has to know by itself: what it joins, holds and loads, and how stiff it is.
 
     `varying` are the fields in which scenes may differ that a solver is prepared for at once. `may_soften` says whether
-    the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles.
-    `is_divisible` says whether ranks may share the scene in parts: each element lies in one tet or on its faces.
+    the energy may lose stiffness without a load that grows, as where tissue turns inside out or skin buckles, and
+    `may_tangle` whether it has minima among inverted tets. `is_divisible` says whether ranks may share the scene in
+    parts: each element lies in one tet or on its faces.
     """
 
     varying: ClassVar[tuple[str, ...]] = ()
     may_soften: ClassVar[bool] = False
+    may_tangle: ClassVar[bool] = False
     is_divisible: ClassVar[bool] = True
 
     @property
@@ -81,6 +83,10 @@ class Term:
     def unit_force(self, mesh: Mesh) -> float:
         """Return the force [mN] that unit strain would cause, the sum over its elements."""
         return 0.0
+
+    def eased(self, share: float) -> Term:
+        """Return what stands in its place on the way out of inverted tets; of a volume's stiffness a share is kept."""
+        return self
 
     def unmodelled(self, laws: tuple[type[Material], ...], rules: tuple[str, ...]) -> str | None:
         """Say what a solver that knows these laws of tissue and rules of strain cannot model of it, if anything."""

@@ -8,7 +8,8 @@ pytest.importorskip("dolfinx")
 
 from softdeca.reference import Reason, Scene, SceneError, materials, solve, terms
 from softdeca.reference.clock import Seconds
-from softdeca.reference.fenicsx.load_path import Continuation, Equilibrium
+from softdeca.reference.fenicsx.equilibrium import Equilibrium
+from softdeca.reference.fenicsx.load_path import Continuation
 from softdeca.reference.fenicsx.loads import FollowerPressure
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem

@@ -94,7 +94,7 @@ class ByUfl:
         numbering = Numbering(Scene(X, np.arange(4 * ROOM).reshape(-1, 4), []))
         u, points = seam.function(numbering.space), seam.quadrature_rule(1)[0]
         cells = numbering.cell
-        self.forms = HyperelasticForms.compile(u, cells, self.material, growth=self.growth)
+        self.forms = HyperelasticForms(u, cells, self.material, growth=self.growth)
         psi, F = density(u, cells, self.material, self.growth)
         self._psi = seam.evaluator(psi, points, numbering.space.mesh)
         self._stress = seam.evaluator(seam.ufl.diff(psi, F), points, numbering.space.mesh)

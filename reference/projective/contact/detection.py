@@ -67,7 +67,12 @@ class ContactSurface:
         inside = held[weights.min(axis=1) > ON_A_FACE, 0]
         if inside.size:
             raise SceneError(f"Contact: vertex {ids[inside[0]]} lies inside another tet at rest: parts overlap there")
-        return cls(term, ids, triangles, surface.vertex_areas, _near_pairs(triangles), rest, flesh)
+        rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
+        share = csr_matrix((np.ones(len(rows), dtype=np.int32), (rows, columns)), shape=(len(ids),) * 2)
+        ring = share + identity(len(ids), dtype=np.int32)
+        pairs = (ring @ ring).tocoo()
+        near = np.sort(pairs.row.astype(np.int64) * len(ids) + pairs.col)
+        return cls(term, ids, triangles, surface.vertex_areas, near, rest, flesh)
 
     def are_near(self, first: Ints, second: Ints) -> np.ndarray:
         """Whether pairs of the surface's vertices lie within two edges of one another."""
@@ -92,14 +97,6 @@ def _rotated(triangle: list[int]) -> tuple[int, ...]:
     """The same triangle from its least vertex on."""
     first = triangle.index(min(triangle))
     return (*triangle[first:], *triangle[:first])
-
-
-def _near_pairs(triangles: Ints) -> Ints:
-    n = triangles.max() + 1
-    rows, columns = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, 3).ravel()
-    ring = csr_matrix((np.ones(len(rows), dtype=np.int32), (rows, columns)), shape=(n, n)) + identity(n, dtype=np.int32)
-    pairs = (ring @ ring).tocoo()
-    return np.sort(pairs.row.astype(np.int64) * n + pairs.col)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,23 +132,19 @@ def detect(contact: ContactSurface, x: Floats, earlier: Constraints | None = Non
     away = np.linalg.norm(points[inner] - _points(points, contact.triangles[partner], at), axis=1)
     outer = _outer_vertices(contact, points, faces, facing, distance, inner)
     gap = points[outer] - _points(points, contact.triangles[facing[outer]], on[outer])
+    length = np.linalg.norm(gap, axis=1, keepdims=True)
+    along = np.where(length > TOUCHING, gap / np.maximum(length, TOUCHING), faces[facing[outer]])
     pairs = tree.self_crossings()
     first, second = (tree.corners[pairs[:, k]] for k in range(2))
     edges = np.vstack([_crossing_edges(contact, pairs, crossed_edges(first, second)), _pushing_edges(contact, earlier)])
     parts = [
         _vertex_rows(contact, inner, partner, at, faces[partner]),
-        _vertex_rows(contact, outer, facing[outer], on[outer], _directions(gap, faces[facing[outer]])),
+        _vertex_rows(contact, outer, facing[outer], on[outer], along),
         _still_pushing(contact, x, np.concatenate([inner, outer]), earlier),
         _edge_rows(contact, points, normals, edges[~np.isin(edges, inner).any(axis=1)]),
     ]
     depths = np.concatenate([np.minimum(distance[inner], away), parting_shifts(first, second)])
     return Detection(Constraints.concatenate(parts), len(pairs), float(depths.max(initial=0.0)))
-
-
-def _directions(gaps: Floats, faces: Floats) -> Floats:
-    """Unit vectors along gaps, shape (k, 3), and the normals of their triangles where a gap has no length."""
-    length = np.linalg.norm(gaps, axis=1, keepdims=True)
-    return np.where(length > TOUCHING, gaps / np.maximum(length, TOUCHING), faces)
 
 
 def _points(vertices: Floats, triangles: Ints, weights: Floats) -> Floats:
@@ -265,19 +258,15 @@ def _edge_rows(contact: ContactSurface, points: Floats, normals: Floats, edges: 
     outward = normals[edges[:, 2:]].sum(axis=1) - normals[edges[:, :2]].sum(axis=1)
     n *= np.where(np.einsum("kc,kc->k", n, outward) < 0, -1.0, 1.0)[:, None]
     sine = np.linalg.norm(n, axis=1) / np.maximum(np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1), 1e-30)
-    s, t = _nearest(u, v, p - o)
+    # The nearest points of the two lines, o + s u and p + t v.
+    uu, vv, uv = (np.einsum("kc,kc->k", a, b) for a, b in ((u, u), (v, v), (u, v)))
+    ub, vb = np.einsum("kc,kc->k", u, p - o), np.einsum("kc,kc->k", v, p - o)
+    det = np.maximum(uu * vv - uv * uv, 1e-300)
+    s, t = (ub * vv - vb * uv) / det, (ub * uv - vb * uu) / det
     sound = (sine > PARALLEL) & (s > 0) & (s < 1) & (t > 0) & (t < 1)
     weights = np.column_stack([1 - s, s, t - 1, -t])[sound]
     edges = edges[sound]
     return _rows(contact, contact.ids[edges], weights, _unit(n[sound]), contact.areas[edges].mean(axis=1))
-
-
-def _nearest(u: Floats, v: Floats, between: Floats) -> tuple[Floats, Floats]:
-    """Parameters (s, t) of the nearest points s u and between + t v of two lines."""
-    uu, vv, uv = (np.einsum("kc,kc->k", a, b) for a, b in ((u, u), (v, v), (u, v)))
-    ub, vb = np.einsum("kc,kc->k", u, between), np.einsum("kc,kc->k", v, between)
-    det = np.maximum(uu * vv - uv * uv, 1e-300)
-    return (ub * vv - vb * uv) / det, (ub * uv - vb * uu) / det
 
 
 def _unit(vectors: Floats) -> Floats:
