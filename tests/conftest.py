@@ -8,7 +8,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import signal
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +41,16 @@ def layered_sphere(subdivisions: int = 2, radii=(100.0, 92.0, 85.0)) -> LayeredH
     bone = np.where(unit[:, 1] > 0.0, 1, np.where(unit[:, 1] < -0.8, 2, 0))
     weights = identity(len(unit), format="csr")
     return LayeredHead(wraps[0], *wraps, bone, weights, weights)
+
+
+def with_regions(head):
+    """A sphere with a mouth before and below its middle, and eyes above it."""
+    x = head.skin_wrap.vertices
+    front = x[:, 2] > 0
+    regions = {"face": front & (x[:, 1] > -80), "neck": x[:, 1] <= -80}
+    regions["lips"] = front & (np.abs(x[:, 0]) < 30) & (np.abs(x[:, 1] + 40) < 12)
+    eyes = front & (np.abs(np.abs(x[:, 0]) - 35) < 10) & (np.abs(x[:, 1] - 30) < 8)
+    return replace(head, regions=regions | dict.fromkeys(("lids", "mouth", "eyes", "teeth", "ears"), eyes))
 
 
 @pytest.fixture(scope="session")

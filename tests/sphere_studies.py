@@ -5,7 +5,7 @@ from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
-from conftest import layered_sphere
+from conftest import layered_sphere, with_regions
 
 from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
 from softdeca.benchmarks.studies.agreement.effects import Effects
@@ -34,16 +34,6 @@ class Sphere(Person):
 
     def shape(self, text):
         return self.blend(expressions.parse_weights(text)[None])[0]
-
-
-def with_regions(head):
-    """A sphere with a mouth before and below its middle, and eyes above it."""
-    x = head.skin_wrap.vertices
-    front = x[:, 2] > 0
-    regions = {"face": front & (x[:, 1] > -80), "neck": x[:, 1] <= -80}
-    regions["lips"] = front & (np.abs(x[:, 0]) < 30) & (np.abs(x[:, 1] + 40) < 12)
-    eyes = front & (np.abs(np.abs(x[:, 0]) - 35) < 10) & (np.abs(x[:, 1] - 30) < 8)
-    return replace(head, regions=regions | dict.fromkeys(("lids", "mouth", "eyes", "teeth", "ears"), eyes))
 
 
 @lru_cache

@@ -16,7 +16,6 @@ from softdeca.benchmarks.studies.agreement.dynamics import (
     shake,
 )
 from softdeca.benchmarks.studies.agreement.release import Release, swing
-from softdeca.lhm import InputError
 
 
 def test_a_swing_is_found_by_its_frequency_and_damping():
@@ -66,14 +65,6 @@ def test_what_the_study_shows_on_a_small_sphere(spheres):
     assert damped["to_a_tenth_s"] == pytest.approx(-np.log(0.1) * 0.055, abs=1.5 / 60)
     assert "FEM, implicit Euler: " in study.words(rows) and len(study.tables(rows)) == 1
     assert "<svg" in next(iter(study.pictures(rows).values()))
-
-
-@pytest.mark.parametrize(
-    ("choice", "why"), [({"level": 4}, "level: there are 1, 2"), ({"frames": 3}, "at least 8"), ({"seed": -1}, "seed")]
-)
-def test_options_outside_their_range_are_refused(choice, why):
-    with pytest.raises(InputError, match=why):
-        Dynamics(**choice).tasks()
 
 
 def test_a_march_that_stops_is_a_row_with_its_reason(spheres, monkeypatch):

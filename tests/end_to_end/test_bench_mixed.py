@@ -7,7 +7,6 @@ pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.scaling.mixed import Mixed, average_around_vertices, measure_volumes, solve_mixed
-from softdeca.lhm import InputError
 from softdeca.reference import Scene
 
 
@@ -56,11 +55,3 @@ def test_a_linear_field_is_averaged_to_its_value_where_a_vertex_has_its_weight()
     at_points = np.column_stack([np.ones(4), points]) @ values
     found = average_around_vertices(scene, points, np.full(4, 0.25), at_points)
     assert found == pytest.approx((field.sum() + field) / 5.0)
-
-
-@pytest.mark.parametrize(
-    "choice", [{"laws": ("0.5",)}, {"laws": ("stiff",)}, {"level": 9}, {"expressions": ("noone",)}]
-)
-def test_options_outside_their_range_are_refused(choice):
-    with pytest.raises(InputError):
-        Mixed(**choice).tasks()

@@ -9,7 +9,6 @@ pytest.importorskip("dolfinx")
 
 from softdeca.benchmarks.harness import Row, run
 from softdeca.benchmarks.studies.surrogate.split import FINE, PARTS, RIVALS, SHARES, Split, _find_ratios
-from softdeca.lhm import InputError
 
 EFFECT, TEXT = "softer, 2 g", "mouthPucker"
 
@@ -105,9 +104,3 @@ def test_where_a_rival_wins_the_words_say_so():
     assert "40 % more soft tissue: the network loses to settled neutral face + blendshapes." in words
     assert "bones carried." not in words.partition("loses to")[2]
     assert np.isfinite([gate["value"] for gate in Split().gates([lost])]).all()
-
-
-@pytest.mark.parametrize("option", ["effects", "refined"])
-def test_an_unknown_effect_is_named(option):
-    with pytest.raises(InputError, match="effect 'zombie'; there are defaults"):
-        Split(**{option: ("zombie",)}).tasks()

@@ -33,7 +33,6 @@ from softdeca.benchmarks.studies.agreement.study import (
     Agreement,
 )
 from softdeca.benchmarks.studies.measures import difference, distances
-from softdeca.lhm import InputError
 
 
 def test_difference_is_that_of_two_points_by_hand():
@@ -147,22 +146,6 @@ def insides():
 
 
 LAW_STRESS = (("PD", 0.3), ("neo-Hookean", 0.4))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"gravity": -1.0},
-        {"jaw": 90.0},
-        {"push": -1.0},
-        {"volume": 9.0},
-        {"expressions": ("jaw",)},
-        {"identities": "nobody"},
-    ],
-)
-def test_options_are_checked(wrong):
-    with pytest.raises(InputError):
-        Agreement(**wrong).tasks()
 
 
 @pytest.fixture

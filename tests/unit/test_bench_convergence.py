@@ -11,7 +11,6 @@ from softdeca.benchmarks.harness import Row
 from softdeca.benchmarks.studies.measures import limit_of_three, limit_of_two
 from softdeca.benchmarks.studies.mesh.convergence import ACCEPTED, Convergence
 from softdeca.benchmarks.studies.person import Person
-from softdeca.lhm import InputError
 
 
 @pytest.mark.parametrize("order", [0.8, 1.0, 1.7, 2.0])
@@ -86,11 +85,6 @@ def test_the_head_of_the_level_below_fails_and_ours_passes_with_little_to_spare(
     solves[-1] |= {"energy": 1.1 * solves[0]["energy"], "converged": False}
     stopped = Convergence().gates([replace(smile, values=smile.values | {"solves": solves})])
     assert [gate["passed"] for gate in stopped] == [False, False, True]
-
-
-def test_no_expressions_are_refused():
-    with pytest.raises(InputError, match="none"):
-        Convergence(expressions=()).tasks()
 
 
 def test_quadratic_tets_are_a_second_opinion(spheres, monkeypatch):

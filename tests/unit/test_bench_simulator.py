@@ -30,7 +30,6 @@ from softdeca.benchmarks.studies.work_precision.study import (
     find_medians,
     measure_lead,
 )
-from softdeca.lhm.base.errors import InputError
 from softdeca.reference import Parameters, facial_scene, prepare, terms
 
 
@@ -163,11 +162,3 @@ def row(case: str, *lines: dict) -> Row:
 def test_a_miss_of_throughput_is_a_miss(rows, missed):
     found = [gate["what"] for gate in Throughput().gates(rows) if not gate["passed"]]
     assert len(found) == len(missed) and all(part in what for part, what in zip(missed, found, strict=True))
-
-
-@pytest.mark.parametrize(
-    "wrong", [Throughput(frames=3), Throughput(people=0), WorkPrecision(expressions=()), WorkPrecision(repeats=0)]
-)
-def test_options_out_of_range_are_refused(wrong):
-    with pytest.raises(InputError):
-        wrong.tasks()

@@ -30,17 +30,7 @@ from softdeca.reference import Parameters, Reason, facial_scene, settle, solve, 
 from softdeca.reference.face.bones import scale_skull
 from softdeca.reference.face.settle import carry_by_bones, neutral_scene
 
-OTHERS = ("lids", "mouth", "eyes", "teeth", "ears")
-
-
-def with_regions(head):
-    """A sphere with a mouth before and below its middle, and eyes above it."""
-    x = head.skin_wrap.vertices
-    front = x[:, 2] > 0
-    regions = {"face": front & (x[:, 1] > -80), "neck": x[:, 1] <= -80}
-    regions["lips"] = front & (np.abs(x[:, 0]) < 30) & (np.abs(x[:, 1] + 40) < 12)
-    eyes = front & (np.abs(np.abs(x[:, 0]) - 35) < 10) & (np.abs(x[:, 1] - 30) < 8)
-    return replace(head, regions=regions | {name: eyes for name in OTHERS})
+from ..conftest import with_regions
 
 
 @pytest.fixture(scope="module")
@@ -321,12 +311,3 @@ def test_an_effect_by_both_laws(head):
     assert found["to_law"][PD]["skin_max"] == law["skin_max"]
     inside = found["inside"]
     assert inside["vertices"]["max"] >= law["skin_max"] and inside["held_at_pd"]["force"] > 0.0
-
-
-@pytest.mark.parametrize(
-    "options, says",
-    [({"effects": ("x",)}, "'x'"), ({"reference": "PD"}, "unknown reference"), ({"fan": -1}, "fan")],
-)
-def test_options_are_checked(options, says):
-    with pytest.raises(InputError, match=says):
-        Effects(**options).tasks()

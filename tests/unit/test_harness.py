@@ -2,7 +2,11 @@
 
 import io
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -144,6 +148,49 @@ def test_a_process_of_its_own_tells_its_memory(toys, tmp_path):
     assert len(rows) == 1 and 20 < rows[0].memory_mb < 2000
     with pytest.raises(InputError, match="toy: no case and method matches 'nothing'"):
         run(toys.Apart(folder=str(tmp_path)), tmp_path / "out", match="nothing")
+
+
+STARTED = """
+import sys
+from pathlib import Path
+from softdeca.benchmarks.harness import run
+folder = Path(sys.argv[1])
+sys.path.insert(0, str(folder))
+from toy_studies import Toy
+run(
+    Toy(folder=str(folder), cases=("1", "slow")), folder / "out", workers=2,
+    progress=lambda what, share: print(what, file=sys.stderr, flush=True),
+)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_study_goes_on_and_leaves_no_worker(toys, tmp_path, how):
+    """Ctrl-C goes to all processes of a terminal; a kill goes to one, and the workers have to notice."""
+    arguments = [sys.executable, "-c", STARTED, tmp_path]
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        for line in process.stderr:
+            if line.startswith("toy: 1"):
+                break
+        (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
+        process.stderr.read()
+        process.wait(60)
+    assert process.returncode == -how
+    for _ in range(100):
+        if not is_alive(process.pid):
+            break
+        time.sleep(0.1)
+    assert not is_alive(process.pid), "a worker outlived its parent"
+    (row,) = [json.loads(line) for line in (tmp_path / "out" / "rows.jsonl").read_text().splitlines()]
+    assert row["case"] == "1" and not (tmp_path / "out" / "results.json").exists()
+    again = run(toys.Toy(folder=str(tmp_path), cases=("1", "slow")), tmp_path / "out", match="1", workers=1)
+    assert again.rows[0].seconds == row["seconds"] and calls(tmp_path).count("1") == 1
+
+
+def is_alive(group):
+    """Whether a process of the group is left that is not a zombie."""
+    found = subprocess.run(["ps", "-eo", "pgid=,stat="], capture_output=True, text=True, check=True).stdout
+    return any(line.split()[0] == str(group) and line.split()[1][0] != "Z" for line in found.splitlines())
 
 
 def results_file(path, rows):

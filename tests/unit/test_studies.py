@@ -9,10 +9,22 @@ import pytest
 
 from softdeca.benchmarks.harness import run
 from softdeca.benchmarks.studies import verification
+from softdeca.benchmarks.studies.agreement.dynamics import Dynamics
+from softdeca.benchmarks.studies.agreement.effects import Effects
 from softdeca.benchmarks.studies.agreement.material import Material
+from softdeca.benchmarks.studies.agreement.study import Agreement
+from softdeca.benchmarks.studies.heads.fit import Heads
+from softdeca.benchmarks.studies.mesh.convergence import Convergence
+from softdeca.benchmarks.studies.mesh.locking import Locking
+from softdeca.benchmarks.studies.scaling.mixed import Mixed
+from softdeca.benchmarks.studies.scaling.throughput import Throughput
+from softdeca.benchmarks.studies.scaling.unknowns import Unknowns
+from softdeca.benchmarks.studies.surrogate.split import Split
 from softdeca.benchmarks.studies.verification import compare_felupe
-from softdeca.lhm import InputError
+from softdeca.benchmarks.studies.work_precision.study import WorkPrecision
 from softdeca.reference import Parameters, SceneError, apply_law, facial_scene
+
+from ..refusals import refused
 
 CHEAP = {
     "SphereScaling": {"level": 1, "levels": ("1", "2"), "frames": ("2", "4"), "processes": (), "repeats": 1},
@@ -62,10 +74,52 @@ def test_the_law_that_pd_stands_for(tmp_path):
     assert row.values["pd_kpa"][6:8] == pytest.approx(strain[6:8], rel=0.01)
 
 
-@pytest.mark.parametrize("wrong", [{"poisson": ("0.5",)}, {"poisson": ("much",)}, {"modes": ("torsion",)}])
-def test_options_of_material_are_checked(wrong):
-    with pytest.raises(InputError):
-        Material(**wrong).tasks()
+# What is wrong with a study's options, and words of the refusal.
+WRONG = [
+    (Agreement, {"gravity": -1.0}, "gravity"),
+    (Agreement, {"jaw": 90.0}, "jaw"),
+    (Agreement, {"push": -1.0}, "push"),
+    (Agreement, {"volume": 9.0}, "volume"),
+    (Agreement, {"expressions": ("jaw",)}, "'jaw'"),
+    (Agreement, {"identities": "nobody"}, "'nobody'"),
+    (Convergence, {"expressions": ()}, "none"),
+    (Dynamics, {"level": 4}, "level: there are 1, 2"),
+    (Dynamics, {"frames": 3}, "at least 8"),
+    (Dynamics, {"seed": -1}, "seed"),
+    (Effects, {"effects": ("x",)}, "'x'"),
+    (Effects, {"reference": "PD"}, "unknown reference"),
+    (Effects, {"fan": -1}, "fan"),
+    (Heads, {"count": 0}, "count"),
+    (Heads, {"gallery": -1}, "gallery"),
+    (Heads, {"seed": -1}, "seed"),
+    (Heads, {"sigma": float("nan")}, "sigma"),
+    (Heads, {"sigma": 11.0}, "sigma"),
+    (Locking, {"poisson": ("0.5",)}, "Poisson's ratio '0.5': expected a number between 0 and 0.4999"),
+    (Locking, {"finer": ("soft",)}, "Poisson's ratio 'soft'"),
+    (Locking, {"free": ("-1",)}, "Poisson's ratio '-1'"),
+    (Locking, {"size": 0.0}, "size: expected a length above 0 mm"),
+    (Locking, {"expression": "grin"}, "grin"),
+    (Material, {"poisson": ("0.5",)}, "0.5"),
+    (Material, {"poisson": ("much",)}, "much"),
+    (Material, {"modes": ("torsion",)}, "torsion"),
+    (Mixed, {"laws": ("0.5",)}, "0.5"),
+    (Mixed, {"laws": ("stiff",)}, "stiff"),
+    (Mixed, {"level": 9}, "level"),
+    (Mixed, {"expressions": ("noone",)}, "noone"),
+    (Split, {"effects": ("zombie",)}, "effect 'zombie'; there are defaults"),
+    (Split, {"refined": ("zombie",)}, "effect 'zombie'; there are defaults"),
+    (Throughput, {"frames": 3}, "frames"),
+    (Throughput, {"people": 0}, "people"),
+    (Unknowns, {"up_to": 100}, "18180"),
+    (Unknowns, {"expression": "smirk"}, "smirk"),
+    (WorkPrecision, {"expressions": ()}, "expression"),
+    (WorkPrecision, {"repeats": 0}, "repeats"),
+]
+
+
+@pytest.mark.parametrize(("study", "options", "words"), WRONG)
+def test_options_out_of_their_range_are_refused_before_the_work(study, options, words):
+    refused(words, lambda: study(**options).tasks())
 
 
 def test_felupe_finds_what_fenicsx_finds(sphere_head):
