@@ -12,33 +12,20 @@ from softdeca.lhm.base.geometry.bvh import TetTree
 from softdeca.lhm.base.geometry.triangles import parting_shifts
 from softdeca.lhm.layers import prism_tets
 from softdeca.reference import Scene, prepare, solve, terms
+from softdeca.reference.problems import meshes
 from softdeca.reference.projective import system
 from softdeca.reference.projective.contact.constraints import Constraints
-from softdeca.reference.projective.contact.detection import FACES
 from softdeca.reference.projective.contact.solver import ALLOWED_DEPTH
-
-
-def outside(tets):
-    """The outward triangles of tets."""
-    faces = tets[:, FACES].reshape(-1, 3)
-    _, which, count = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
-    return faces[count[which.ravel()] == 1]
 
 
 def bar(cells, size, origin, *, kept=None):
     """A box of cells, or of those `kept`, each of six tets around its diagonal."""
-    axes = [np.linspace(0.0, length, n + 1) for n, length in zip(cells, size, strict=True)]
-    X = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) + origin
-    number = np.arange(len(X)).reshape([n + 1 for n in cells])
-    first = number[:-1, :-1, :-1][slice(None) if kept is None else kept].ravel()
-    steps = [number[1, 0, 0], number[0, 1, 0], number[0, 0, 1]]
-    tets = []
-    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        tets.append(np.stack([first, first + steps[a], first + steps[a] + steps[b], first + sum(steps)], axis=1))
-        tets.append(np.stack([first, first + steps[a] + steps[c], first + steps[a], first + sum(steps)], axis=1))
-    tets = np.vstack(tets)
+    X, tets = meshes.box(cells, size)
+    if kept is not None:
+        cell = np.floor(X[tets].mean(axis=1) * np.array(cells) / size).astype(int)
+        tets = tets[kept[tuple(cell.T)]]
     used, tets = np.unique(tets, return_inverse=True)
-    return X[used], tets.reshape(-1, 4)
+    return X[used] + origin, tets.reshape(-1, 4)
 
 
 def stacked(*parts):
@@ -59,7 +46,7 @@ def two_bars(**contact):
         terms.Fixed(np.concatenate([near, far]), np.vstack([X[near], X[far] - [0, 1.7, 0]]), components=1),
         terms.Fixed(np.arange(len(X)), components=(0, 2)),
     ]
-    return Scene(X, tets, [*parts, terms.Contact(outside(tets), **contact)]), lower, upper
+    return Scene(X, tets, [*parts, terms.Contact(meshes.boundary_triangles(tets), **contact)]), lower, upper
 
 
 @pytest.mark.parametrize("thickness", [0.0, 0.05])
@@ -86,7 +73,8 @@ def test_contact_does_not_drag_sideways():
     foot, top = np.flatnonzero(X[:, 1] == 0.0), np.flatnonzero(X[:, 1] == X[:, 1].max())
     values = np.vstack([X[foot], X[top] + [0.6, -0.9, 0]])
     fixed = terms.Fixed(np.concatenate([foot, top]), values)
-    scene = Scene(X, tets, [terms.Strain(5.0), terms.Volume(5.0), fixed, terms.Contact(outside(tets), 100.0, 0.01)])
+    contact = terms.Contact(meshes.boundary_triangles(tets), 100.0, 0.01)
+    scene = Scene(X, tets, [terms.Strain(5.0), terms.Volume(5.0), fixed, contact])
     solution = solve(scene, tolerance=1e-8)
     assert solution.converged and solution.detail["contact_pairs_before"] > 0
     sole = np.flatnonzero(X[:, 1] == 3.2)
@@ -111,7 +99,9 @@ def test_two_equal_spheres_flatten_each_other_at_the_plane_between():
     core = np.concatenate([np.arange(half, 2 * half), np.arange(3 * half, 4 * half)])
     toward = np.where(core < 2 * half, 1.5, -1.5)[:, None] * [0, 1, 0]
     terms_of = [terms.Strain(5.0), terms.Volume(20.0), terms.Fixed(core, X[core] + toward)]
-    scene = Scene(X, tets, [*terms_of, terms.Contact(outside(tets)[(outside(tets) % (2 * half) < half).all(axis=1)])])
+    surface = meshes.boundary_triangles(tets)
+    outer = surface[(surface % (2 * half) < half).all(axis=1)]
+    scene = Scene(X, tets, [*terms_of, terms.Contact(outer)])
     solution = solve(scene, tolerance=1e-8)
     x = solution.positions
     assert solution.converged and solution.detail["contact_depth_before"] > 1.0
@@ -131,7 +121,7 @@ def test_a_folded_sheet_does_not_go_through_itself():
     held = terms.Fixed(np.flatnonzero(X[:, 0] == 0.0))
     scene = Scene(X, tets, [terms.Strain(5.0), terms.Volume(10.0), target, held])
     free = solve(scene, tolerance=1e-8)
-    contact = terms.Contact(outside(tets), thickness=0.02)
+    contact = terms.Contact(meshes.boundary_triangles(tets), thickness=0.02)
     solution = solve(replace(scene, terms=[*scene.terms, contact]), tolerance=1e-8)
     assert solution.converged and solution.detail["contact_pairs_before"] > 0
     low, high = np.flatnonzero((X[:, 1] == 1.0) & (X[:, 0] > 15)), np.flatnonzero((X[:, 1] == 4.0) & (X[:, 0] > 15))
@@ -259,7 +249,7 @@ def test_parts_that_overlap_at_rest_are_refused_and_touching_ones_are_not():
     for gap, apart in ((-1.2, False), (0.0, True)):
         X, tets, _ = stacked(bar((2, 4, 2), (4, 8, 4), (0, 0, 0)), bar((2, 4, 2), (4, 8, 4), (0.3, 8 + gap, 0.2)))
         ends = np.flatnonzero((X[:, 1] == 0.0) | (X[:, 1] == X[:, 1].max()))
-        scene = Scene(X, tets, [terms.Strain(5.0), terms.Fixed(ends), terms.Contact(outside(tets))])
+        scene = Scene(X, tets, [terms.Strain(5.0), terms.Fixed(ends), terms.Contact(meshes.boundary_triangles(tets))])
         if apart:
             assert solve(scene).converged
         else:

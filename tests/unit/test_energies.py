@@ -9,7 +9,7 @@ from softdeca.reference import Parameters, Scene, facial_scene, materials, terms
 from softdeca.reference.problems import meshes
 from softdeca.surrogate.sphere import Spheres
 
-from .by_solver import DISCRETE, SOLVERS, WAYS
+from .by_solver import DISCRETE, SOLVERS, WAYS, dense
 
 X, TETS = meshes.unstructured(3, 3.0)
 SKIN, TOP = meshes.boundary_triangles(TETS), meshes.triangles_at(X, TETS, 2, 3.0)
@@ -20,6 +20,8 @@ TWO_LAWS = [
     terms.Hyperelastic(materials.MooneyRivlin(0.3, 0.1, 2.0, 0.1)),
     terms.Hyperelastic(materials.Corotated(1.0, 2.0), tets=SOME[::-1]),
 ]
+GRADED = np.linspace(1.0, 1.5, len(TETS))
+GROWN = [terms.Hyperelastic(term.material, growth=GRADED) for term in (SOFT, *TWO_LAWS)]
 PULL = terms.Target(np.arange(20), X[:20] + RNG.normal(size=(20, 3)), RNG.uniform(1.0, 2.0, 20))
 LOADS = [
     terms.Gravity((0.2, -1.0, 3.0), density=np.linspace(1.0, 2.0, len(TETS))),
@@ -30,7 +32,7 @@ OTHER_SHAPE = X * [1.2, 0.9, 1.0] + 0.05 * RNG.normal(size=X.shape)
 MEMBRANE = terms.SurfaceStrain(SKIN, RNG.uniform(1.0, 2.0, len(SKIN)), 1.1, rest=OTHER_SHAPE)
 BENDING = terms.Bending(SKIN, RNG.uniform(1.0, 2.0, len(SKIN)))
 PD = [terms.Strain(np.linspace(1.0, 3.0, len(TETS)), limit=1.05), terms.Volume(5.0, np.linspace(0.9, 1.2, len(TETS)))]
-OVERLAPPING = [terms.Strain(0.5, tets=[0, 1, 2]), terms.Volume(0.2, tets=[2, 3]), terms.Strain(1.0, growth=1.3)]
+OVERLAPPING = [terms.Strain(0.5, tets=[0, 1, 2]), terms.Volume(0.2, tets=[2, 3]), terms.Strain(1.0, growth=GRADED)]
 BODIES = [terms.RigidBody(np.arange(40, 52)), terms.RigidBody(np.arange(56, 64), 1.1 * X[56:64])]
 INERTIA = terms.Inertia(1e-4, 0.01, X + RNG.normal(size=X.shape), RNG.normal(size=X.shape))
 ENERGIES = {  # terms, size of the random displacement [mm], solvers
@@ -39,7 +41,7 @@ ENERGIES = {  # terms, size of the random displacement [mm], solvers
     "Volume": ([terms.Volume(3.0, RNG.uniform(0.7, 1.4, len(TETS)))], 0.1, SOLVERS),
     "Volume, tangled": ([terms.Strain(1.0), terms.Volume(50.0, 1.2)], 1.5, SOLVERS),
     "all of projective dynamics, overlapping": ([*PD, *OVERLAPPING], 0.2, SOLVERS),
-    "neo-Hookean, grown": ([terms.Hyperelastic(SOFT.material, growth=1.2)], 0.03, SOLVERS[1:]),
+    "grown by tet": (GROWN, 0.03, SOLVERS[1:]),
     "laws on the same tets": ([*TWO_LAWS, terms.Strain(1.0), terms.Volume(5.0, tets=SOME)], 0.03, SOLVERS[1:]),
     "SurfaceStrain": ([terms.SurfaceStrain(SKIN, 2.0, growth=1.3)], 0.3, SOLVERS),
     "SurfaceStrain of another rest": ([MEMBRANE], 0.3, SOLVERS),
@@ -134,6 +136,13 @@ def test_a_matrix_is_assembled_anew_at_every_state():
     other = discrete.hessian(discrete.move(place, np.full(discrete.size, 0.2)))
     assert np.abs(other - before).max() > 1e-3 * np.abs(before).max()
     np.testing.assert_allclose(discrete.hessian(place), before, rtol=0.0, atol=1e-12 * np.abs(before).max())
+
+
+def test_a_softened_hessian_that_keeps_all_is_the_exact_one():
+    """By singular values, and by UFL."""
+    discrete, place, _ = place_of("laws on the same tets", "fenicsx", "P1")
+    exact = discrete.hessian(place)
+    np.testing.assert_allclose(dense(place.softened_hessian(1.0)), exact, rtol=0.0, atol=1e-11 * np.abs(exact).max())
 
 
 def energy_of(way, parts, motion, mesh=(X, TETS)):

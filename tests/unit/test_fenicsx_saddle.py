@@ -9,23 +9,15 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import spsolve
 
 from softdeca.reference import Scene, SceneError, materials, prepare, solve, terms
-from softdeca.reference.clock import Seconds
 from softdeca.reference.fenicsx import prepared, saddle
 from softdeca.reference.fenicsx.linear_solvers import hold
-from softdeca.reference.fenicsx.multipliers import Condensed, MultiplierDescent
+from softdeca.reference.fenicsx.multipliers import Condensed
 from softdeca.reference.fenicsx.numbering import Numbering
 from softdeca.reference.fenicsx.problem import Problem
-from softdeca.reference.fenicsx.run import Record, Run
 from softdeca.reference.fenicsx.saddle import BlockSaddle, FactoredSaddle, make_saddle_solver
 from softdeca.reference.problems import meshes
-from softdeca.reference.solution import Limits
 
-LAWS = {
-    "incompressible": materials.Incompressible(materials.NeoHookean(2.0, 5.0)),
-    "nu = .499": materials.NeoHookean.from_young(1.0, 0.499),
-    "logarithmic volume": materials.IsochoricNeoHookean(1.0, 50.0, "kappa/4 (J^2-1-2 ln J)"),
-}
-each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+from .test_fenicsx_multipliers import LAWS, descend, each_law
 
 
 def standing(law, cells=3, density=2e-4):
@@ -164,14 +156,8 @@ def test_a_column_buckles_as_by_factors():
     ends = [meshes.vertices_at(X, 2, end) for end in (0.0, 8.0)]
     goal = np.concatenate([X[ends[0]], X[ends[1]] - [0.0, 0.0, 0.8]])
     scene = Scene(X, tets, [terms.Hyperelastic(LAWS["incompressible"]), terms.Fixed(np.concatenate(ends), goal)])
-    found = {}
-    for kind in ("mumps", "block"):
-        problem = Problem(scene, Numbering(scene, 2), mixed=True)
-        condensed = Condensed(problem)
-        run = Run(scene, problem.numbering, X, Limits(1e-8), Record(None, None))
-        descent = MultiplierDescent(run, condensed, linear_solver=kind)
-        found[kind] = run.solution(descent.attempt(), Seconds(0.0, 0.0))
-        assert found[kind].converged, found[kind].reason
+    found = {kind: descend(scene, tolerance=1e-8, linear_solver=kind) for kind in ("mumps", "block")}
+    assert all(solution.converged for solution in found.values()), [solution.reason for solution in found.values()]
     sideways = np.abs(found["block"].positions - X)[:, :2].max()
     assert sideways > 1.0
     assert found["block"].energy == pytest.approx(found["mumps"].energy, rel=1e-8)

@@ -24,8 +24,6 @@ from softdeca.reference.materials.material import HasDensity, HasInvariants, Has
 from softdeca.reference.problems import meshes
 from softdeca.reference.projective import projections as projective
 from softdeca.reference.skfem import solids as skfem
-from softdeca.reference.skfem.discretisation import rest_gradients
-from softdeca.reference.skfem.surfaces import Membrane
 
 from .tangents import tangent
 
@@ -438,25 +436,3 @@ def test_nearest_of_determinant_is_the_nearest(solver, sigma, target):
     starts = product((-1.5, 0.0, 1.0, 2.0), repeat=2)
     best = min(minimize(distance, start, method="BFGS", options={"gtol": 1e-10}).fun for start in starts)
     assert np.isclose(np.sum((t - sigma) ** 2), best, rtol=1e-8, atol=1e-12)
-
-
-def test_membrane_of_invariants():
-    law = Membrane(np.full(40, 2.0), np.full(40, 1.3))
-    F = np.random.default_rng(6).normal(size=(40, 3, 2))
-    U, sigma, Vt = np.linalg.svd(F, full_matrices=False)
-    assert np.allclose(law.psi(F), np.sum((sigma - np.sqrt(1.3)) ** 2, axis=1), atol=1e-12)
-    assert np.allclose(law.stress(F), 2 * (F - np.sqrt(1.3) * U @ Vt), atol=1e-12)
-    by_differences = differences(law.stress, F, 1e-4).reshape(-1, 3, 2, 3, 2)
-    assert np.allclose(law.tangent(F), by_differences, rtol=1e-6, atol=1e-6)
-
-
-def test_rest_gradients_give_stretches_in_the_plane():
-    rng = np.random.default_rng(7)
-    X, triangles = rng.normal(size=(3, 3)), np.array([[0, 1, 2]])
-    G, areas = rest_gradients(X, triangles)
-    normal = np.cross(X[1] - X[0], X[2] - X[0])
-    assert np.isclose(areas[0], np.linalg.norm(normal) / 2)
-    A = rng.normal(size=(3, 3))
-    F = np.einsum("ti,ta->ia", X @ A.T, G[0])
-    tangents = np.linalg.svd(normal[None])[2][1:].T
-    assert np.allclose(np.linalg.svd(F)[1], np.linalg.svd(A @ tangents)[1])

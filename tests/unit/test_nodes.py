@@ -1,36 +1,17 @@
-"""Nodes of both finite-element solvers: where they lie, what is held, whose faces they are; rules and assembly."""
-
-from math import factorial
+"""Nodes of both finite-element solvers: where they lie, what is held, and whose faces they are."""
 
 import numpy as np
 import pytest
-from skfem import BilinearForm, LinearForm
 
 from softdeca.reference import Scene, SceneError, terms
 from softdeca.reference.materials import NeoHookean
 from softdeca.reference.problems import meshes
-from softdeca.reference.skfem.discretisation import tet_rule, triangle_rule
-from softdeca.reference.skfem.solids import ByInvariants
 
-from .by_solver import DISCRETE, prepare_by, solve_by
+from .by_solver import DISCRETE, prepare_by
 
 X, TETS = meshes.unstructured(2)
 FEM = pytest.mark.parametrize("solver", ["fenicsx", "skfem"])
 SOFT = terms.Hyperelastic(NeoHookean.from_young(1.0, 0.3))
-
-
-@pytest.mark.parametrize("rule", [tet_rule, triangle_rule])
-@pytest.mark.parametrize(("degree", "exact"), [(1, 1), (2, 4)])
-def test_rules_integrate_polynomials(rule, degree, exact):
-    """Over the reference simplex of d dimensions x^a y^b z^c integrates to a! b! c! / (a + b + c + d)!."""
-    points, weights = rule(degree)
-    assert weights.min() > 0
-    d = len(points)
-    for powers in np.ndindex(*(d * [exact + 1])):
-        if sum(powers) <= exact:
-            expected = np.prod([float(factorial(p)) for p in powers]) / factorial(sum(powers) + d)
-            integral = weights @ np.prod(points.T ** np.array(powers), axis=1)
-            assert integral == pytest.approx(expected, rel=1e-13)
 
 
 @FEM
@@ -100,44 +81,3 @@ def test_quadratic_elements_refuse_a_triangle_inside_a_tet(solver, kind):
     assert prepare_by(solver, scene).solve(max_iterations=0).iterations == 0
     with pytest.raises(SceneError, match=f"{term.name}: triangle 0 is no face of a tet"):
         prepare_by(solver, scene, element="P2").solve()
-
-
-@pytest.mark.parametrize("element", ["P1", "P2"])
-def test_assembly_is_scikit_fems(element):
-    """Forces and stiffness of one law against scikit-fem's own assembly of its weak forms."""
-    discrete = DISCRETE["skfem"](Scene(X, TETS, [SOFT]), element)
-    basis = discrete.discretisation.basis
-    x = discrete.start + np.random.default_rng(2).normal(0.0, 0.02, discrete.size)
-    law = ByInvariants(SOFT.material)
-
-    def at_points(w):
-        return np.moveaxis(w["x"].grad, (0, 1), (-2, -1)).reshape(-1, 3, 3)
-
-    @LinearForm
-    def work(v, w):
-        stress = law.stress(at_points(w)).reshape(*w["x"].grad.shape[2:], 3, 3)
-        return np.einsum("mqij,ijmq->mq", stress, v.grad)
-
-    @BilinearForm
-    def stiffness(u, v, w):
-        tangent = law.tangent(at_points(w)).reshape(*w["x"].grad.shape[2:], 3, 3, 3, 3)
-        return np.einsum("mqijkl,ijmq,klmq->mq", tangent, v.grad, u.grad)
-
-    place = basis.interpolate(x)
-    forces, matrix = work.assemble(basis, x=place), stiffness.assemble(basis, x=place).toarray()
-    np.testing.assert_allclose(discrete.gradient(x), forces, rtol=0.0, atol=1e-13 * np.abs(forces).max())
-    np.testing.assert_allclose(discrete.hessian(x), matrix, rtol=0.0, atol=1e-13 * np.abs(matrix).max())
-
-
-@FEM
-def test_a_bar_under_its_own_weight_is_quadratic(solver):
-    """Laterally held, its displacement g ρ (L x - x²/2) / (λ + 2μ) lies in the element's space, at small strain."""
-    X, tets = meshes.box((3, 1, 1), (3.0, 1.0, 1.0))
-    density, law = 1e-6, SOFT.material
-    walls = [terms.Fixed(meshes.vertices_at(X, c, end), components=c) for c in (1, 2) for end in (0.0, 1.0)]
-    held = [terms.Fixed(meshes.vertices_at(X, 0, 0.0), components=0), *walls]
-    scene = Scene(X, tets, [SOFT, terms.Gravity((1.0, 0, 0), density=density), *held])
-    moved = solve_by(solver, scene, element="P2", tolerance=1e-10).positions - X
-    expected = density * (3.0 * X[:, 0] - X[:, 0] ** 2 / 2) / (law.lmbda + 2 * law.mu)
-    assert np.abs(moved[:, 0] - expected).max() < 1e-4 * expected.max()
-    assert np.abs(moved[:, 1:]).max() < 1e-4 * expected.max()

@@ -152,17 +152,21 @@ def test_dynamics_may_vary_over_the_face(sphere_head):
     assert np.median(kept[far & (wrap.vertices[:, 0] > 30)]) > 2 * np.median(kept[far & (wrap.vertices[:, 0] < -30)])
 
 
-@pytest.mark.parametrize(("frequency", "damping"), itertools.product((2.0, 8.0), (0.1, 0.7)))
-def test_2048_frames_at_the_corners_of_the_range_stay_bounded(small_sphere, frequency, damping):
-    """Expressions that jump every few frames, near resonance, for half a minute: no growth from half to half."""
+@pytest.mark.parametrize(
+    ("frequency", "damping", "frames"), [(2.0, 0.1, 2048), (8.0, 0.1, 2048), (2.0, 0.7, 512), (8.0, 0.7, 512)]
+)
+def test_frames_at_the_corners_of_the_range_stay_bounded(small_sphere, frequency, damping, frames):
+    """Expressions that jump every few frames, near resonance, for half a minute: no growth from half to half.
 
+    Of the well damped, whose swings die within ten frames, a quarter of that.
+    """
     p = Parameters(frequency=frequency, damping=damping)
     sequence = Sequence(small_sphere, p, time_step=STEP, dynamic=True, tolerance=1e-3)
     rest, n = small_sphere.skin.vertices, len(small_sphere.bone)
     low = np.clip(-rest[:, 1:2] / 100, 0, 1)
     half_period = max(1, round(30 / frequency))
     sizes = []
-    for k in range(2048):
+    for k in range(frames):
         sign = 1 if (k // half_period) % 2 else -1
         solution = sequence.frame(rest + sign * low * [2.0, 1.0, 0.0])
         assert solution.converged, f"frame {k}: {solution.reason}"
