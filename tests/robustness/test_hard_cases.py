@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softdeca.reference import MissingDependencyError, Reason, SceneError, problems
-from softdeca.reference.problems import bars, homogeneous, recovery, time_steps
+from softdeca.reference.problems import bars, homogeneous, laws_on_elements, recovery, time_steps
 
 SLOW = {"skfem": ("x5", "x10", "random", "crushed", "twisted")}
 FEW_SEEDS = [f"seed {seed}," for seed in range(2, recovery.SEEDS)]
@@ -19,13 +19,15 @@ CASES = [
     and (way[0] == "projective" or not any(seed in case.name for seed in FEW_SEEDS))
     and not (way[1] == "P2" and "from rest x10" in case.name)
 ]
-# Of every law on every element: what takes a second or two.
+COLLAPSED = ("flattened to a line", "flattened to a point")
+# Of every law on every element: what takes a second or two. Mixed elements may end anywhere from a collapse.
 QUICK_LAWS = [
     (case, *way)
     for case in problems.LAWS_ON_ELEMENTS
     for way in case.ways
     if case.source[:2] in ("H1", "H2", "H3", "H9")
     and (way[1] != "P2" or "Stable" in case.name)
+    and not (way[1] == "P2P1" and case.name.startswith(COLLAPSED) and case.right == laws_on_elements.ANYTHING)
     or "50 %" in case.name
     and way[1] == "P1"
     or "nu = 0.4999," in case.name
@@ -102,10 +104,10 @@ def test_the_time_steps_scenes_weigh_what_they_should():
 
 def test_bench_hard_prints_a_row_per_case_and_solver(command, tmp_path):
     solvers, out = ("--solver", "projective", "--solver", "skfem"), ("--out", tmp_path)
-    ended = command("bench", "verification", "--cases", "hard", "--match", "h9", *solvers, *out)
+    ended = command("bench", "verification", "--cases", "hard", "--match", "of stiffness 1:1e+06", *solvers, *out)
     assert ended.status == 0
-    assert sum("layers of stiffness" in line for line in ended.out.splitlines()) == 8
-    assert "layers of stiffness 1:1e+06" in ended.out and "outcome passed" in ended.out and "iterations" in ended.out
+    assert sum("layers of stiffness 1:1e+06" in line for line in ended.out.splitlines()) == 2
+    assert "outcome passed" in ended.out and "iterations" in ended.out
     rows = json.loads(
         command("bench", "verification", "--cases", "hard", "--match", "free fall", *solvers[:2], *out, "--json").out
     )["rows"]

@@ -25,13 +25,26 @@ from softdeca.reference.problems import meshes
 from softdeca.reference.projective import projections as projective
 from softdeca.reference.skfem import solids as skfem
 
-from .tangents import tangent
-
 STEP = 1e-5
 ROOM = 64
 FIBRE = np.array([2.0, -1.0, 2.0]) / 3.0
 MU, LMBDA, KAPPA = 1.0, 5.0, 5.0 + 2.0 / 3.0
 GROWTH = 1.4
+
+
+PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def tangent(U, V, modes):
+    """dP/dF [kPa], shape (m, 9, 9), rows and columns in the order of F's entries row by row; see `principal`."""
+    frames = np.einsum("eai,ebj->eijab", U, V).reshape(len(U), 3, 3, 9)
+    stretches = frames[:, np.arange(3), np.arange(3)]
+    found = np.einsum("eik,eia,ekb->eab", modes.block, stretches, stretches)
+    for k, (i, j) in enumerate(PAIRS):
+        for value, sign in ((modes.flip[:, k], 1.0), (modes.twist[:, k], -1.0)):
+            mode = frames[:, i, j] + sign * frames[:, j, i]
+            found += 0.5 * value[:, None, None] * mode[:, :, None] * mode[:, None, :]
+    return found
 
 
 class ByStretches:
