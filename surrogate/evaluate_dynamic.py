@@ -88,23 +88,23 @@ class PlaysSequences(Named, Protocol):
         """Learn from a corpus' sequences."""
         ...
 
-    def play(self, row: Row) -> Floats32:
-        """Return T - S [mm], shape (L, n, 3), of a sequence."""
+    def play(self, row: Row, table: Table) -> Floats32:
+        """Return T - S [mm], shape (L, n, 3), of a sequence of a table."""
         ...
 
 
 class Player(Contender):
-    """A method that plays whole sequences, fitted."""
+    """A method that plays whole sequences of a table, fitted."""
 
-    def __init__(self, method: PlaysSequences):
+    def __init__(self, method: PlaysSequences, table: Table):
         super().__init__(method.name, simulates=method.simulates)
-        self._method = method
+        self._method, self._table = method, table
 
     def answer(self, trial: Trial) -> Answers:
         """Play the trial's sequence."""
         assert trial.sequence is not None
         begin = time.process_time()
-        corrected = self._method.play(trial.sequence)
+        corrected = self._method.play(trial.sequence, self._table)
         return Answers(corrected, None, [(time.process_time() - begin) / len(corrected)] * len(corrected))
 
 
@@ -164,6 +164,6 @@ def evaluate_sequences(
     method.fit(Table(folder, "sequences", "train", partial=partial))
     fitted = time.process_time() - begin
     table = Table(folder, "sequences", "test", partial=partial)
-    distances = measure_frames([Player(method)], sequence_trials(table, heads), on_progress)
+    distances = measure_frames([Player(method, table)], sequence_trials(table, heads), on_progress)
     (score,) = distances.scores(distances.parts(), fits=[fitted])
     return score

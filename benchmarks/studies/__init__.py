@@ -17,6 +17,7 @@ STUDIES = {
     "mixed": "scaling.mixed:Mixed",
     "split": "surrogate.split:Split",
     "dial": "surrogate.dial:Dial",
+    "table-1": "surrogate.table_1:Table1",
     "surrogate": "surrogate.study:SurrogateOnCorpus",
     "work-precision": "work_precision.study:WorkPrecision",
     "throughput": "scaling.throughput:Throughput",
@@ -48,7 +49,7 @@ COMMANDS: dict[str, tuple[str, dict[str, str]]] = {
     ),
     "surrogate": (
         "How far is the network from the simulator on people it has not seen, and where does its error come from?",
-        {"people": "surrogate", "split": "split", "dial": "dial"},
+        {"people": "surrogate", "split": "split", "dial": "dial", "table-1": "table-1"},
     ),
     "heads": (
         "Does every person get a valid head, and how near is it to what is known?",

@@ -199,9 +199,9 @@ class Inputs:
 
 def seen_ranges(faces: Faces, chosen: Ints, features: Features) -> dict[str, tuple[float, float]]:
     """Return the range of each parameter over some faces, a little widened: ends of a range are hardly ever drawn."""
-    values = [features.at_vertices(faces.coefficients(int(index))) for index in chosen]
-    low = np.min([value.min(axis=0) for value in values], axis=0)
-    high = np.max([value.max(axis=0) for value in values], axis=0)
+    values = (features.at_vertices(faces.coefficients(int(index))) for index in chosen)
+    ranges = np.array([(value.min(axis=0), value.max(axis=0)) for value in values])
+    low, high = ranges[:, 0].min(axis=0), ranges[:, 1].max(axis=0)
     widened = np.where(high > low, WIDENED, 0.0)
     low, high = np.maximum(low - widened, -1.0), np.minimum(high + widened, 1.0)
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(STATIC)}

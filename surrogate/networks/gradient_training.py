@@ -81,8 +81,9 @@ NETWORKS: Mapping[str, GradientTraining] = {
 
 
 def with_batch(config: GradientTraining, batch: int) -> GradientTraining:
-    """Return the training with so many frames a step: of fewer faces, and where need be fewer of each."""
-    frames = max(k for k in range(1, min(config.frames, batch) + 1) if batch % k == 0)
+    """Return the training with so many frames a step, of at least four faces where there are as many frames."""
+    most = min(config.frames, max(1, batch // 4))
+    frames = max(k for k in range(1, most + 1) if batch % k == 0)
     return replace(config, batch=batch, frames=frames)
 
 
@@ -137,7 +138,7 @@ class GradientLesson:
         torch.manual_seed(config.seed)
         rng = np.random.default_rng([config.seed, 2])
         sample = self.source.sample(SAMPLED, rng)
-        anchors = still_vertices(sample)
+        anchors = still_vertices(faces.mean, sample.simulated - sample.blended)
         self.network = self._start(sample, anchors)
         self.transfer = DeformationTransfer(faces.mean, anchors, dtype=np.float32)
         self.triangles = torch.from_numpy(faces.mean.triangles.copy())
@@ -275,10 +276,10 @@ def _smooth(centres: Floats, normals: Floats, size: int, rng: np.random.Generato
     return ((features - features.mean(axis=0)) / features.std(axis=0)).astype(np.float32)
 
 
-def still_vertices(samples: FrameBatch, share: float = 0.05) -> Ints:
-    """Find the transfer's anchors: vertices that simulation moves least off S, `share` of each connected part's."""
-    motion = np.sqrt(((samples.simulated - samples.blended) ** 2).sum(axis=2).mean(axis=0))
-    count, part = connected_parts(samples.reference.triangles, len(motion))
+def still_vertices(reference: Surface, moved: Floats32, share: float = 0.05) -> Ints:
+    """Find the transfer's anchors: vertices that T - S (N, n, 3) moves least, `share` of each connected part's."""
+    motion = np.sqrt((moved**2).sum(axis=2).mean(axis=0))
+    count, part = connected_parts(reference.triangles, len(motion))
     still = []
     for number in range(count):
         members = np.flatnonzero(part == number)

@@ -20,6 +20,8 @@ from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, tor
 from .vertex_network import SEED, STEPS
 
 MODES, WIDTH, BATCH, RATE = 128, 512, 16, 1e-3
+SEQUENCES = 256
+"""At most: 1 MB each on the default head."""
 _SWINGING = [NAMES.index(name) for name in OSCILLATION]
 
 
@@ -32,13 +34,13 @@ class SubspacePhysics:
     about: tuple[str, ...] = ()
 
     def __init__(self, steps: int = STEPS):
-        self._steps = steps
+        self.steps = steps
 
     def fit(self, table: Table) -> None:
-        """Train on a corpus' sequences."""
+        """Train on a corpus' sequences, SEQUENCES of them at most: its subspace is made of all at once."""
         rng = np.random.default_rng(SEED)
         torch.manual_seed(SEED)
-        rows = [table[k] for k in range(len(table))]
+        rows = [table[int(k)] for k in np.sort(rng.permutation(len(table))[:SEQUENCES])]
         codes = np.array([row["code"] for row in rows], dtype=np.float64)
         scale = np.maximum(codes.std(axis=0), 1e-6)
         self._inputs = Inputs(Features(table.mean), codes.mean(axis=0), scale)
@@ -59,7 +61,7 @@ class SubspacePhysics:
         for value in self.network.values():
             value.requires_grad_()
         self._z, self._frames = torch.from_numpy(z.astype(np.float32)), torch.from_numpy(inputs)
-        config = TrainerConfig(SEED, self._steps, RATE, clip=1.0, validate_every=self._steps)
+        config = TrainerConfig(SEED, self.steps, RATE, clip=1.0, validate_every=self.steps)
         Trainer(self, config).train()
         del self._z, self._frames
 
@@ -93,8 +95,8 @@ class SubspacePhysics:
         weights = np.asarray(row["weights"], dtype=np.float64)
         return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
 
-    def play(self, row: Row) -> Floats32:
-        """T - S [mm], shape (L, n, 3), of a sequence after the two skins that were before it."""
+    def play(self, row: Row, table: Table) -> Floats32:
+        """T - S [mm], shape (L, n, 3), of a table's sequence after the two skins that were before it."""
         inputs = ((self._inputs_of(row) - self._middle) / self._spread).astype(np.float32)
         flat = _motion(row)[:2].reshape(2, -1)
         z = ((flat - self._mean) @ self._modes.T / self._size).astype(np.float32)

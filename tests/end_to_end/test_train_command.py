@@ -108,7 +108,7 @@ def test_the_paper_s_network_is_trained_by_name_and_scored_as_any_other(command,
     weights = tmp_path / "paper.safetensors"
     assert ended.status == 0 and weights.is_file()
     config = Surrogate.load(weights).weights.note.config
-    assert (config["batch"], config["frames"], config["learning_rate"], config["seconds"]) == (6, 6, 1e-4, None)
+    assert (config["batch"], config["frames"], config["learning_rate"], config["seconds"]) == (6, 1, 1e-4, None)
     # There is no offset that the simulator could replace, so that method is not among those scored.
     ended = command("evaluate", corpus, "--surrogate", weights, "--out", tmp_path / "scores", "--json")
     methods = [row["method"] for row in json.loads(ended.out)["rows"]]

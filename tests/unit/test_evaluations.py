@@ -1,6 +1,7 @@
 """Methods on sequences, and against FEniCSx: what a small corpus of spheres with both gives."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from softdeca.surrogate.dynamics import Looseness
 from softdeca.surrogate.evaluate import AGAINST, evaluate, evaluate_references, score_distances
 from softdeca.surrogate.evaluate_dynamic import DYNAMIC, STILL, evaluate_dynamic, evaluate_sequences
 from softdeca.surrogate.heads import Heads
-from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives
+from softdeca.surrogate.methods import BakedShapes, Blendshapes, BonesCarried, CoarsePD, Derivatives, NetworkMethod
 from softdeca.surrogate.networks.weights import TrainingNote
 from softdeca.surrogate.sphere import Spheres
 
@@ -63,10 +64,63 @@ def test_a_subspace_that_goes_on_by_itself_learns_sequences(corpus):
     method = SubspacePhysics(steps=150)
     method.fit(train)
     row = dict(train[0])
-    assert np.abs(method.play(row) - row["corrected"]).mean() < 0.3 * np.abs(row["corrected"]).mean()
-    before = method.play(row)
+    assert np.abs(method.play(row, train) - row["corrected"]).mean() < 0.3 * np.abs(row["corrected"]).mean()
+    before = method.play(row, train)
     row["corrected"] = 0.0 * row["corrected"]  # what it has to find it does not see
-    np.testing.assert_array_equal(before, method.play(row))
+    np.testing.assert_array_equal(before, method.play(row, train))
+
+
+def test_learned_coefficients_of_eq_21_follow_sequences(corpus):
+    pytest.importorskip("torch")
+    from softdeca.surrogate.networks.gradient_training import NETWORKS, train_gradients
+    from softdeca.surrogate.networks.gradients import Widths
+    from softdeca.surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
+
+    quick = {"steps": 100, "validate_every": 100, "network": Widths(latent=16, hidden=8)}
+    weights = train_gradients(Faces(corpus, "train"), replace(NETWORKS["hyper"], **quick))
+    table = Table(corpus, "sequences", "train")
+    weights = train_recurrence(weights, table, find_mean_pivot(HEADS), RecurrenceTraining(steps=60))
+    looseness = Looseness.from_people(PEOPLE, count=8)
+    method = NetworkMethod(weights)
+    moving, still = evaluate_dynamic([method], corpus, "train", HEADS, looseness)
+    assert moving.mean < 0.98 * still.mean  # most of either is what so small a network leaves of statics
+    face = Faces(corpus, "train").face(0)
+    bound = Surrogate(weights).learned_swing(face)
+    rates = bound.recurrence(1.0 / 60.0)
+    assert np.all(np.abs(rates.beta) < 1.0) and np.all(2.0 * np.abs(rates.alpha) < 1.0 + rates.beta)
+    with pytest.raises(InputError, match="this network has learned frames 0.01667 s apart, not 0.04 s"):
+        bound.recurrence(0.04)
+
+
+def test_a_gru_between_perceptron_and_gradients_learns_sequences(corpus):
+    pytest.importorskip("torch")
+    from softdeca.surrogate.networks.softsmpl_gru import SoftSMPLInMotion
+    from softdeca.surrogate.networks.trainer import TrainerConfig
+
+    method, train = SoftSMPLInMotion(TrainerConfig(steps=60, learning_rate=2e-3, validate_every=20)), None
+    train = Table(corpus, "sequences", "train")
+    method.fit(train)
+    assert method.curve[-1]["loss"] < 0.8 * method.curve[0]["loss"]
+    row = dict(train[0])
+    before = method.play(row, train)
+    row["corrected"] = 0.0 * row["corrected"]  # what it has to find it does not see
+    np.testing.assert_array_equal(before, method.play(row, train))
+
+
+def test_a_network_learns_from_the_energy_and_reads_no_simulated_frame(corpus, monkeypatch):
+    pytest.importorskip("torch")
+    from softdeca.surrogate.networks.energy import EnergyTrained, EnergyTraining
+
+    def refuse(*arguments):
+        raise AssertionError("a frame was read")
+
+    monkeypatch.setattr(Faces, "frames", refuse)
+    options = {"steps": 60, "faces": 4, "differentiated": 3, "modes": 24, "validate_every": 20}
+    method = EnergyTrained(HEADS, EnergyTraining(**options))
+    faces = Faces(corpus, "train")
+    method.fit(faces)
+    assert method.curve[-1]["loss"] < method.curve[0]["loss"] and method.curve[-1]["loss"] < 0.0
+    assert np.isfinite(method.bind(faces.face(0)).frame(np.full(52, 0.1))).all()
 
 
 def test_the_simulator_is_nearest_to_fenicsx(corpus):

@@ -1,5 +1,6 @@
 """Networks of deformation gradients: torch solve, training, weights and run time, on a small corpus of spheres."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,10 @@ from softdeca.lhm import InputError, Surface
 from softdeca.lhm.base.geometry.deformation import DeformationTransfer
 from softdeca.reference import Parameters
 from softdeca.surrogate import Surrogate
+from softdeca.surrogate.corpus.face import Frames
 from softdeca.surrogate.corpus.folder import Corpus
-from softdeca.surrogate.corpus.people import OfSpace
+from softdeca.surrogate.corpus.mixture import STATIC
+from softdeca.surrogate.corpus.people import OfSpace, Person
 from softdeca.surrogate.corpus.plan import CorpusPlan
 from softdeca.surrogate.corpus.reading import Faces
 from softdeca.surrogate.dynamics import Looseness
@@ -195,6 +198,47 @@ def test_it_swings_where_weights_know_what_is_loose(weights, surrogate):
     assert np.abs(moving.frame(np.full(52, 0.1)) - rig.frame(np.full(52, 0.1))).max() > 0.0
 
 
+class Endless:
+    """Faces of a corpus far larger than memory should hold: 100 people, each under two p, with 200 frames of each."""
+
+    folder, space, mean = "endless", "sphere3", Spheres(3).mean
+    groups = np.stack(np.meshgrid(np.arange(100), np.arange(2), indexing="ij"), axis=-1).reshape(-1, 2)
+    frames_of = [np.arange(200)] * 200
+    read = 0
+
+    def __len__(self):
+        return len(self.groups)
+
+    def code(self, index):
+        return np.random.default_rng(index).normal(size=4)
+
+    def coefficients(self, index):
+        level = np.random.default_rng(index).uniform(-1.0, 1.0, (len(STATIC), 1))
+        return np.hstack([level, np.zeros((len(STATIC), 16))])
+
+    def person(self, identity):
+        return Person(self.code(identity), self.mean, np.zeros((52, len(self.mean.vertices), 3), dtype=np.float16))
+
+    def frames(self, index, chosen):
+        self.read += len(chosen)
+        shape = (len(chosen), len(self.mean.vertices), 3)
+        return Frames(np.full((len(chosen), 52), 0.1, np.float32), np.full(shape, 0.1, np.float16))
+
+
+def test_frames_are_read_as_batches_need_them():
+    faces = Endless()
+    size = sum(map(len, faces.frames_of)) * faces.mean.vertices.size * 2  # 154 MB in files, as S and T four times that
+    tracemalloc.start()
+    lesson = GradientLesson(faces, replace(NETWORKS["paper"], **QUICK))
+    before = faces.read
+    for step in range(5):
+        lesson.loss(step, np.random.default_rng(step)).backward()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert faces.read - before == 5 * QUICK["batch"] and len(lesson.source) > 30_000
+    assert peak < 0.4 * size
+
+
 class Diverges:
     """A lesson whose loss is infinite at the third step."""
 
@@ -224,14 +268,13 @@ def test_positions_start_smooth_and_normalised():
 def test_anchors_are_the_stillest_of_each_part(samples, faces):
     motion = np.linalg.norm(samples.simulated - samples.blended, axis=2)
     stillest = np.argsort(np.sqrt((motion**2).mean(axis=0)))[:4]
-    assert set(still_vertices(samples, 0.1)) == set(stillest)
+    moved = samples.simulated - samples.blended
+    assert set(still_vertices(SPACE.mean, moved, 0.1)) == set(stillest)
     apart = Surface(
         np.vstack([SPACE.mean.vertices, SPACE.mean.vertices + 300.0]),
         np.vstack([SPACE.mean.triangles, SPACE.mean.triangles + N]),
     )
-    far = np.concatenate([samples.simulated, samples.blended + 9.0], axis=1)
-    both = np.concatenate([samples.blended] * 2, axis=1)
-    anchors = still_vertices(replace(samples, reference=apart, blended=both, simulated=far), 0.1)
+    anchors = still_vertices(apart, np.concatenate([moved, np.full_like(moved, 9.0)], axis=1), 0.1)
     assert set(anchors[:4]) == set(stillest) and len(anchors) == 8 and anchors[4:].min() >= N
     lesson = GradientLesson(faces["train"], CONFIG)
     held = np.flatnonzero(lesson.network["anchored"])

@@ -1,0 +1,271 @@
+"""The paper's Table 1 on a corpus of one's own: SoftDECA's network, its rivals, and what needs no training."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ....lhm.base.errors import InputError
+from ....lhm.base.option import option
+from ....surrogate.corpus.manifest import OWNER, read_manifest
+from ....surrogate.corpus.reading import Table
+from ....surrogate.evaluate import ALL, Score, evaluate
+from ....surrogate.evaluate_dynamic import DYNAMIC, evaluate_dynamic, evaluate_sequences
+from ....surrogate.methods import Method, NetworkMethod
+from ....surrogate.networks.weights import Weights
+from ...harness.study import Column, Row, Study, Task, Values
+from ...harness.study import Table as Tabled
+from .gates import BLENDSHAPES, CARRIED, LINEARISED, NETWORK, SETTLED
+from .methods import READY, OnCorpus, list_learners, open_corpus, parse_people
+
+GRADIENTS = {
+    "paper": "SoftDECA as printed",
+    "hyper": "SoftDECA, our form",
+    "softsmpl-small": "SoftSMPL, small",
+    "softsmpl-large": "SoftSMPL, large",
+    "face-wise": "face-wise",
+}
+"""Names of `softdeca train --network`, as the table has them."""
+GRU, SNP, ENERGY = "SoftSMPL, dynamic (GRU)", "SNP", "trained by the energy"
+TRIVIAL = (BLENDSHAPES, CARRIED, SETTLED, LINEARISED)
+LEARNED_MOTION = ("paper", "hyper")
+"""Networks that learn Eq. 21 where the corpus has sequences."""
+PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    GRADIENTS["paper"]: {"static": (0.23, 7.45), "dynamic": (0.41, 9.87), "external": (0.44, 7.45)},
+    GRADIENTS["softsmpl-small"]: {"static": (1.67, 7.62)},
+    GRADIENTS["softsmpl-large"]: {"static": (0.16, 46.61)},
+    GRU: {"dynamic": (0.22, 47.39)},
+    SNP: {"dynamic": (0.14, 46.61)},
+    GRADIENTS["face-wise"]: {"static": (0.17, 34.92)},
+    "vertices only, z(w) L(p, h)": {"static": (0.16, 0.72)},
+}
+"""The paper's Table 1: error [mm] and time of a frame [ms]. Its text has 0.22 mm, and 0.24 mm for SNP, besides."""
+KINDS = ("static", "static, p over the face", DYNAMIC, "external")
+
+
+@dataclass(frozen=True)
+class Table1(Study):
+    """Each method trained, or loaded, and scored once; a task is a method, so that none is trained twice."""
+
+    name = "table-1"
+    heading = "The paper's Table 1 on this corpus"
+    question = "How do SoftDECA's network, its rivals and its ablations compare on one corpus, by one protocol?"
+    columns = (
+        Column("kind", "frames of"),
+        Column("faces", "faces"),
+        Column("frames", "frames"),
+        Column("everywhere", "all vertices, mean [mm]"),
+        Column("share", "share of |T - carried(S)|"),
+        Column("mean", "moving vertices, mean [mm]"),
+        Column("fit_seconds", "fit, processor [s]", cost=True),
+        Column("bind_ms", "bind [ms]", cost=True),
+        Column("frame_ms", "frame [ms]", cost=True),
+    )
+    note = (
+        "Static frames are under uniform p, as the paper has them; a network that has one value of p for the whole "
+        "face is not scored where p varies. The paper's error is the mean over all vertices. Trainings end by steps, "
+        "which are told with each."
+    )
+    timed = True
+
+    corpus: str = option("", "folder of `softdeca corpus generate`")
+    external: str = option("", "another corpus to score, such as external:ict:FILE")
+    trained: str = option("", "folder with NETWORK.safetensors of `softdeca train`; what is there is not trained")
+    weights: str = option("", "weights of the modal network; default: the shipped", name="--surrogate")
+    partial: bool = option(False, "on the people that are there, of a corpus not complete")
+    steps: int = option(0, "of each network; 0: the protocol of each, for the paper's 200,000")
+    batch: int = option(0, "frames a step of networks of deformation gradients; 0: of each protocol")
+    learning_rate: float = option(0.0, "of networks of deformation gradients; 0: of each protocol")
+    recurrence_steps: int = option(300, "that learn Eq. 21's coefficients")
+    energy_steps: int = option(1000, "of the network that the energy trains")
+
+    def tasks(self) -> Sequence[Task]:
+        """Every method; InputError for no corpus, options out of range and a split without frames."""
+        if not self.corpus:
+            raise InputError("--corpus: a folder of `softdeca corpus generate` is needed")
+        for name in ("steps", "batch", "learning_rate", "recurrence_steps", "energy_steps"):
+            if getattr(self, name) < 0:
+                raise InputError(f"--{name.replace('_', '-')}: expected 0 or more, got {getattr(self, name)}")
+        tested = self._tested(self.corpus, "test")
+        if not len(tested.faces):
+            raise InputError(f"corpus {self.corpus}: no test people")
+        moving = [GRU, SNP] if self._sequences else []
+        names = [*TRIVIAL, NETWORK, *list_learners(), *GRADIENTS.values(), ENERGY, *moving]
+        return [Task(Path(self.corpus).name, name) for name in names]
+
+    @property
+    def _sequences(self) -> bool:
+        return bool(read_manifest(self.corpus).counts.sequences)
+
+    def _tested(self, corpus: str, people: str) -> OnCorpus:
+        weights = Path(self.weights) if self.weights else None
+        return open_corpus(Path(corpus), parse_people(people), weights, self.partial)
+
+    def measure(self, task: Task) -> Values:
+        """Train or load a method, then score it on all kinds of frames that it can answer."""
+        tested = self._tested(self.corpus, "test")
+        manifest = read_manifest(tested.corpus)
+        about = {
+            "corpus": {name: manifest.said[name] for name in OWNER} | {"seed": manifest.counts.seed},
+            "people": {
+                "train": len(np.unique(tested.training.groups[:, 0])),
+                "test": len(np.unique(tested.faces.groups[:, 0])),
+            },
+        }
+        if task.method in (GRU, SNP):
+            return about | self._play(task.method, tested)
+        method, seconds, said = self._fitted(task.method, tested)
+        rows = [replace(score, method=task.method, fit_seconds=seconds) for score in self._scores(method, tested)]
+        return about | said | {"rows": [asdict(row) for row in rows]}
+
+    def _play(self, name: str, tested: OnCorpus) -> dict[str, Any]:
+        from ....surrogate.networks.snp import SubspacePhysics
+        from ....surrogate.networks.softsmpl_gru import SoftSMPLInMotion
+        from ....surrogate.networks.trainer import TrainerConfig
+
+        if name == SNP:
+            method: Any = SubspacePhysics(self.steps) if self.steps else SubspacePhysics()
+        else:
+            rate = self.learning_rate or 1e-4
+            steps = self.steps or 200_000
+            method = SoftSMPLInMotion(TrainerConfig(steps=steps, learning_rate=rate, clip=1.0, validate_every=steps))
+        score = evaluate_sequences(method, tested.corpus, tested.heads, partial=self.partial)
+        return {"steps": method.steps, "rows": [asdict(replace(score, method=name))]}
+
+    def _fitted(self, name: str, tested: OnCorpus) -> tuple[Method, float | None, dict[str, Any]]:
+        """Return a method that is ready, the processor seconds of its training, and what is said of that."""
+        if name in READY:
+            return tested.ready(name), None, {}
+        begin = time.process_time()
+        if name in GRADIENTS.values():
+            network = next(key for key, shown in GRADIENTS.items() if shown == name)
+            weights = self._weights(network, tested)
+            note = {"steps": weights.note.steps, "trained_on": asdict(weights.note)}
+            numbers = sum(int(np.prod(array.shape)) for array in weights.network.values())
+            return NetworkMethod(weights, name=name), time.process_time() - begin, note | {"numbers": numbers}
+        from ....surrogate.networks.vertex_network import VertexNetwork
+
+        method: Any
+        said: dict[str, Any] = {}
+        if name == ENERGY:
+            from ....surrogate.networks.energy import EnergyTrained, EnergyTraining
+
+            method = EnergyTrained(tested.heads, EnergyTraining(steps=self.energy_steps))
+            said = {"steps": self.energy_steps}
+        else:
+            method = list_learners()[name]()
+            if isinstance(method, VertexNetwork) and self.steps:
+                method = type(method)(self.steps)
+                said = {"steps": self.steps}
+        method.fit(tested.training)
+        return method, time.process_time() - begin, said
+
+    def _weights(self, network: str, tested: OnCorpus) -> Weights:
+        """Load weights, or train them by the options given."""
+        from ....surrogate.networks.gradient_training import NETWORKS, train_gradients, with_batch
+        from ....surrogate.networks.recurrence_training import RecurrenceTraining, find_mean_pivot, train_recurrence
+
+        kept = Path(self.trained or ".") / f"{network}.safetensors"
+        if self.trained and kept.is_file():
+            return Weights.load(kept)
+        config = NETWORKS[network]
+        if network != "hyper":
+            # Ours has a rate and a batch of its own.
+            config = replace(config, learning_rate=self.learning_rate or config.learning_rate)
+            config = replace(config, final_rate=0.5 * config.learning_rate)
+            config = with_batch(config, self.batch) if self.batch else config
+        config = replace(config, steps=self.steps or config.steps)
+        weights = train_gradients(tested.training, config)
+        if network in LEARNED_MOTION and self._sequences and self.recurrence_steps:
+            table = Table(tested.corpus, "sequences", "train", partial=self.partial)
+            moving = RecurrenceTraining(steps=self.recurrence_steps)
+            weights = train_recurrence(weights, table, find_mean_pivot(tested.heads), moving)
+        if self.trained:
+            Path(self.trained).mkdir(parents=True, exist_ok=True)
+            weights.save(kept)
+        return weights
+
+    def _scores(self, method: Method, tested: OnCorpus) -> list[Score]:
+        faces, heads = tested.faces, tested.heads
+        varies = np.array([bool(faces.coefficients(k)[:, 1:].any()) for k in range(len(faces))])
+        has_frames = np.array([bool(len(rows)) for rows in faces.frames_of])
+        parts = {KINDS[0]: np.flatnonzero(~varies & has_frames)}
+        if method.name not in (GRADIENTS["softsmpl-small"], GRADIENTS["softsmpl-large"]):
+            parts[KINDS[1]] = np.flatnonzero(varies & has_frames)
+        scores = []
+        for kind, chosen in parts.items():
+            if len(chosen):
+                found = evaluate([method], faces, heads, chosen=chosen.tolist(), costs=tested.costs)
+                scores += [replace(score, kind=kind) for score in found if score.kind == ALL]
+        if self._sequences and tested.looseness is not None and method.name != ENERGY:
+            moving = evaluate_dynamic(
+                [method], tested.corpus, tested.split, heads, tested.looseness, partial=self.partial
+            )
+            scores += [score for score in moving if score.kind == DYNAMIC]
+        if self.external:
+            other = self._tested(self.external, "all")
+            outside = evaluate([self._elsewhere(method, other)], other.faces, other.heads)
+            scores += [replace(score, kind=KINDS[3]) for score in outside if score.kind == ALL]
+        return scores
+
+    @staticmethod
+    def _elsewhere(method: Method, other: OnCorpus) -> Method:
+        """Return the method for another corpus' people: what carries skins asks these people's heads."""
+        return other.ready(method.name) if method.name in READY else method
+
+    def tables(self, rows: Sequence[Row]) -> Sequence[Tabled]:
+        """The paper's numbers beside ours, method by method."""
+        return [tabulate([row for row in rows if row.done])]
+
+    def words(self, rows: Sequence[Row]) -> str:
+        """Say who loses to a rival that learns nothing, and who is nearest."""
+        shares = {row.method: share for row in rows if row.done for share in _shares(row, KINDS[0])}
+        if SETTLED not in shares:
+            return ""
+        learned = {name: share for name, share in shares.items() if name not in TRIVIAL}
+        lost = [name for name, share in learned.items() if share >= shares[SETTLED]]
+        nothing = [name for name, share in learned.items() if share >= shares.get(BLENDSHAPES, np.inf)]
+        best = sorted(learned, key=lambda name: learned[name])
+        said = f"Static frames under uniform p. {_names(nothing)} lose to T = S. " if nothing else ""
+        said += f"To the settled neutral face + blendshapes ({100 * shares[SETTLED]:.0f} %) lose {_names(lost)}. "
+        order = "; ".join(f"{name} {100 * learned[name]:.1f} %" for name in best)
+        linear = f" The linearised simulator leaves {100 * shares[LINEARISED]:.1f} %." if LINEARISED in shares else ""
+        return f"{said}Shares left: {order}.{linear}"
+
+
+def _shares(row: Row, kind: str) -> list[float]:
+    return [line["share"] for line in row.values["rows"] if line["kind"] == kind]
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(names) if names else "none"
+
+
+def tabulate(rows: Sequence[Row]) -> Tabled:
+    """Lay Table 1 out: a line per method, the paper's error and time beside ours."""
+    shown = (("static", KINDS[0]), ("dynamic", KINDS[2]), ("external", KINDS[3]))
+    head = ["method", "steps", "fit [s]"]
+    for name, _ in shown:
+        head += [f"{name}: paper [mm]", "ours [mm]", "ours [%]"]
+    head += ["frame: paper [ms]", "ours [ms]"]
+    lines = []
+    for row in rows:
+        of = {line["kind"]: line for line in row.values["rows"]}
+        fit = next((line["fit_seconds"] for line in of.values() if line["fit_seconds"]), None)
+        cells: list[Any] = [row.method, row.values.get("steps", ""), "" if fit is None else round(fit)]
+        theirs = PAPER.get(row.method, {})
+        for name, kind in shown:
+            line = of.get(kind)
+            cells += [theirs[name][0] if name in theirs else ""]
+            cells += ["", ""] if line is None else [round(line["everywhere"], 3), round(100 * line["share"], 1)]
+        frame = next((line["frame_ms"] for line in of.values() if line["frame_ms"]), None)
+        first = next(iter(theirs.values()), None)
+        cells += ["" if first is None else first[1], "" if frame is None else round(frame, 2)]
+        lines.append(cells)
+    note = "Errors are means over all vertices; per cent are of |T - carried(S)| over the vertices that it moves."
+    return Tabled("Table 1: the paper's numbers beside ours", head, lines, note)

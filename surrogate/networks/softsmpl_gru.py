@@ -1,0 +1,122 @@
+"""SoftSMPL in motion (Santesteban et al. 2020), as SoftDECA compares with it: a GRU between its perceptron and J.
+
+    e_t = MLP(w_t, p, h),    g_t = GRU(e_t, g_{t-1}),    J_t = I + last(g_t)
+
+with the widths of the large static one. It begins with a state that follows from the two skins before a sequence.
+As the paper says of it, dynamics live in a latent space and not at vertices; so p may not vary over the face.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...lhm.base.geometry.deformation import DeformationTransfer
+from ...lhm.base.mesh import Floats, Floats32, Surface
+from ..corpus.mixture import NAMES, select_static
+from ..corpus.reading import Row, Table
+from ..dynamics import OSCILLATION
+from .features import Features, Inputs
+from .gradient_training import still_vertices, transfer_delta
+from .layers import elu, perceptron
+from .ridge import find_components
+from .softsmpl import LARGE
+from .trainer import Trainer, TrainerConfig, draw_layers, perceptron_layers, torch
+
+BEFORE = 24
+"""Principal components of the two skins before a sequence."""
+SAMPLED = 64
+"""Sequences, at most, of which what training begins with is made."""
+_SWINGING = [NAMES.index(name) for name in OSCILLATION]
+
+
+class SoftSMPLInMotion:
+    """A method that learns from sequences and plays them."""
+
+    name = "SoftSMPL, dynamic (GRU)"
+    simulates = False
+    slow: tuple[str, ...] = ("-",)  # none
+    about: tuple[str, ...] = ()
+
+    def __init__(self, config: TrainerConfig | None = None, *, batch: int = 2):
+        self._config = TrainerConfig(steps=1000, learning_rate=1e-3, clip=1.0) if config is None else config
+        self._batch = batch
+
+    def fit(self, table: Table) -> None:
+        """Train on a corpus' sequences, read as batches need them."""
+        config, self._table = self._config, table
+        rng = np.random.default_rng(config.seed)
+        torch.manual_seed(config.seed)
+        codes = np.array([table.described(k)["code"] for k in range(len(table))], dtype=np.float64)
+        self._inputs = Inputs(Features(table.mean), codes.mean(axis=0), np.maximum(codes.std(axis=0), 1e-6))
+        sample = [table[int(k)] for k in np.sort(rng.permutation(len(table))[:SAMPLED])]
+        before = np.stack([row["before"].astype(np.float32).reshape(2, -1) for row in sample])
+        self._begin, size = find_components(before.reshape(-1, before.shape[-1]), BEFORE, rng)
+        self._begin /= np.maximum(size, 1e-3)[:, None].astype(np.float32)
+        inputs = np.concatenate([self._inputs_of(row) for row in sample])
+        self._middle, self._spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-3)
+        motion = np.concatenate([row["corrected"].astype(np.float32) for row in sample])
+        self._transfer = _open_transfer(table.mean, motion)
+        wide, latent = LARGE.expression, LARGE.latent
+        layers = perceptron_layers("hidden", inputs.shape[1], wide, latent)
+        layers |= {"begin": (latent, 2 * BEFORE), "last": (9 * len(table.mean.triangles), latent)}
+        layers |= {"into": (3 * latent, latent), "again": (3 * latent, latent)}
+        self.network = draw_layers(layers)
+        for part in ("weight", "bias"):
+            self.network[f"last.{part}"] *= 0.02
+        for value in self.network.values():
+            value.requires_grad_()
+        trainer = Trainer(self, config)
+        trainer.train()
+        self.steps, self.curve = trainer.step, trainer.curve
+
+    def loss(self, step: int, rng: np.random.Generator) -> torch.Tensor:
+        """Return the mean distance [mm] over all frames of some sequences."""
+        errors = []
+        for k in rng.choice(len(self._table), size=min(self._batch, len(self._table)), replace=False):
+            row = self._table[int(k)]
+            away = self._answer(row, self._table) - torch.from_numpy(row["corrected"].astype(np.float32))
+            errors.append(torch.linalg.vector_norm(away, dim=-1))
+        return torch.stack([error.mean() for error in errors]).mean()
+
+    def errors(self) -> dict[str, float]:
+        """Hold out nobody."""
+        return {}
+
+    def play(self, row: Row, table: Table) -> Floats32:
+        """Return T - S [mm], shape (L, n, 3), of a table's sequence after the two skins that were before it."""
+        with torch.no_grad():
+            answer: Floats32 = self._answer(row, table).numpy()
+        return answer
+
+    def _answer(self, row: Row, table: Table) -> torch.Tensor:
+        network = self.network
+        inputs = torch.from_numpy(((self._inputs_of(row) - self._middle) / self._spread).astype(np.float32))
+        encoded = elu(perceptron(network, "hidden", inputs, elu))
+        before = torch.from_numpy(row["before"].astype(np.float32).reshape(2, -1) @ self._begin.T).reshape(-1)
+        state = torch.tanh(before @ network["begin.weight"].T + network["begin.bias"])
+        states = []
+        for now in encoded:
+            a = now @ network["into.weight"].T + network["into.bias"]
+            b = state @ network["again.weight"].T + network["again.bias"]
+            (reset, keep, new), (reset_by, keep_by, new_by) = a.chunk(3), b.chunk(3)
+            kept = torch.sigmoid(keep + keep_by)
+            fresh = torch.tanh(new + torch.sigmoid(reset + reset_by) * new_by)
+            state = kept * state + (1.0 - kept) * fresh
+            states.append(state)
+        gradients = torch.stack(states) @ network["last.weight"].T + network["last.bias"]
+        person = table.person(int(row["identity"]))
+        blended = (person.skin.vertices + np.tensordot(row["weights"], person.shapes, axes=1)).astype(np.float32)
+        gradients = gradients.reshape(len(states), -1, 9)
+        return transfer_delta(gradients, torch.from_numpy(blended), self._transfer)
+
+    def _inputs_of(self, row: Row) -> Floats:
+        """Return weights, the summary of p and h, and p's frequency and damping, of each frame."""
+        features = self._inputs.features
+        summary = self._inputs.summary(row["code"], features.at_vertices(select_static(row["coefficients"])))
+        always = np.concatenate([summary, row["coefficients"][_SWINGING, 0]])
+        weights = np.asarray(row["weights"], dtype=np.float64)
+        return np.hstack([weights, np.broadcast_to(always, (len(weights), len(always)))])
+
+
+def _open_transfer(mean: Surface, motion: Floats32) -> DeformationTransfer:
+    return DeformationTransfer(mean, still_vertices(mean, motion), dtype=np.float32)
