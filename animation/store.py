@@ -17,11 +17,9 @@ from ..lhm.base.files.atomic import write_whole
 from ..lhm.base.files.npz import read_arrays, write_arrays
 from ..lhm.base.files.resumable import RowStore
 from ..lhm.base.limits import TAKE_FRAMES
-from ..reference.face.sequence import State
 
-STATE = ("positions", "sought", "before", "drift", "turns")
 NEUTRAL = ("positions", "displacement", "reason")
-LOGGED = {"frame", "reason", "seconds", "iterations"}
+LOGGED = {"frame", "method", "error", "certain", "seconds"}
 """Of each line of the log: what the outcome of a take is told by."""
 
 
@@ -45,15 +43,15 @@ class TakeStore:
     def __init__(self, folder: Path, manifest: Mapping[str, Any]):
         self.folder, self._log = folder, RowStore(folder, "take", manifest, file="log.jsonl")
 
-    def done(self) -> tuple[int, State | None]:
-        """How many frames are done, and the state after them; the log is cut to these.
+    def done(self, *names: str) -> tuple[int, dict[str, np.ndarray] | None]:
+        """How many frames are done, and the state after them, arrays of these names; the log is cut to these.
 
         All begin anew where a frame, a line of the log or the state is missing or damaged.
         """
         try:
-            arrays = read_arrays(self.folder / "state.npz", "frames", *STATE)
+            arrays = read_arrays(self.folder / "state.npz", "frames", *names)
             count = int(integers("frames", arrays["frames"], 0, TAKE_FRAMES.most, ()))
-            state = State(*(finite(name, arrays[name]) for name in STATE))
+            state = {name: finite(name, arrays[name]) for name in names}
             shapes = {finite("moved", self.moved(number), (None, 3)).shape for number in range(count)}
             if len(shapes) > 1:
                 raise InputError(f"{self.folder}: frames of several heads")
@@ -81,7 +79,9 @@ class TakeStore:
         """Write the neutral face under p, from which a run that goes on starts as the first did."""
         write_arrays(self.folder / "neutral.npz", {name: arrays[name] for name in NEUTRAL})
 
-    def add(self, number: int, moved: NDArray[np.float32], record: Mapping[str, Any], state: State) -> None:
+    def add(
+        self, number: int, moved: NDArray[np.float32], record: Mapping[str, Any], state: Mapping[str, np.ndarray]
+    ) -> None:
         """Write frame `number` (they come in order), its line of the log, and the state after it.
 
         `record` has the number as "frame".
@@ -89,7 +89,7 @@ class TakeStore:
         write_arrays(self._path(number), {"moved": moved})
         self._log.add(record)
         buffer = io.BytesIO()
-        np.savez(buffer, frames=np.int64(number + 1), **{name: getattr(state, name) for name in STATE})
+        np.savez(buffer, frames=np.int64(number + 1), **state)
         write_whole(self.folder / "state.npz", buffer.getvalue())
 
     def moved(self, number: int) -> NDArray[np.float32]:

@@ -1,89 +1,190 @@
-"""softdeca animate: play a take of ARKit weights on a head by the surrogate."""
+"""softdeca animate: a take of ARKit weights on a head, every frame within an accuracy."""
+
+from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from ..lhm.base.limits import BAKED_TARGETS
+from ..lhm.base.limits import BAKED_TARGETS, SEED
+from ..lhm.expressions import Take
 from ..lhm.template import DEFAULT_LEVEL
+from ..reference import Parameters
+from ..reference.face.parameters import read_parameters
 from .counts import counted
-from .take_options import TakeRequest, take_options
-from .terminal import show_progress
+from .options import FILE, LEVEL, argument, make_command, option
+from .take_options import HeadChoice, load_take
+from .terminal import INTERRUPTED, show_progress
 from .written_file import FOLDER
 
+if TYPE_CHECKING:
+    from ..animation.animate import AnimateResult
 
-@click.command()
-@click.argument("take")
-@take_options
-@click.option("--out", default="out/animation", type=FOLDER, help="folder of the results")
-@click.option(
-    "--surrogate", type=click.Path(path_type=Path), help="weights of `softdeca train`; default: the shipped network"
-)
-@click.option("--exact", is_flag=True, help="take the simulator's derivatives at bind, in seconds; on any head")
-@click.option(
-    "--beyond",
-    type=click.Choice(["refuse", "clamp"]),
-    default="refuse",
-    help="parameters that the network has not seen: refuse them, or use the nearest",
-)
-@click.option(
-    "--targets", type=counted(BAKED_TARGETS), help="also write glTF with this many morph targets, for any take"
-)
-@click.option("--json", "as_json", is_flag=True, help="print the result as JSON")
-def animate(
-    request: TakeRequest,
-    surrogate: Path | None,
-    exact: bool,
-    beyond: str,
-    targets: int | None,
-    as_json: bool,
-) -> int:
-    """Animate TAKE by the surrogate, at the price of blendshapes. It reads and writes the files of `simulate`.
+TIGHT, NONE = "tight", "none"
+TIGHT_MM = 0.001
 
-    The shipped network knows the default head's people. Other heads with their triangles also get the simulator's
-    derivatives. Heads with other triangles, such as ICT-FaceKit's, get the derivatives alone, which are linear in the
-    weights. The method is printed. Parameters in the TOML file may vary: one value per face of the skin.
 
-    Writes OUT/take.vtkhdf (or .glb) and OUT/preview.gif (or .mp4). With --targets it also writes OUT/rig.glb, with the
-    rig's own morph targets and the take's weights of them.
+class Accuracy(click.ParamType):
+    """A length [mm], or a word for one."""
+
+    name = "MM"
+
+    def convert(self, value, param, ctx):
+        """Return the length, None for "none"."""
+        if value is None or isinstance(value, float):
+            return value
+        if value in (TIGHT, NONE):
+            return TIGHT_MM if value == TIGHT else None
+        try:
+            length = float(value)
+        except ValueError:
+            length = -1.0
+        if not 1e-6 <= length <= 100.0:
+            self.fail(f"{value!r}: expected a length from 1e-6 to 100 mm, {TIGHT!r} or {NONE!r}", param, ctx)
+        return length
+
+
+@dataclass(frozen=True)
+class Animate:
+    """Animate TAKE: a LiveLink Face CSV, weights.csv, JSON, 'conversation[:SECONDS[:SEED]]' or 'speech:TEXT'.
+
+    Each frame comes by the cheapest method whose own error is within --accuracy: the simulator's derivatives with the
+    network, a few corrections, or projective dynamics to the end. This works on any head and parameters. The neutral
+    face settles under the parameters first. --dynamic, --contact and --bones take the simulator for every frame.
+
+    `--accuracy none` costs what blendshapes do and tells no error: the network alone on the default head's people, with
+    the simulator's derivatives on other heads of their triangles, and these alone on all others.
+
+    Writes OUT/take.vtkhdf (or .glb), OUT/preview.gif (or .mp4) and OUT/log.jsonl: method, error, certain and seconds of
+    each frame. An interrupted run resumes. With --targets it also writes OUT/rig.glb: the rig's own morph targets and
+    the take's weights of them. Exit status 1 if a frame is not within the accuracy; those are listed.
     """
-    from ..animation.animate import animate as run
-    from ..animation.animate import bind_head, bind_person
-    from ..animation.play import Output
-    from ..surrogate import Surrogate
 
-    which, parameters = request.which, request.parameters
-    if targets is not None and request.dynamic:
-        raise click.UsageError("--targets are of static frames; leave out --dynamic", click.get_current_context())
-    output = Output(**request.files)
-    network = Surrogate.load(surrogate)
-    with show_progress() as progress:
-        if which.head_file is None and which.space.name == network.space == "anny":
-            served = bind_person(
-                network,
-                which.code(which.space),
-                parameters,
-                exact=exact,
-                level=which.level or DEFAULT_LEVEL,
-                beyond=beyond,  # type: ignore[arg-type]
-            )
-        else:
-            head, deltas = which.head(progress)
-            served = bind_head(network, head, deltas, parameters, exact=exact, beyond=beyond)  # type: ignore[arg-type]
-        result = run(output, served, request.take, progress)
-        files = list(result.files)
-        if targets is not None:
-            served.rig.bake(targets).write_gltf(request.out / "rig.glb", request.take)
-            files.append(request.out / "rig.glb")
-    if as_json:
-        click.echo(json.dumps(asdict(result) | {"files": files}, indent=1, default=str))
-        return 0
-    click.echo(
-        f"{result.frames} frames by {result.method}: bound in {result.bind_seconds:.2g} s, "
-        f"median {result.frame_ms:.2g} ms a frame"
+    take: str = argument("TAKE", type=str)
+    accuracy: float | None = option(
+        "0.05", f"largest mean error of a frame [mm]; '{TIGHT}' is {TIGHT_MM}, '{NONE}' takes the rig alone",
+        type=Accuracy(),
+    )  # fmt: skip
+    head: Path | None = option(None, "head from `head fit`; default: one fitted to --identities", type=FILE)
+    identities: str | None = option(
+        None, "identity space of the head (anny or ict:FILE); with --head: of the expressions", type=str
     )
-    for path in files:
-        click.echo(path)
-    return 0
+    seed: int | None = option(None, "random seed of the identity; default: mean face", type=counted(SEED))
+    level: int | None = option(None, "1,212, 4,842 (default) or 19,362 vertices per wrap", type=LEVEL)
+    parameters: Path | None = option(
+        None, "TOML file of parameters p; default: all defaults. Local values are one per face of the skin", type=FILE
+    )
+    format: str = option("vtkhdf", "file format of the moving skin", type=click.Choice(["vtkhdf", "gltf"]))
+    preview: str = option("gif", "format of the rendered preview", type=click.Choice(["mp4", "gif", "none"]))
+    fps: float | None = option(None, "frames per second; default: the take's own", type=float)
+    frames: str | None = option(None, "frames A to B - 1 only, counted at --fps", type=str, metavar="A:B")
+    turned: bool = option(False, "turn the head as TAKE does; default: keep its own frame")
+    dynamic: bool = option(False, "add inertia: loose flesh lags, and swings when TAKE turns the head")
+    bones: str = option("rigid", "motion of the mandible", type=click.Choice(["rigid", "prescribed", "soft"]))
+    contact: tuple[str, ...] = option(
+        (), "region of the skin that must not cross itself, as lips; repeat", name="--contact"
+    )
+    surrogate: Path | None = option(None, "weights of `softdeca train`; default: the shipped network", type=FILE)
+    exact: bool = option(False, f"with --accuracy {NONE}: take the simulator's derivatives on any head, in seconds")
+    beyond: str = option(
+        "refuse", f"with --accuracy {NONE}: what the network has not seen", type=click.Choice(["refuse", "clamp"])
+    )  # fmt: skip
+    targets: int | None = option(
+        None, "also write glTF with this many morph targets, for any take", type=counted(BAKED_TARGETS)
+    )
+    out: Path = option("out/animation", "folder of the results; finished frames in it are kept", type=FOLDER)
+    json: bool = option(False, "print the result as JSON")
+
+    def run(self) -> int:
+        """Animate, and say how it went."""
+        self._check()
+        which = HeadChoice(self.head, self.identities, self.seed, self.level)
+        take = load_take(self.take, self.fps, self.frames, self.turned)
+        parameters = Parameters() if self.parameters is None else read_parameters(self.parameters)
+        try:
+            result = (self._by_rig if self.accuracy is None else self._within)(which, take, parameters)
+        except KeyboardInterrupt:
+            click.echo(f"softdeca: interrupted; the same command goes on after the frames in {self.out}", err=True)
+            return INTERRUPTED
+        self._say(result)
+        return 1 if result.failed or result.neutral != "CONVERGED" else 0
+
+    def _check(self) -> None:
+        """UsageError for options that contradict."""
+        simulated = self.dynamic or self.bones != "rigid" or self.contact
+        if self.targets is not None and simulated:
+            self._refuse("--targets are of static frames; leave out --dynamic, --bones and --contact")
+        if self.accuracy is None and (self.bones != "rigid" or self.contact):
+            self._refuse(f"--bones and --contact are the simulator's: they need --accuracy, not {NONE!r}")
+
+    def _refuse(self, words: str) -> None:
+        raise click.UsageError(words, click.get_current_context())
+
+    @property
+    def _files(self) -> dict:
+        return {name: getattr(self, name) for name in ("out", "format", "preview", "dynamic", "turned")}
+
+    def _within(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
+        """Animate within the accuracy."""
+        from ..animation.animate import AnimateConfig, animate, bind_head
+        from ..surrogate import Surrogate
+
+        config = AnimateConfig(**self._files, accuracy=self.accuracy, bones=self.bones, contact=self.contact)
+        with show_progress() as progress:
+            head, deltas = which.head(progress)
+            network = Surrogate.load(self.surrogate)
+            result = animate(config, head, deltas, take, parameters, network, progress)
+            if self.targets is None:
+                return result
+            served = bind_head(network, head, deltas, parameters, exact=True, beyond="clamp")
+            return self._bake(served.rig, take, result)
+
+    def _by_rig(self, which: HeadChoice, take: Take, parameters: Parameters) -> AnimateResult:
+        """Animate by a rig alone."""
+        from ..animation.animate import animate_rig, bind_head, bind_person
+        from ..animation.play import Output
+        from ..surrogate import Surrogate
+
+        network = Surrogate.load(self.surrogate)
+        how = {"exact": self.exact, "beyond": self.beyond}
+        with show_progress() as progress:
+            if which.head_file is None and which.space.name == network.space == "anny":
+                code, level = which.code(which.space), which.level or DEFAULT_LEVEL
+                served = bind_person(network, code, parameters, level=level, **how)  # type: ignore[arg-type]
+            else:
+                head, deltas = which.head(progress)
+                served = bind_head(network, head, deltas, parameters, **how)  # type: ignore[arg-type]
+            result = animate_rig(Output(**self._files), served, take, progress)
+            return result if self.targets is None else self._bake(served.rig, take, result)
+
+    def _bake(self, rig, take: Take, result: AnimateResult) -> AnimateResult:
+        """Write the rig's morph targets besides."""
+        from dataclasses import replace
+
+        path = self.out / "rig.glb"
+        rig.bake(self.targets).write_gltf(path, take)
+        return replace(result, files=(*result.files, path))
+
+    def _say(self, result: AnimateResult) -> None:
+        if self.json:
+            click.echo(json.dumps(asdict(result), indent=1, default=str))
+            return
+        if result.neutral != "CONVERGED":
+            click.echo(f"FAILED neutral face: {result.neutral}")
+        for frame, reason in result.failed:
+            click.echo(f"FAILED frame {frame}: {reason}")
+        methods = ", ".join(f"{count} {method}" for method, count in result.methods.items())
+        told = "no error told" if result.error is None else f"largest error {result.error:.2g} mm"
+        doubt = f", {result.uncertain} not certain" if result.uncertain else ""
+        click.echo(
+            f"{result.frames} frames ({methods}), {len(result.failed)} failed; {told}{doubt}; "
+            f"bound in {result.bind_seconds:.2g} s, median {result.frame_ms:.2g} ms a frame"
+        )
+        for path in result.files:
+            click.echo(path)
+
+
+animate = make_command("animate", Animate)

@@ -11,7 +11,6 @@ from . import (  # noqa: F401  # they give `head` more commands
     bench,
     corpus,
     head_files,
-    simulate,
     study,
     train,
     train_regressor,
@@ -43,7 +42,6 @@ app.add_command(study.study)
 app.add_command(train.train)
 app.add_command(train.evaluate)
 app.add_command(head)
-app.add_command(simulate.simulate)
 app.add_command(animate.animate)
 app.add_command(view.view)
 app.add_command(corpus.corpus)

@@ -62,13 +62,20 @@ RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class CertifiedFrame:
+class Reached:
+    """Where a frame of weights (52,) has brought the tets' vertices [mm], shape (k, 3): the next begins there."""
+
+    weights: Floats
+    positions: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedFrame(Reached):
     """A frame and its error.
 
     skin (n, 3) [mm]. error [mm]: the estimated mean distance to the converged simulator; see the module. errors (n,)
     [mm] are each vertex' own, whether it counts or not. certain: False where the estimate may be far off. seconds: what
-    it took. weights (52,) and positions (tets' vertices, 3) [mm] are
-    where the next frame of a take begins.
+    it took. solves: with one of the two matrices.
     """
 
     skin: Floats32
@@ -77,8 +84,7 @@ class CertifiedFrame:
     certain: bool
     method: Method
     seconds: float
-    weights: Floats
-    positions: Floats
+    solves: int
 
     @property
     def bound(self) -> float:
@@ -113,9 +119,8 @@ class CertifiedFace:
 
         expressions: what the 52 weights add to its skin [mm], shape (52, n, 3); parameters: local values are one per
         face of the skin. The surrogate adds what is not linear where it knows the head's triangles and these
-        parameters; elsewhere it is left out. `like` and `on_iteration` are those of `differentiate_head`. Raises InputError
-        for other shapes and for a face that does not settle,
-        and what the simulator raises.
+        parameters; elsewhere it is left out. `like` and `on_iteration` are those of `differentiate_head`. Raises
+        InputError for other shapes and for a face that does not settle, and what the simulator raises.
         """
         chosen = Parameters() if parameters is None else parameters
         shapes = check_shapes(expressions, len(head.skin.vertices))
@@ -153,7 +158,7 @@ class CertifiedFace:
         accuracy: float = ACCURACY,
         *,
         seconds: float | None = None,
-        after: CertifiedFrame | None = None,
+        after: Reached | None = None,
     ) -> CertifiedFrame:
         """Return a frame of 52 ARKit weights whose error [mm] is at most `accuracy`, by the cheapest method.
 
@@ -167,7 +172,7 @@ class CertifiedFace:
                 break
         return frame
 
-    def improve(self, weights, *, after: CertifiedFrame | None = None) -> Iterator[CertifiedFrame]:
+    def improve(self, weights, *, after: Reached | None = None) -> Iterator[CertifiedFrame]:
         """Yield frames of 52 ARKit weights, each a correction nearer to the simulator, until one has converged.
 
         Arguments and errors are those of `frame`.
@@ -183,7 +188,7 @@ class CertifiedFace:
                 return
             stepping = stepping and correction.take_step()
 
-    def _start(self, weights: Floats, after: CertifiedFrame | None) -> Floats | None:
+    def _start(self, weights: Floats, after: Reached | None) -> Floats | None:
         """Return the first order, and on it the correction of the frame before."""
         if after is None:
             return None
@@ -198,31 +203,37 @@ class CertifiedFace:
         skin, expression = correction.skin(), self.frames.expression(correction.weights)
         left = head.skin_from_wrap @ correction.move_wrap(correction.step())
         answer = skin + left
-        moves = np.linalg.norm(answer - expression - self.carried, axis=1) > MOVES
-        counted = moves if moves.any() else np.ones_like(moves)
+        counted = find_counted(answer, expression + self.carried)
         is_first = correction.iterations <= SMOOTHING[0]
-        errors, certain = _estimate(left, counted, FIRST_SCALE if is_first else LATER_SCALE)
+        errors, certain = estimate_errors(left, counted, FIRST_SCALE if is_first else LATER_SCALE)
         method: Method = "converged" if correction.residual <= CONVERGED else "corrected"
         if is_first:
             guess = self.rig.frame(correction.weights.astype(np.float32))
-            other = _estimate(guess - answer, counted, RIG_SCALE)
+            other = estimate_errors(guess - answer, counted, RIG_SCALE)
             if other[0][counted].mean() < errors[counted].mean():
                 skin, (errors, certain) = guess, other
                 method = "network" if self.has_network else "derivatives"
         certain = certain and self.frames.linear.is_exact
         return CertifiedFrame(
-            skin.astype(np.float32),
-            float(errors[counted].mean()),
-            errors.astype(np.float32),
-            certain,
-            method,
-            time.perf_counter() - begin,
-            correction.weights,
-            correction.positions,
+            weights=correction.weights,
+            positions=correction.positions,
+            skin=skin.astype(np.float32),
+            error=float(errors[counted].mean()),
+            errors=errors.astype(np.float32),
+            certain=certain,
+            method=method,
+            seconds=time.perf_counter() - begin,
+            solves=correction.solves,
         )
 
 
-def _estimate(left: Floats, counted: np.ndarray, scale: float) -> tuple[Floats, bool]:
+def find_counted(skin: Floats, carried: Floats) -> np.ndarray:
+    """Return which vertices an error counts, shape (n,): those more than MOVES from carried blendshapes, or all."""
+    moves = np.linalg.norm(skin - carried, axis=1) > MOVES
+    return moves if moves.any() else np.ones_like(moves)
+
+
+def estimate_errors(left: Floats, counted: np.ndarray, scale: float = 1.0) -> tuple[Floats, bool]:
     """Return the lengths [mm] of displacements (n, 3) that are left, and whether no few of the counted decide them."""
     lengths = np.linalg.norm(left, axis=1)
     those = lengths[counted]

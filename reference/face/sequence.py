@@ -19,10 +19,11 @@ from ...lhm.base.checks import check_arguments
 from ...lhm.base.errors import InputError, SceneError
 from ...lhm.base.mesh import Floats, Surface
 from ...lhm.head import LayeredHead
+from ..projective import ProjectivePrepared, Tangent
 from ..scene import Scene
 from ..solution import Solution, volume_ratio
 from ..solve import Prepared, prepare
-from ..terms import Target
+from ..terms import Contact, Target
 from .bones import carry_wraps
 from .dynamics import Recurrence, base_lag, check_rotation, check_turns, find_pivot
 from .parameters import Parameters
@@ -52,6 +53,17 @@ class State:
     before: Floats
     drift: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     turns: Floats = field(default_factory=lambda: np.stack([np.eye(3), np.eye(3)]))
+
+
+@dataclass(frozen=True, eq=False)
+class _LastFrame:
+    """A frame's scene and solution, the state before it, and how the head was turned, if that was said."""
+
+    prepared: Prepared
+    scene: Scene
+    solution: Solution
+    before: State | None
+    turned: Floats | None
 
 
 class Sequence:
@@ -92,6 +104,9 @@ class Sequence:
         self._prepared: dict[bool, Prepared] = {}
         self._neutral = SettledFace(head, parameters, self._stack.vertices, np.zeros_like(head.skin.vertices))
         self._pivot = find_pivot(head)
+        self._spring_norm = 0.0
+        self._last_frame: _LastFrame | None = None
+        self._tangent: Tangent | None = None
 
     @classmethod
     @check_arguments
@@ -135,19 +150,58 @@ class Sequence:
         turned = None if base is None else check_rotation("base", base)
         if self.recurrence is not None and self.state is None:
             self.begin(targets, base=turned)
-        solution, scene = self._solve(targets, dynamic=self.recurrence is not None, base=turned)
-        n = len(self.head.bone)
-        if not np.isfinite(solution.positions).all():
-            return solution
-        positions, sought = solution.positions, _target(scene).positions
-        if self.state is None:
-            self.state = State(positions, sought, positions[:n])
-        else:
-            drift = self._beyond(positions, sought) - self._beyond(self.state.positions, self.state.sought)
-            now = self.state.turns[1] if turned is None else turned
-            turned_by = np.stack([self.state.turns[1], now])
-            self.state = State(positions, sought, self.state.positions[:n], drift, turned_by)
+        dynamic = self.recurrence is not None
+        solution, scene = self._solve(targets, dynamic=dynamic, base=turned)
+        if np.isfinite(solution.positions).all():
+            self._last_frame = _LastFrame(self._prepared[dynamic], scene, solution, self.state, turned)
+            self.state = self._state_after(self._last_frame)
         return solution
+
+    def _state_after(self, frame: _LastFrame) -> State:
+        """Return the state that a frame's solution leaves."""
+        n = len(self.head.bone)
+        positions, sought, before = frame.solution.positions, _target(frame.scene).positions, frame.before
+        if before is None:
+            return State(positions, sought, positions[:n])
+        drift = self._beyond(positions, sought) - self._beyond(before.positions, before.sought)
+        now = before.turns[1] if frame.turned is None else frame.turned
+        return State(positions, sought, before.positions[:n], drift, np.stack([before.turns[1], now]))
+
+    def refine(self, tolerance: float) -> Solution:
+        """Solve the last frame on to a smaller tolerance, from its answer. SceneError before there is a frame."""
+        frame = self._frame_before()
+        options: dict[str, Any] = {"start": frame.solution.positions, "absolute": tolerance * self._spring_norm}
+        if self._solver == "projective":
+            options["untangle"] = False
+        solution = frame.prepared.solve(frame.scene, max_iterations=self._limit, **options)
+        if np.isfinite(solution.positions).all():
+            self._last_frame = replace(frame, solution=solution)
+            self.state = self._state_after(self._last_frame)
+        return solution
+
+    def estimate_left(self) -> Floats | None:
+        """Estimate how far the last frame's skin is from converged [mm], shape (skin vertices, 3); None where unknown.
+
+        By the Hessian of the neutral face, whose factor costs a second once. Contact, and other solvers than PD,
+        have none. SceneError before there is a frame.
+        """
+        frame = self._frame_before()
+        prepared = frame.prepared
+        if not isinstance(prepared, ProjectivePrepared) or frame.scene.of(Contact):
+            return None
+        if self._tangent is None:
+            scene = self._neutral.scene(self.head.skin.vertices, **self._choices)
+            springs = replace(_target(scene), stiffness=_target(frame.scene).stiffness)
+            scene = replace(scene, terms=tuple(springs if term is _target(scene) else term for term in scene.terms))
+            self._tangent = prepared.tangent(replace(frame.solution, positions=self._neutral.positions), scene)
+        left = prepared.estimate_left(frame.solution.positions, self._tangent, frame.scene)
+        moved: Floats = self.head.skin_from_wrap @ left[: len(self.head.bone)]
+        return moved
+
+    def _frame_before(self) -> _LastFrame:
+        if self._last_frame is None:
+            raise SceneError("the sequence has no frame yet")
+        return self._last_frame
 
     @check_arguments
     def skin(self, targets: Floats, solution: Solution) -> Floats:
@@ -158,7 +212,8 @@ class Sequence:
         scene = self._neutral.scene(targets, **self._choices)
         # Of statics, also in dynamics: there k/γ resists a residual in one frame, but k alone when it stays for many.
         springs = np.broadcast_to(_target(scene).stiffness, _target(scene).vertices.shape)
-        absolute = self._tolerance * float(np.linalg.norm(springs))
+        self._spring_norm = float(np.linalg.norm(springs))
+        absolute = self._tolerance * self._spring_norm
         if dynamic and self.recurrence is not None and self.state is not None:
             scene = self._with_inertia(scene, self.recurrence, self.state, base)
         if dynamic not in self._prepared:

@@ -190,6 +190,20 @@ class ProjectivePrepared:
         energy = self.energy.for_scene(scene)
         return Tangent.from_scene(scene, energy, self.system.coordinates, place, linear_solver=linear_solver, like=like)
 
+    def estimate_left(self, positions: Floats, tangent: Tangent, scene: Scene | None = None) -> Floats:
+        """Estimate how far vertices still are from a scene's minimum [mm], shape (n, 3), by a tangent of near by.
+
+        scene as of `solve`. SceneError for a tangent of other unknowns.
+        """
+        scene = self.scene if scene is None else scene
+        coordinates = self.system.coordinates
+        if tangent.coordinates.size != coordinates.size:
+            raise SceneError(f"tangent: it has {tangent.coordinates.size} unknowns, the scene {coordinates.size}")
+        place = coordinates.start(positions - scene.vertices)
+        gradient = self.energy.for_scene(scene).evaluate(place.u)[1]
+        step = tangent.solve(coordinates.pull(gradient, place))
+        return coordinates.move(place, -step).u - place.u
+
 
 def prepare(
     scene: Scene,
